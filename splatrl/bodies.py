@@ -1,0 +1,67 @@
+"""The shapes that a robot's body can have, in the body frame, centred at its origin."""
+
+import math
+from dataclasses import dataclass
+
+
+def _positive(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError(f"{name}: expected finite metres above 0, got {value}")
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box.
+
+    Attributes:
+        size: full extents along x, y and z, metres.
+    """
+
+    size: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        if len(self.size) != 3:
+            raise ValueError(f"Box.size: expected 3 full extents, got {len(self.size)}")
+        object.__setattr__(self, "size", tuple(float(extent) for extent in self.size))
+        for axis, extent in zip("xyz", self.size, strict=True):
+            _positive(f"Box.size.{axis}", extent)
+
+    @property
+    def radius(self) -> float:
+        """Radius of the sphere about the origin that contains the body, metres."""
+        return 0.5 * math.hypot(*self.size)
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A sphere of ``radius`` metres."""
+
+    radius: float
+
+    def __post_init__(self) -> None:
+        _positive("Sphere.radius", self.radius)
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """A cylinder along z with a half-sphere at each end.
+
+    Attributes:
+        cap_radius: radius of the cylinder and of its caps, metres.
+        length: length of the cylinder without its caps, metres.
+    """
+
+    cap_radius: float
+    length: float
+
+    def __post_init__(self) -> None:
+        _positive("Capsule.cap_radius", self.cap_radius)
+        _positive("Capsule.length", self.length)
+
+    @property
+    def radius(self) -> float:
+        """Radius of the sphere about the origin that contains the body, metres."""
+        return 0.5 * self.length + self.cap_radius
+
+
+Body = Box | Sphere | Capsule

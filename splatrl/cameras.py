@@ -1,0 +1,93 @@
+"""A batch of pinhole cameras."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from splatrl.geometry import rigid
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Pinhole cameras that share an image size.
+
+    Attributes:
+        camera_to_world: [B, 4, 4] float32, metres, world frame, OpenCV camera axes.
+        K: [B, 3, 3] float32 intrinsics in pixels; [3, 3] is expanded to the batch.
+        width: image width in pixels.
+        height: image height in pixels.
+
+    Raises:
+        ValueError: for shapes other than these or an image without pixels.
+    """
+
+    camera_to_world: Tensor  # [B, 4, 4]
+    K: Tensor  # [B, 3, 3]
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        if self.camera_to_world.ndim != 3 or self.camera_to_world.shape[1:] != (4, 4):
+            raise ValueError(f"camera_to_world: expected shape [B, 4, 4], got {list(self.camera_to_world.shape)}")
+        batch = self.camera_to_world.shape[0]
+        if self.K.ndim == 2:
+            object.__setattr__(self, "K", self.K.expand(batch, *self.K.shape))
+        if self.K.shape != (batch, 3, 3):
+            raise ValueError(f"K: expected shape [{batch}, 3, 3] or [3, 3], got {list(self.K.shape)}")
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"width, height: expected at least 1 pixel, got {self.width} × {self.height}")
+
+    def __len__(self) -> int:
+        return self.camera_to_world.shape[0]
+
+    def __getitem__(self, rows: slice | Tensor) -> "Cameras":
+        """The cameras of some rows: a slice, a mask or indices."""
+        return Cameras(self.camera_to_world[rows], self.K[rows], self.width, self.height)
+
+
+def intrinsics(fov: float, width: int, height: int) -> Tensor:
+    """Intrinsics with square pixels and a centred principal point.
+
+    Args:
+        fov: horizontal field of view, radians, in (0, π).
+        width: pixels.
+        height: pixels.
+
+    Returns:
+        K [3, 3] float32.
+
+    Raises:
+        ValueError: for a field of view outside (0, π).
+    """
+    if not 0.0 < fov < math.pi:
+        raise ValueError(f"fov: expected radians in (0, π), got {fov}")
+    focal = 0.5 * width / math.tan(0.5 * fov)
+    return torch.tensor([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
+
+
+def look_at(
+    position: Tensor | Sequence[float],
+    target: Tensor | Sequence[float],
+    up: Tensor | Sequence[float] = (0.0, 0.0, 1.0),
+) -> Tensor:
+    """The pose of a camera at ``position`` that looks at ``target``.
+
+    Args:
+        position: [..., 3] world, metres.
+        target: [..., 3] world, metres, not at ``position``.
+        up: [..., 3] world; when it is parallel to the line of sight, +y is taken in its place.
+
+    Returns:
+        camera_to_world [..., 4, 4] float32.
+    """
+    eye, aim, above = (torch.as_tensor(v, dtype=torch.float32) for v in (position, target, up))
+    eye, aim, above = torch.broadcast_tensors(eye, aim, above)
+    forward = torch.nn.functional.normalize(aim - eye, dim=-1)
+    right = torch.linalg.cross(forward, above)
+    spare = torch.linalg.cross(forward, torch.tensor([0.0, 1.0, 0.0]).expand_as(forward))
+    right = torch.where(right.norm(dim=-1, keepdim=True) < 1e-6, spare, right)
+    right = torch.nn.functional.normalize(right, dim=-1)
+    return rigid(torch.stack([right, torch.linalg.cross(forward, right), forward], -1), eye)

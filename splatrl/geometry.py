@@ -1,0 +1,145 @@
+"""Rigid transforms, rotations and the one set of conventions that all of splatrl obeys.
+
+World frame: right-handed, z up, metres.
+Camera frame: OpenCV axes, x right, y down, z forward; a camera's pose is ``camera_to_world``.
+Body frame: x forward, y left, z up; a robot's pose is ``body_to_world``.
+Pixels: the pixel in column i and row j has its centre at (i + 0.5, j + 0.5).
+Yaw: about world +z, counter-clockwise, 0 along +x. Angles are radians.
+Quaternions: wxyz; unit wherever they leave a file reader.
+A transform is named ``<from>_to_<to>`` and maps column vectors: ``p_world = body_to_world @ p_body``.
+"""
+
+import torch
+from torch import Tensor
+
+CAMERA_TO_BODY = torch.tensor(
+    [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""[4, 4] float32: a camera at the body's origin that looks along the body's +x."""
+
+
+def rigid(rotation: Tensor, translation: Tensor) -> Tensor:
+    """Build 4×4 transforms from rotations and translations.
+
+    Args:
+        rotation: [..., 3, 3].
+        translation: [..., 3].
+
+    Returns:
+        [..., 4, 4], same dtype and device as ``rotation``.
+    """
+    shape = torch.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    transform = rotation.new_zeros(*shape, 4, 4)
+    transform[..., :3, :3] = rotation
+    transform[..., :3, 3] = translation
+    transform[..., 3, 3] = 1.0
+    return transform
+
+
+def invert_rigid(transform: Tensor) -> Tensor:
+    """Invert rigid transforms exactly by transposing the rotation.
+
+    Args:
+        transform: [..., 4, 4], rotation orthonormal.
+
+    Returns:
+        [..., 4, 4].
+    """
+    rotation = transform[..., :3, :3].transpose(-1, -2)
+    return rigid(rotation, -(rotation @ transform[..., :3, 3:]).squeeze(-1))
+
+
+def quats_to_rotations(quats: Tensor) -> Tensor:
+    """Turn wxyz quaternions of any length but zero into rotation matrices.
+
+    Args:
+        quats: [..., 4].
+
+    Returns:
+        [..., 3, 3].
+    """
+    w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
+    rows = [
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    ]
+    return torch.stack(rows, -1).unflatten(-1, (3, 3))
+
+
+def multiply_quats(a: Tensor, b: Tensor) -> Tensor:
+    """Hamilton product of wxyz quaternions: rotate by ``b`` first, then by ``a``.
+
+    Args:
+        a: [..., 4].
+        b: [..., 4], broadcast against ``a``.
+
+    Returns:
+        [..., 4].
+    """
+    aw, ax, ay, az = a.unbind(-1)
+    bw, bx, by, bz = b.unbind(-1)
+    return torch.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        -1,
+    )
+
+
+def rotations_to_quats(rotations: Tensor) -> Tensor:
+    """Turn rotation matrices into unit wxyz quaternions with w ≥ 0.
+
+    The largest of the four components is found first, so no rotation loses precision (Shepperd's method).
+
+    Args:
+        rotations: [..., 3, 3], orthonormal.
+
+    Returns:
+        [..., 4].
+    """
+    m = rotations
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    squares = torch.stack([1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz], -1)  # 4 q_i²
+    wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
+    products = torch.stack(  # 4 q_i q_j, row i
+        [
+            torch.stack([squares[..., 0], wx, wy, wz], -1),
+            torch.stack([wx, squares[..., 1], xy, xz], -1),
+            torch.stack([wy, xy, squares[..., 2], yz], -1),
+            torch.stack([wz, xz, yz, squares[..., 3]], -1),
+        ],
+        -2,
+    )
+    largest = squares.argmax(-1)[..., None, None].expand(*squares.shape[:-1], 1, 4)
+    quats = torch.nn.functional.normalize(products.gather(-2, largest).squeeze(-2), dim=-1)
+    return torch.where(quats[..., :1] < 0, -quats, quats)
+
+
+def axis_rotations(axis: int, angles: Tensor) -> Tensor:
+    """Rotate about one coordinate axis, right-handed.
+
+    Args:
+        axis: 0, 1 or 2 for x, y or z.
+        angles: [...] radians.
+
+    Returns:
+        [..., 3, 3].
+    """
+    cos, sin = angles.cos(), angles.sin()
+    rotations = torch.zeros(*angles.shape, 3, 3, dtype=angles.dtype, device=angles.device)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    rotations[..., axis, axis] = 1.0
+    rotations[..., i, i], rotations[..., i, j] = cos, -sin
+    rotations[..., j, i], rotations[..., j, j] = sin, cos
+    return rotations

@@ -1,0 +1,119 @@
+"""The Gaussians of a scene, with their values activated."""
+
+import warnings
+
+import torch
+from tensordict import tensorclass
+from torch import Tensor
+
+from splatrl.geometry import multiply_quats, quats_to_rotations, rotations_to_quats
+from splatrl.spherical_harmonics import rotate_sh, sh_degree
+
+INVISIBLE = 1.0 / 255.0
+"""A Gaussian of lower opacity cannot change an image: renderers skip every alpha below it."""
+
+
+@tensorclass
+class Gaussians:
+    """N anisotropic Gaussians (Kerbl et al. 2023), activated: what files store as logs and logits is plain here.
+
+    Attributes:
+        means: [N, 3] float32, metres once in the world frame.
+        quats: [N, 4] float32, wxyz, unit.
+        scales: [N, 3] float32, standard deviations along the Gaussian's own axes, metres, above 0.
+        opacities: [N] float32 in [0, 1].
+        sh: [N, (degree + 1)², 3] float32, spherical harmonics, degree 0 to 3.
+    """
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+    sh: Tensor
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 3."""
+        return sh_degree(self.sh.shape[-2])
+
+    def covariances(self) -> Tensor:
+        """Covariance of each Gaussian: [N, 3, 3], square metres."""
+        axes = quats_to_rotations(self.quats) * self.scales.unsqueeze(-2)
+        return axes @ axes.mT
+
+    def transformed(self, transform: Tensor) -> "Gaussians":
+        """The same Gaussians in another frame; spherical harmonics turn with them.
+
+        Args:
+            transform: [4, 4], a rotation, a uniform positive scale and a translation.
+
+        Raises:
+            ValueError: where the upper left 3×3 is not a scaled rotation.
+        """
+        matrix = transform.double().cpu()
+        scale = matrix[:3, :3].det().sign() * matrix[:3, :3].det().abs() ** (1 / 3)
+        rotation = matrix[:3, :3] / scale
+        if not (scale > 0 and torch.allclose(rotation @ rotation.T, torch.eye(3, dtype=torch.float64), atol=1e-4)):
+            raise ValueError(
+                f"transform: expected a rotation times a positive scale, got {matrix[:3, :3].tolist()}"
+            )
+        turn = rotation.to(self.means)
+        return Gaussians(
+            means=self.means @ (turn.T * scale.to(self.means)) + matrix[:3, 3].to(self.means),
+            quats=multiply_quats(rotations_to_quats(rotation).to(self.quats), self.quats),
+            scales=self.scales * scale.to(self.scales),
+            opacities=self.opacities,
+            sh=rotate_sh(self.sh, rotation),
+            batch_size=self.batch_size,
+        )
+
+
+def checked_gaussians(
+    source: str, means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor
+) -> Gaussians:
+    """Make Gaussians of values from outside: shapes checked, quaternions normalised, unusable rows dropped.
+
+    Rows with a non-finite value, a zero quaternion, a scale that is not positive or an opacity below 1/255 (which no
+    renderer shows) are left out, with one warning that counts them.
+
+    Args:
+        source: what the values came from, for the messages.
+        means: [N, 3].
+        quats: [N, 4] wxyz, any length.
+        scales: [N, 3] metres.
+        opacities: [N].
+        sh: [N, K, 3].
+
+    Raises:
+        ValueError: for inconsistent shapes, a wrong number of harmonics, or when no row is usable.
+    """
+    count = means.shape[0]
+    expected = {"means": (count, 3), "quats": (count, 4), "scales": (count, 3), "opacities": (count,)}
+    for (name, shape), value in zip(expected.items(), (means, quats, scales, opacities), strict=True):
+        if value.shape != shape:
+            raise ValueError(f"{source}: {name}: expected shape {list(shape)}, got {list(value.shape)}")
+    if sh.ndim != 3 or sh.shape[0] != count or sh.shape[2] != 3:
+        raise ValueError(f"{source}: sh: expected shape [{count}, K, 3], got {list(sh.shape)}")
+    sh_degree(sh.shape[1])
+    means, quats, scales, opacities, sh = (v.float() for v in (means, quats, scales, opacities, sh))
+    finite = torch.cat([means, quats, scales, opacities[:, None], sh.flatten(1)], 1).isfinite().all(1)
+    finite &= (quats.norm(dim=1) > 0) & (scales > 0).all(1)
+    visible = opacities >= INVISIBLE
+    keep = finite & visible
+    if not keep.any():
+        raise ValueError(f"{source}: expected at least one finite, visible Gaussian, got none among {count}")
+    if not keep.all():
+        warnings.warn(
+            f"{source}: dropped {int((~finite).sum())} non-finite or degenerate and "
+            f"{int((finite & ~visible).sum())} fully transparent of {count} Gaussians",
+            stacklevel=3,
+        )
+        means, quats, scales, opacities, sh = (v[keep] for v in (means, quats, scales, opacities, sh))
+    return Gaussians(
+        means=means,
+        quats=torch.nn.functional.normalize(quats, dim=1),
+        scales=scales,
+        opacities=opacities.clamp(0.0, 1.0),
+        sh=sh,
+        batch_size=[means.shape[0]],
+    )
