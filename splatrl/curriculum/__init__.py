@@ -1,0 +1,7 @@
+"""An automatic curriculum: shortest paths, levels and start poses."""
+
+from splatrl.curriculum.planner import UNREACHABLE, Plan, plan
+from splatrl.curriculum.schedule import Schedule
+from splatrl.curriculum.starts import Curriculum, Starts
+
+__all__ = ["UNREACHABLE", "Curriculum", "Plan", "Schedule", "Starts", "plan"]

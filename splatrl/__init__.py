@@ -1,0 +1,1 @@
+"""splatrl: reinforcement learning for robots that see a captured Gaussian splatting scene."""

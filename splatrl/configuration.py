@@ -1,0 +1,133 @@
+"""From Hydra configs to objects: the one place that knows which node builds what."""
+
+import difflib
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from splatrl.collision.base import Checker
+from splatrl.collision.occupancy import Occupancy
+from splatrl.curriculum import Curriculum, Plan, plan
+from splatrl.envs.robot import Robot
+from splatrl.envs.splat_env import SplatEnv
+from splatrl.envs.tasks import Task
+from splatrl.renderers.base import Renderer
+from splatrl.scenes.scene import Scene
+
+OmegaConf.register_new_resolver("splatrl.run_dir", lambda resume, fresh: resume or fresh, replace=True)
+
+
+def conf_dir() -> Path:
+    """The folder of the configs: inside an installed package, or beside it in a checkout."""
+    package = Path(__file__).parent
+    return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
+
+
+def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfig:
+    """Compose a config as the command line does.
+
+    Args:
+        overrides: in Hydra's grammar, such as ``scene=kitchen`` or ``task.max_steps=100``.
+        name: of the root config.
+    """
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        return compose(name, list(overrides))
+
+
+def check_overrides(name: str, arguments: Sequence[str]) -> None:
+    """Stop with the valid keys when an override names a key that does not exist.
+
+    Hydra itself lists the options of a config group, but not the keys of a node.
+
+    Args:
+        name: of the root config.
+        arguments: of the command line.
+
+    Raises:
+        SystemExit: with a message that names the key, its nearest neighbour and all valid ones.
+    """
+    plain = [a for a in arguments if "=" in a and not a.startswith(("-", "+", "~", "hydra"))]
+    keys = [override.key_or_group for override in OverridesParser.create().parse_overrides(plain)]
+    groups = [a.split(",")[0] for a, key in zip(plain, keys, strict=True) if (conf_dir() / key).is_dir()]
+    known = load_config(groups, name)
+    for key in keys:
+        if (conf_dir() / key).is_dir():
+            continue
+        *parents, leaf = key.split(".")
+        node = OmegaConf.select(known, ".".join(parents)) if parents else known
+        valid = [str(k) for k in node if k != "_target_"] if isinstance(node, DictConfig) else []
+        if leaf not in valid:
+            near = difflib.get_close_matches(leaf, valid, 1)
+            hint = f", did you mean {'.'.join([*parents, near[0]])}?" if near else ""
+            place = f"of {'.'.join(parents)}" if parents else "at the top"
+            sys.exit(f"{key}: no such key{hint}\nvalid keys {place}: {', '.join(valid) or 'none'}")
+
+
+@dataclass(frozen=True)
+class World:
+    """Everything that envs of one configuration share.
+
+    Attributes:
+        scene: Gaussians in the world frame.
+        occupancy: what is solid.
+        checker: tests the robot's body against it.
+        renderer: makes the pixels, and remembers them.
+        robot: body and camera.
+        task: goal, motion and rewards.
+        plan: free poses and shortest paths.
+    """
+
+    scene: Scene
+    occupancy: Occupancy
+    checker: Checker
+    renderer: Renderer
+    robot: Robot
+    task: Task
+    plan: Plan
+
+    def env(
+        self,
+        num_envs: int,
+        curriculum: Curriculum | None = None,
+        seed: int | None = 0,
+        device: torch.device | str = "cpu",
+    ) -> SplatEnv:
+        """A batch of robots in this world; without a curriculum they start anywhere in the start set."""
+        curriculum = curriculum or Curriculum(self.plan, first=None)
+        return SplatEnv(self.renderer, self.checker, self.robot, self.task, curriculum, [num_envs], seed, device)
+
+
+def build_world(cfg: DictConfig) -> World:
+    """Build scene, robot, task, collision, renderer and plan from a config."""
+    scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
+    occupancy = instantiate(cfg.collision.occupancy)(scene)
+    checker = instantiate(cfg.collision.checker)(occupancy, robot.body)
+    renderer = instantiate(cfg.renderer.memory)(instantiate(cfg.renderer.exact)(scene.gaussians))
+    return World(scene, occupancy, checker, renderer, robot, task, plan(task.motion, checker, task.reached))
+
+
+def make_env(
+    overrides: Sequence[str] = (),
+    batch_size: Sequence[int] | None = None,
+    seed: int = 0,
+) -> SplatEnv:
+    """Make an env from names and paths alone, so that a worker process can.
+
+    Args:
+        overrides: in Hydra's grammar, such as ``["scene=kitchen", "scene.path=kitchen.spz"]``.
+        batch_size: [B]; None takes ``env.num_envs``.
+        seed: of the env's generator.
+    """
+    cfg = load_config(overrides)
+    world = build_world(cfg)
+    curriculum = instantiate(cfg.curriculum)(world.plan)
+    return world.env(batch_size[0] if batch_size else cfg.env.num_envs, curriculum, seed, cfg.device)

@@ -1,0 +1,58 @@
+"""Success → level: a pure state machine."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Promotes to the next level when enough episodes of the present one succeed.
+
+    Progress is a [3] int64 tensor: level, episodes and successes counted at that level. Episodes are counted in
+    blocks: when ``window`` of them have ended, a success rate of at least ``threshold`` promotes, and either way the
+    count begins anew. Nothing here reads a tensor's value on the host.
+
+    Attributes:
+        levels: number of levels.
+        threshold: success rate that promotes, in (0, 1].
+        window: episodes in a block.
+    """
+
+    levels: int
+    threshold: float = 0.7
+    window: int = 100
+
+    def __post_init__(self) -> None:
+        if self.levels < 1:
+            raise ValueError(f"levels: expected at least 1, got {self.levels}")
+        if not 0 < self.threshold <= 1:
+            raise ValueError(f"threshold: expected a rate in (0, 1], got {self.threshold}")
+        if self.window < 1:
+            raise ValueError(f"window: expected at least 1 episode, got {self.window}")
+
+    def start(self) -> Tensor:
+        """Progress before the first episode: [3] int64."""
+        return torch.zeros(3, dtype=torch.int64)
+
+    def advance(self, progress: Tensor, level: Tensor, finished: Tensor, success: Tensor) -> Tensor:
+        """Progress after some episodes ended.
+
+        Args:
+            progress: [3] int64.
+            level: [B] int64, the level at which each episode had begun; others than the present do not count.
+            finished: [B] bool, which episodes ended.
+            success: [B] bool.
+
+        Returns:
+            [3] int64.
+        """
+        now, episodes, successes = progress.unbind()
+        counted = finished & (level == now)
+        episodes = episodes + counted.sum()
+        successes = successes + (counted & success).sum()
+        full = episodes >= self.window
+        promoted = full & (successes >= self.threshold * episodes)
+        now = (now + promoted).clamp_max(self.levels - 1)
+        return torch.stack([now, episodes * ~full, successes * ~full])

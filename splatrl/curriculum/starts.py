@@ -1,0 +1,91 @@
+"""Level and generator → start states."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from splatrl.curriculum.planner import Plan
+from splatrl.curriculum.schedule import Schedule
+
+
+class Starts(nn.Module):
+    """The start set of a plan, nearest to the goal first.
+
+    Level l starts episodes uniformly among the starts whose shortest path has at most ``first + l · stride`` steps; the
+    highest level is the whole set.
+
+    Args:
+        plan: states and distances.
+        first: longest path at level 0, steps; None makes the whole set the only level.
+        stride: steps that each level adds.
+    """
+
+    ordered: Tensor  # [N, D] states by distance
+    counts: Tensor  # [levels] int64, how many of them a level uses
+
+    def __init__(self, plan: Plan, first: int | None = 2, stride: int = 1):
+        super().__init__()
+        if (first is not None and first < 1) or stride < 1:
+            raise ValueError(f"curriculum: expected first and stride of at least 1 step, got {first} and {stride}")
+        rows = plan.start_rows
+        distance, order = plan.distance[rows].sort(stable=True)
+        self.register_buffer("ordered", plan.states[rows[order]], persistent=False)
+        farthest = int(distance[-1])
+        limits = torch.tensor(self._limits(farthest, first, stride), device=distance.device)
+        self.register_buffer("counts", torch.searchsorted(distance, limits, right=True), persistent=False)
+
+    @staticmethod
+    def _limits(farthest: int, first: int | None, stride: int) -> Sequence[int]:
+        if first is None or first >= farthest:
+            return [farthest]
+        return [first + stride * level for level in range(math.ceil((farthest - first) / stride) + 1)]
+
+    @property
+    def levels(self) -> int:
+        """Number of levels."""
+        return len(self.counts)
+
+    def sample(self, level: Tensor, count: int, generator: torch.Generator) -> Tensor:
+        """Draw start states: level [] int64 -> [count, D]; takes ``count`` draws of the generator."""
+        uniform = torch.rand(count, generator=generator, device=self.ordered.device, dtype=torch.float64)
+        available = self.counts[level]
+        return self.ordered[(uniform * available).long().clamp_max(available - 1)]
+
+
+class Curriculum(nn.Module):
+    """Starts that move away from the goal as the success rate holds.
+
+    Its progress is a buffer, so a resumed run goes on at the level it had.
+
+    Args:
+        plan: states and distances.
+        first: see ``Starts``.
+        stride: see ``Starts``.
+        threshold: see ``Schedule``.
+        window: see ``Schedule``.
+    """
+
+    progress: Tensor  # [3] int64
+
+    def __init__(
+        self, plan: Plan, first: int | None = 2, stride: int = 1, threshold: float = 0.7, window: int = 100
+    ):
+        super().__init__()
+        self.starts = Starts(plan, first, stride)
+        self.schedule = Schedule(self.starts.levels, threshold, window)
+        self.register_buffer("progress", self.schedule.start())
+
+    @property
+    def level(self) -> Tensor:
+        """The present level: [] int64."""
+        return self.progress[0]
+
+    def sample(self, count: int, generator: torch.Generator) -> Tensor:
+        """Draw start states of the present level: [count, D]."""
+        return self.starts.sample(self.level, count, generator)
+
+    def record(self, level: Tensor, finished: Tensor, success: Tensor) -> None:
+        """Take note of ended episodes; see ``Schedule.advance``."""
+        self.progress = self.schedule.advance(self.progress, level, finished, success)

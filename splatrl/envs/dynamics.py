@@ -1,0 +1,110 @@
+"""How actions move a robot."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torchrl.data import Bounded, Categorical
+
+from splatrl.geometry import axis_rotations, rigid
+
+
+class LatticeMotion(nn.Module):
+    """Steps on a lattice of positions and headings: the motion of the grid task.
+
+    A state is [..., 3] int64: the indices of x, y and heading. Positions stand ``step`` apart from the lower to the
+    upper bound, both included; headings go round from 0 (along +x), counter-clockwise. The six actions, in order, are
+    +x, −x, +y, −y (along the world's axes whatever the heading), +spin and −spin.
+
+    Args:
+        height: z of every pose, metres.
+        step: distance between neighbouring positions, metres.
+        angle_step_deg: angle between neighbouring headings, degrees; it divides 360.
+        lower: smallest x and y, metres.
+        upper: largest x and y, metres; a whole number of steps from ``lower``.
+
+    Raises:
+        ValueError: for a step that does not divide the bounds or an angle that does not divide a turn.
+    """
+
+    action_names = ("+x", "-x", "+y", "-y", "+spin", "-spin")
+    moves: Tensor  # [6, 3] int64
+    rotations: Tensor  # [headings, 3, 3]
+    origin: Tensor  # [2] float64
+
+    def __init__(
+        self,
+        height: float,
+        step: float = 0.2,
+        angle_step_deg: float = 22.5,
+        lower: Sequence[float] = (-1.0, -1.0),
+        upper: Sequence[float] = (1.0, 1.0),
+    ):
+        super().__init__()
+        headings = _whole("angle_step_deg", 360.0, angle_step_deg)
+        columns, rows = (
+            _whole(f"step: bounds along {axis}", high - low, step) + 1
+            for axis, low, high in zip("xy", lower, upper, strict=True)
+        )
+        self.height, self.step, self.angle_step = height, step, math.tau / headings
+        self.shape = (columns, rows, headings)
+        moves = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
+        yaws = torch.arange(headings, dtype=torch.float64) * self.angle_step
+        self.register_buffer("moves", torch.tensor(moves), persistent=False)
+        self.register_buffer("rotations", axis_rotations(2, yaws).float(), persistent=False)
+        self.register_buffer("origin", torch.tensor(tuple(lower), dtype=torch.float64), persistent=False)
+
+    @property
+    def action_spec(self) -> Categorical:
+        """One of six actions; no batch."""
+        return Categorical(len(self.moves), shape=(), dtype=torch.int64)
+
+    @property
+    def state_spec(self) -> Bounded:
+        """Lattice indices [3]; no batch."""
+        high = torch.tensor(self.shape) - 1
+        return Bounded(low=torch.zeros_like(high), high=high, shape=(3,), dtype=torch.int64)
+
+    def states(self) -> Tensor:
+        """Every state of the lattice, in the order of ``index``: [S, 3] int64."""
+        return torch.cartesian_prod(*(torch.arange(n, device=self.moves.device) for n in self.shape))
+
+    def index(self, state: Tensor) -> Tensor:
+        """The row of each state in ``states()``: [..., 3] int64, inside the lattice -> [...] int64."""
+        _, rows, headings = self.shape
+        return (state[..., 0] * rows + state[..., 1]) * headings + state[..., 2]
+
+    def advance(self, state: Tensor, action: Tensor) -> Tensor:
+        """Where an unhindered action leads; it can be outside the lattice.
+
+        Args:
+            state: [B, 3] int64.
+            action: [B] int64 in [0, 6).
+
+        Returns:
+            [B, 3] int64, heading wrapped.
+        """
+        moved = state + self.moves[action]
+        return torch.cat([moved[:, :2], moved[:, 2:] % self.shape[2]], 1)
+
+    def inside(self, state: Tensor) -> Tensor:
+        """Whether states are within the bounds, which are inclusive: [B, 3] -> [B] bool."""
+        x, y = state[:, 0], state[:, 1]
+        return (x >= 0) & (x < self.shape[0]) & (y >= 0) & (y < self.shape[1])
+
+    def planar(self, state: Tensor) -> Tensor:
+        """Position and heading of states: [B, 3] int64 -> [B, 3] float64, x and y in metres, yaw in radians."""
+        return torch.cat([self.origin + state[:, :2] * self.step, state[:, 2:] * self.angle_step], 1)
+
+    def body_to_world(self, state: Tensor) -> Tensor:
+        """Poses of states: [B, 3] int64 -> [B, 4, 4] float32; equal states have poses of equal bytes."""
+        position = self.planar(state)[:, :2].float()
+        return rigid(self.rotations[state[:, 2]], torch.cat([position, position.new_full((len(state), 1), self.height)], 1))
+
+
+def _whole(name: str, length: float, step: float) -> int:
+    count = round(length / step) if step > 0 and length > 0 else 0
+    if count < 1 or abs(count * step - length) > 1e-6 * length:
+        raise ValueError(f"{name}: expected a whole number of steps of {step} in {length}, got {length / step if step else step}")
+    return count

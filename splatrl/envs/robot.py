@@ -1,0 +1,61 @@
+"""The robot: its body, and the camera it carries."""
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from splatrl.bodies import Body
+from splatrl.cameras import Cameras, intrinsics
+from splatrl.geometry import CAMERA_TO_BODY, axis_rotations, rigid
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A body with a camera at its centre, looking along the body's +x.
+
+    Attributes:
+        body: shape that collides, in the body frame.
+        height: height of the body's centre, which is the camera's, above z = 0, metres.
+        pitch_deg: the camera looks down by this much, degrees.
+        fov_deg: horizontal field of view, degrees in (0, 180).
+        image_width: pixels.
+        image_height: pixels.
+    """
+
+    body: Body
+    height: float
+    pitch_deg: float = 0.0
+    fov_deg: float = 90.0
+    image_width: int = 64
+    image_height: int = 64
+    camera_to_body: Tensor = field(init=False, repr=False, compare=False)  # [4, 4]
+    K: Tensor = field(init=False, repr=False, compare=False)  # [3, 3]
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.height):
+            raise ValueError(f"robot.height: expected finite metres, got {self.height}")
+        down = axis_rotations(1, torch.tensor(math.radians(self.pitch_deg)))
+        object.__setattr__(self, "camera_to_body", rigid(down, torch.zeros(3)) @ CAMERA_TO_BODY)
+        K = intrinsics(math.radians(self.fov_deg), self.image_width, self.image_height)
+        object.__setattr__(self, "K", K)
+
+    def cameras(self, body_to_world: Tensor, camera_offset: Tensor | None = None) -> Cameras:
+        """The ego cameras of robots at some poses.
+
+        Args:
+            body_to_world: [B, 4, 4] float32, metres.
+            camera_offset: [B, 6] float32 that moves the camera and not the robot: metres along world x, y and z, then
+                radians about the camera's own right, forward and down axes, in the order pitch, roll, yaw.
+
+        Returns:
+            B cameras on the device of ``body_to_world``.
+        """
+        camera_to_world = body_to_world @ self.camera_to_body.to(body_to_world)
+        if camera_offset is not None:
+            pitch, roll, yaw = camera_offset[:, 3:].unbind(-1)
+            turn = axis_rotations(0, pitch) @ axis_rotations(2, roll) @ axis_rotations(1, yaw)
+            rotation = camera_to_world[:, :3, :3] @ turn
+            camera_to_world = rigid(rotation, camera_to_world[:, :3, 3] + camera_offset[:, :3])
+        return Cameras(camera_to_world, self.K.to(body_to_world), self.image_width, self.image_height)

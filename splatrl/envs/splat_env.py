@@ -1,0 +1,169 @@
+"""The one environment: a batch of robots in one scene."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
+from torchrl.envs import EnvBase
+
+from splatrl.collision.base import Checker
+from splatrl.curriculum.starts import Curriculum
+from splatrl.envs.robot import Robot
+from splatrl.envs.tasks.base import Outcome, Task
+from splatrl.renderers.base import Renderer
+
+
+class SplatEnv(EnvBase):
+    """B robots that see, move and collide in one splat scene: a batch-locked TorchRL env.
+
+    Everything about an episode travels in the TensorDict, so the env itself holds only its random generator and the
+    curriculum, both part of ``state_dict()``.
+
+    Observation: ``pixels`` [B, H, W, 3] uint8. For users, not for the policy: ``state`` (the task's), ``step_count``
+        [B, 1] int64, ``episode_return`` [B, 1] float32, ``level`` [B, 1] int64 at which the episode began, ``outcome``
+        [B, 1] int64 (an ``Outcome``), ``touched_fraction`` [B, 1] float32 (how much of the last move was free; 1 when
+        nothing was touched).
+    Action: the task's.
+    Reward: [B, 1] float32, the task's.
+    Termination: the task's. A blocked move leaves the robot where it was.
+    Truncation: after ``task.max_steps`` steps; never together with termination.
+    Reset: start states from the curriculum, or with ``reset(td, set_state=True)`` those in ``td["state"]``.
+    Input: ``camera_offset`` [B, 6] float32, if present, moves the camera and not the robot (``Robot.cameras``).
+
+    Args:
+        renderer: makes the pixels.
+        checker: holds the robot's body, finds what it touches.
+        robot: body and camera.
+        task: motion, goal and rewards.
+        curriculum: where episodes begin.
+        batch_size: [B], the number of robots.
+        seed: of the env's generator.
+        device: of every tensor that it takes and gives.
+
+    Raises:
+        ValueError: for a batch size that is not one positive number.
+    """
+
+    batch_locked = True
+    _supports_set_state = True
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        checker: Checker,
+        robot: Robot,
+        task: Task,
+        curriculum: Curriculum,
+        batch_size: Sequence[int],
+        seed: int | None = 0,
+        device: torch.device | str = "cpu",
+    ):
+        if len(batch_size) != 1 or batch_size[0] < 1:
+            raise ValueError(f"batch_size: expected one number of at least 1, got {list(batch_size)}")
+        super().__init__(device=device, batch_size=torch.Size(batch_size))
+        self.renderer, self.checker, self.robot = renderer, checker, robot
+        self.task, self.curriculum = task, curriculum
+        self.generator = torch.Generator(self.device)
+        self._make_specs()
+        self.set_seed(seed)
+        self.to(self.device)
+
+    def _make_specs(self) -> None:
+        motion, robot = self.task.motion, self.robot
+        count = Unbounded(shape=(1,), dtype=torch.int64)
+        number = Unbounded(shape=(1,), dtype=torch.float32)
+        carried: dict[str, TensorSpec] = {
+            "state": motion.state_spec,
+            "step_count": count,
+            "episode_return": number,
+            "level": count.clone(),
+        }
+        shown: dict[str, TensorSpec] = {
+            "pixels": Bounded(0, 255, shape=(robot.image_height, robot.image_width, 3), dtype=torch.uint8),
+            "outcome": Categorical(len(Outcome), shape=(1,), dtype=torch.int64),
+            "touched_fraction": Bounded(0.0, 1.0, shape=(1,), dtype=torch.float32),
+        }
+        flag = Categorical(2, shape=(1,), dtype=torch.bool)
+        done = {"done": flag, "terminated": flag.clone(), "truncated": flag.clone()}
+        self.observation_spec = self._batched({**shown, **carried})
+        self.state_spec = self._batched({key: spec.clone() for key, spec in carried.items()})
+        self.action_spec = self._batched({"action": motion.action_spec})
+        self.reward_spec = self._batched({"reward": number.clone()})
+        self.done_spec = self._batched(done)
+
+    def _batched(self, specs: dict[str, TensorSpec]) -> Composite:
+        size = self.batch_size
+        specs = {key: spec.expand(*size, *spec.shape) for key, spec in specs.items()}
+        return Composite(specs, shape=size).to(self.device)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **_: Any) -> TensorDictBase:
+        rows = None if tensordict is None else tensordict.get("_reset", None)
+        rows = torch.arange(self.numel(), device=self.device) if rows is None else rows.flatten().nonzero().squeeze(1)
+        if set_state:
+            assert tensordict is not None
+            state = tensordict["state"][rows]
+            level = torch.full_like(state[:, :1], -1, dtype=torch.int64)  # given by hand: of no level
+        else:
+            state = self.curriculum.sample(len(rows), self.generator)
+            level = self.curriculum.level.expand(len(rows), 1)
+        offset = None if tensordict is None else tensordict.get("camera_offset", None)
+        pixels = self._pixels(state, None if offset is None else offset[rows])
+        fresh = self._full_reset_spec_zero()
+        for key, value in {"state": state, "level": level, "pixels": pixels}.items():
+            fresh[key][rows] = value
+        fresh["touched_fraction"].fill_(1.0)
+        return fresh
+
+    def _full_reset_spec_zero(self) -> TensorDictBase:
+        zero = self.observation_spec.zero()
+        return zero.update(self.full_done_spec.zero())
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        state, action = tensordict["state"], tensordict["action"]
+        motion = self.task.motion
+        ahead = motion.advance(state, action)
+        touched = self.checker.touched_fraction(motion.body_to_world(state), motion.body_to_world(ahead))
+        hit = touched < 1
+        reward, terminated, outcome = self.task.judge(state, action, ahead, hit)
+        blocked = hit | ~motion.inside(ahead)
+        state = torch.where(blocked.view(-1, *[1] * (state.ndim - 1)), state, ahead)
+        step_count = tensordict["step_count"] + 1
+        truncated = (step_count >= self.task.max_steps) & ~terminated
+        outcome = torch.where(truncated, Outcome.TIMEOUT, outcome)
+        level, done = tensordict["level"], terminated | truncated
+        self.curriculum.record(level.flatten(), done.flatten(), (outcome == Outcome.GOAL).flatten())
+        values = {
+            "pixels": self._pixels(state, tensordict.get("camera_offset", None)),
+            "state": state,
+            "step_count": step_count,
+            "episode_return": tensordict["episode_return"] + reward,
+            "level": level.clone(),
+            "outcome": outcome,
+            "touched_fraction": touched.unsqueeze(1),
+            "reward": reward,
+            "done": done,
+            "terminated": terminated,
+            "truncated": truncated,
+        }
+        return TensorDict(values, batch_size=self.batch_size, device=self.device)
+
+    def _pixels(self, state: Tensor, camera_offset: Tensor | None) -> Tensor:
+        body_to_world = self.task.motion.body_to_world(state)
+        return self.renderer.pixels(self.robot.cameras(body_to_world, camera_offset))
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is None:
+            self.generator.seed()
+        else:
+            self.generator.manual_seed(seed)
+
+    def get_extra_state(self) -> Tensor:
+        """State of the random generator, for ``state_dict()``: [n] uint8."""
+        return self.generator.get_state()
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Put the random generator back, from ``load_state_dict()``."""
+        self.generator.set_state(state.cpu())

@@ -1,0 +1,96 @@
+"""Episodes from given starts, and what they add up to."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from splatrl.envs.splat_env import SplatEnv
+from splatrl.envs.tasks import Outcome
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """N finished episodes, in the order of their starts.
+
+    Attributes:
+        start: [N, D] states.
+        outcome: [N] int64, an ``Outcome`` each.
+        length: [N] int64, steps.
+        episode_return: [N] float32.
+    """
+
+    start: Tensor
+    outcome: Tensor
+    length: Tensor
+    episode_return: Tensor
+
+    @property
+    def success(self) -> Tensor:
+        """Which reached the goal: [N] bool."""
+        return self.outcome == Outcome.GOAL
+
+    def rate(self, outcome: Outcome) -> float:
+        """Share of episodes that ended so."""
+        return (self.outcome == outcome).double().mean().item()
+
+    def spl(self, shortest: Tensor) -> float:
+        """Success weighted by path length (Anderson et al. 2018, eq. 1).
+
+        Args:
+            shortest: [N] int64, steps of the shortest path from each start.
+        """
+        ratio = shortest.double() / torch.maximum(shortest, self.length).double()
+        return (self.success * ratio).mean().item()
+
+
+@torch.no_grad()
+def run_episodes(
+    env: SplatEnv,
+    policy: Callable[[TensorDictBase], TensorDictBase],
+    starts: Tensor,
+    sampled: bool = True,
+    seed: int = 0,
+    progress: Callable[[int], object] = lambda finished: None,
+) -> Episodes:
+    """Run one episode from each start; PyTorch's global generator is left as it was.
+
+    A robot whose episode ends takes the next start that waits, so the batch stays full.
+
+    Args:
+        env: takes ``reset(set_state=True)``; its curriculum hears of no level.
+        policy: reads ``pixels``, writes ``action``.
+        starts: [N, D] states.
+        sampled: sample from the policy's distribution, or take its mode.
+        seed: of the sampling.
+        progress: called with the number of episodes that just ended.
+    """
+    count, rows = len(starts), env.numel()
+    result = Episodes(starts, *(torch.zeros(count, dtype=t) for t in (torch.int64, torch.int64, torch.float32)))
+    episode = torch.arange(rows)  # which episode each robot is in; from count on it is idle
+    waiting = rows
+    kind = ExplorationType.RANDOM if sampled else ExplorationType.DETERMINISTIC
+    with torch.random.fork_rng(devices=[]), set_exploration_type(kind):
+        torch.manual_seed(seed)
+        state = starts[episode.clamp_max(count - 1)]
+        td = env.reset(TensorDict({"state": state}, batch_size=[rows], device=env.device), set_state=True)
+        while (episode < count).any():
+            td = env.step(policy(td))
+            after = td["next"]
+            ended = (after["done"].squeeze(1).cpu() & (episode < count)).nonzero().squeeze(1)
+            for key, into in (("outcome", result.outcome), ("step_count", result.length)):
+                into[episode[ended]] = after[key].squeeze(1)[ended].cpu()
+            result.episode_return[episode[ended]] = after["episode_return"].squeeze(1)[ended].cpu()
+            progress(len(ended))
+            done = after["done"].squeeze(1).cpu().nonzero().squeeze(1)
+            episode[done] = torch.arange(waiting, waiting + len(done))
+            waiting += len(done)
+            td = env.step_mdp(td)
+            if len(done):
+                td["state"] = td["state"].index_put((done,), starts[episode[done].clamp_max(count - 1)])
+                td["_reset"] = after["done"].clone()
+                td = env.reset(td, set_state=True)
+    return result

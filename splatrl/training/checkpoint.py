@@ -1,0 +1,46 @@
+"""Checkpoints that a crash cannot tear."""
+
+import os
+import tempfile
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
+
+import torch
+
+
+def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
+    """Write a checkpoint under a temporary name and rename it, so that ``path`` is always whole.
+
+    Args:
+        path: file to write.
+        state: nested dicts and lists of tensors and plain values.
+    """
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            torch.save(state, file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
+    """Read a checkpoint as data: tensors and plain values, no code.
+
+    Raises:
+        FileNotFoundError: where there is none.
+        ValueError: where the file is not a whole checkpoint.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: expected a checkpoint, found none")
+    try:
+        state = torch.load(path, map_location=device, weights_only=True)
+    except (RuntimeError, UnpicklingError, EOFError, ValueError) as error:
+        raise ValueError(f"{path}: expected a checkpoint of tensors and plain values: {error}") from error
+    if not isinstance(state, dict):
+        raise ValueError(f"{path}: expected a checkpoint, found a {type(state).__name__}")
+    return state
