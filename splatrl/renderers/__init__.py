@@ -1,0 +1,6 @@
+"""Renderers: from cameras to images of one scene."""
+
+from splatrl.renderers.base import Renderer, RenderOutput
+from splatrl.renderers.reference import ReferenceRenderer
+
+__all__ = ["ReferenceRenderer", "RenderOutput", "Renderer"]

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple, Protocol
 
+import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
@@ -32,3 +33,24 @@ class Renderer(Protocol):
     def pixels(self, cameras: Cameras) -> Tensor:
         """What an observation is: [B, H, W, 3] uint8, ``round(255 · rgb)``."""
         ...
+
+
+def to_pixels(rgb: Tensor) -> Tensor:
+    """Quantise colours: [..., 3] float in [0, 1] -> [..., 3] uint8, rounded to nearest, halves up."""
+    return (255.0 * rgb + 0.5).floor().to(torch.uint8)
+
+
+def require_finite(cameras: Cameras) -> None:
+    """Refuse cameras that no renderer can show.
+
+    Raises:
+        ValueError: names the first row whose pose or intrinsics are not finite, or whose focal length is not positive.
+    """
+    poses = cameras.camera_to_world.flatten(1).isfinite().all(1)
+    lenses = cameras.K.flatten(1).isfinite().all(1) & (cameras.K[:, 0, 0] > 0) & (cameras.K[:, 1, 1] > 0)
+    if bool((poses & lenses).all()):
+        return
+    row = int((poses & lenses).int().argmin())
+    if not poses[row]:
+        raise ValueError(f"camera_to_world[{row}]: expected finite values, got {cameras.camera_to_world[row].tolist()}")
+    raise ValueError(f"K[{row}]: expected finite values and positive focal lengths, got {cameras.K[row].tolist()}")

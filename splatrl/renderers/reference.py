@@ -1,0 +1,182 @@
+"""The renderer that the fast ones are tested against: plain torch, any device, any float type, differentiable."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from splatrl.cameras import Cameras
+from splatrl.geometry import invert_rigid
+from splatrl.renderers.base import RenderOutput, require_finite, to_pixels
+from splatrl.scenes.gaussians import INVISIBLE, Gaussians
+from splatrl.spherical_harmonics import sh_colors
+
+NEAR = 0.01
+"""Metres: a Gaussian whose mean is nearer along the optical axis is not shown."""
+DILATION = 0.3
+"""Square pixels added to every projected covariance: a Gaussian covers at least about one pixel."""
+MAX_ALPHA = 0.999
+MIN_TRANSMITTANCE = 1e-4
+"""A pixel is finished before the Gaussian that would let no more light than this through."""
+TILE = 16
+"""Pixels; a tile only meets the Gaussians whose bounds touch it."""
+CHUNK = 2048
+"""Gaussians blended at once; bounds the memory of a tile."""
+
+
+class Projected(NamedTuple):
+    """The G Gaussians that one camera can see, nearest first.
+
+    Attributes:
+        centers: [G, 2] pixels.
+        conics: [G, 3] the inverse covariance on the image, (xx, xy, yy), 1 / square pixels.
+        extents: [G, 2] half sizes of the box in which alpha can reach 1/255, pixels.
+        opacities: [G].
+        colors: [G, 3].
+        depths: [G] metres.
+    """
+
+    centers: Tensor
+    conics: Tensor
+    extents: Tensor
+    opacities: Tensor
+    colors: Tensor
+    depths: Tensor
+
+
+class ReferenceRenderer:
+    """Renders Gaussians by elliptical weighted average splatting (Zwicker et al. 2001, Kerbl et al. 2023).
+
+    The conventions are gsplat's. Gradients reach everything in ``gaussians``; the output has their float type.
+
+    Args:
+        gaussians: the scene.
+        antialiased: keep the energy of Gaussians smaller than a pixel (Mip-Splatting, Yu et al. 2024): what the
+            dilation adds in area is taken from the opacity. False is the classic 3DGS image.
+        background: colour behind the Gaussians, in [0, 1].
+    """
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        antialiased: bool = True,
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        self.gaussians = gaussians
+        self.antialiased = antialiased
+        self.background = background
+
+    def render(self, cameras: Cameras) -> RenderOutput:
+        """Colour, depth and alpha of each camera, on the device and in the float type of the Gaussians."""
+        require_finite(cameras)
+        shape = (len(cameras), cameras.height, cameras.width)
+        outputs = self.gaussians.means.new_zeros(*shape, 5)
+        background = self.gaussians.means.new_tensor(self.background)
+        for row in range(len(cameras)):
+            projected = self.project(cameras, row)
+            for top in range(0, cameras.height, TILE):
+                for left in range(0, cameras.width, TILE):
+                    bottom, right = min(top + TILE, cameras.height), min(left + TILE, cameras.width)
+                    tile = blend(projected, left, top, right, bottom)
+                    outputs[row, top:bottom, left:right] = tile
+        rgb, weighted_depth, alpha = outputs[..., :3], outputs[..., 3], outputs[..., 4]
+        rgb = rgb + (1 - alpha).unsqueeze(-1) * background
+        covered = alpha > 0
+        depth = torch.where(covered, weighted_depth / torch.where(covered, alpha, 1.0), 0.0)
+        return RenderOutput(rgb.clamp(0.0, 1.0), depth, alpha)
+
+    def pixels(self, cameras: Cameras) -> Tensor:
+        """[B, H, W, 3] uint8."""
+        with torch.no_grad():
+            return to_pixels(self.render(cameras).rgb)
+
+    def project(self, cameras: Cameras, row: int) -> Projected:
+        """Project the Gaussians onto the image of one camera (EWA splatting, eq. 29 to 31 of Zwicker et al. 2001)."""
+        means = self.gaussians.means
+        camera_to_world, K = cameras.camera_to_world[row].to(means), cameras.K[row].to(means)
+        world_to_camera = invert_rigid(camera_to_world)
+        seen = world_to_camera[:3, :3] @ means.mT + world_to_camera[:3, 3:]  # [3, N], camera frame
+        kept = (seen[2] >= NEAR).nonzero().squeeze(-1)
+        kept = kept[seen[2, kept].argsort(stable=True)]
+        visible = self.gaussians[kept]
+        x, y, z = seen[:, kept]
+
+        covariances = project_covariances(
+            world_to_camera[:3, :3] @ visible.covariances() @ camera_to_world[:3, :3], x, y, z, K, cameras
+        )
+        xx, xy, yy = covariances[:, 0, 0] + DILATION, covariances[:, 0, 1], covariances[:, 1, 1] + DILATION
+        determinants = xx * yy - xy * xy
+        opacities = visible.opacities
+        if self.antialiased:
+            opacities = opacities * (covariances.det() / determinants).clamp_min(1e-12).sqrt()  # 0 has no slope
+        reach = 2 * (opacities.detach().clamp_min(INVISIBLE) / INVISIBLE).log()  # squared standard deviations
+        directions = torch.nn.functional.normalize(visible.means - camera_to_world[:3, 3], dim=-1)
+        return Projected(
+            centers=torch.stack([K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]], -1),
+            conics=torch.stack([yy, -xy, xx], -1) / determinants.unsqueeze(-1),
+            extents=(reach.unsqueeze(-1) * torch.stack([xx, yy], -1).detach()).sqrt() * 1.001 + 0.001,
+            opacities=opacities,
+            colors=sh_colors(visible.sh, directions),
+            depths=z,
+        )
+
+
+def project_covariances(covariances: Tensor, x: Tensor, y: Tensor, z: Tensor, K: Tensor, cameras: Cameras) -> Tensor:
+    """Project covariances with the Jacobian of the pinhole at the mean.
+
+    The Jacobian is taken at most 0.15 image widths beside the image: further out its linearisation explodes.
+
+    Args:
+        covariances: [G, 3, 3] camera frame, square metres.
+        x: [G] means in the camera frame, metres; so are ``y`` and ``z``.
+        K: [3, 3].
+        cameras: for the size of the image.
+
+    Returns:
+        [G, 2, 2] square pixels.
+    """
+    margin_x, margin_y = 0.15 * cameras.width / K[0, 0], 0.15 * cameras.height / K[1, 1]
+    slope_x = (x / z).clamp(-K[0, 2] / K[0, 0] - margin_x, (cameras.width - K[0, 2]) / K[0, 0] + margin_x)
+    slope_y = (y / z).clamp(-K[1, 2] / K[1, 1] - margin_y, (cameras.height - K[1, 2]) / K[1, 1] + margin_y)
+    zero = torch.zeros_like(z)
+    jacobians = torch.stack(
+        [K[0, 0] / z, zero, -K[0, 0] * slope_x / z, zero, K[1, 1] / z, -K[1, 1] * slope_y / z], -1
+    ).unflatten(-1, (2, 3))
+    return jacobians @ covariances @ jacobians.mT
+
+
+def blend(projected: Projected, left: int, top: int, right: int, bottom: int) -> Tensor:
+    """Blend the Gaussians over one tile, front to back.
+
+    Returns:
+        [bottom - top, right - left, 5]: red, green, blue, depth times share, alpha.
+    """
+    like = projected.centers
+    low, high = like.new_tensor([left, top]), like.new_tensor([right, bottom])
+    touches = ((projected.centers + projected.extents > low) & (projected.centers - projected.extents < high)).all(1)
+    chosen = touches.nonzero().squeeze(-1)
+    columns = torch.arange(left, right, dtype=like.dtype, device=like.device) + 0.5
+    rows = torch.arange(top, bottom, dtype=like.dtype, device=like.device) + 0.5
+    points = torch.cartesian_prod(rows, columns).flip(-1)  # [P, 2], x then y
+    blended = like.new_zeros(points.shape[0], 5)
+    transmittance = like.new_ones(points.shape[0], 1)
+    for chunk in chosen.split(CHUNK):
+        alphas = alpha_at(points, Projected(*(value[chunk] for value in projected)))  # [P, G]
+        after = transmittance * (1 - alphas).cumprod(1)
+        before = torch.cat([transmittance, after[:, :-1]], 1)
+        shares = torch.where(after > MIN_TRANSMITTANCE, alphas * before, 0.0)
+        values = torch.cat([projected.colors[chunk], projected.depths[chunk, None]], 1)
+        blended = blended + torch.cat([shares @ values, shares.sum(1, keepdim=True)], 1)
+        transmittance = after[:, -1:]
+        if bool((transmittance <= MIN_TRANSMITTANCE).all()):
+            break
+    return blended.unflatten(0, (bottom - top, right - left))
+
+
+def alpha_at(points: Tensor, projected: Projected) -> Tensor:
+    """Opacity of each Gaussian at each point, 0 below 1/255: [P, 2] pixels -> [P, G]."""
+    dx, dy = (points[:, None] - projected.centers).unbind(-1)
+    xx, xy, yy = projected.conics.unbind(-1)
+    sigmas = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy
+    alphas = (projected.opacities * (-sigmas).exp()).clamp_max(MAX_ALPHA)
+    return torch.where(alphas >= INVISIBLE, alphas, 0.0)
