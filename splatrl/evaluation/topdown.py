@@ -1,0 +1,122 @@
+"""The ground that figures and videos are drawn on: a scene seen from above, and what is solid there."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from splatrl.cameras import Cameras, look_at
+from splatrl.renderers import ReferenceRenderer
+from splatrl.renderers.base import Renderer
+from splatrl.scenes.gaussians import Gaussians
+
+DISTANCE = 500.0
+"""Height of the camera in lengths of the window: a metre of height moves a point by at most a millimetre and a half."""
+DEPTH = 10.0
+"""Metres below the cut at which the ground ends and the lower half of a sky dome may begin."""
+
+
+class TopDown(NamedTuple):
+    """A picture of a window of the world, +x right and +y up.
+
+    Attributes:
+        image: [H, W, 3] uint8, row 0 at the largest y.
+        extent: left, right, bottom and top edge of the image, metres, in the order of matplotlib's ``extent``.
+    """
+
+    image: Tensor
+    extent: tuple[float, float, float, float]
+
+    @property
+    def pixels_per_metre(self) -> float:
+        """Resolution of the picture, the same along x and y."""
+        return self.image.shape[1] / (self.extent[1] - self.extent[0])
+
+
+def top_down(
+    gaussians: Gaussians,
+    lower: Sequence[float],
+    upper: Sequence[float],
+    below: float,
+    size: int = 720,
+    make_renderer: Callable[[Gaussians], Renderer] = ReferenceRenderer,
+) -> TopDown:
+    """Render a window of a scene from straight above, as good as orthographically.
+
+    Only what lies lower than ``below`` is shown, so ceilings, tree crowns and the sky do not hide the floor. What can
+    only be sky is left out as well: Gaussians wider than the window, or farther from it than the window is wide.
+
+    Args:
+        gaussians: of the scene, world frame.
+        lower: smallest x and y of the window, metres.
+        upper: largest x and y of the window, metres.
+        below: height of the cut, metres.
+        size: of the longer side of the picture, pixels. The shorter side is rounded up to a whole number of pixels and
+            the window grows with it, about its centre.
+        make_renderer: the renderer's class, or anything that turns Gaussians into a renderer.
+
+    Raises:
+        ValueError: for a window without area, or one with nothing in it.
+    """
+    (left, bottom), (right, top) = lower, upper
+    side = max(right - left, top - bottom)
+    if not (math.isfinite(side) and right > left and top > bottom):
+        raise ValueError(f"top_down: expected a window with lower < upper, got {list(lower)} and {list(upper)}")
+    metres = side / size  # per pixel
+    width, height = (max(1, math.ceil(length / metres - 1e-6)) for length in (right - left, top - bottom))
+    x, y = 0.5 * (left + right), 0.5 * (bottom + top)
+    shown = _floor(gaussians, (x, y), (right - left + 2 * side, top - bottom + 2 * side), side, below)
+    if not shown.any():
+        raise ValueError(f"top_down: expected Gaussians below {below} m in the window, got none")
+    distance = DISTANCE * side
+    focal = distance / metres
+    K = torch.tensor([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
+    camera_to_world = look_at([x, y, below + distance], [x, y, below])
+    image = make_renderer(gaussians[shown]).pixels(Cameras(camera_to_world[None], K, width, height))[0]
+    half = 0.5 * metres * width, 0.5 * metres * height
+    return TopDown(image.cpu(), (x - half[0], x + half[0], y - half[1], y + half[1]))
+
+
+def _floor(
+    gaussians: Gaussians, center: tuple[float, float], size: tuple[float, float], widest: float, below: float
+) -> Tensor:
+    means = gaussians.means
+    beside = (means[:, :2] - means.new_tensor(center)).abs() <= 0.5 * means.new_tensor(size)
+    small = gaussians.scales.amax(1) <= widest
+    return beside.all(1) & small & (means[:, 2] < below) & (means[:, 2] > below - DEPTH)
+
+
+def footprint(
+    centers: Tensor, resolution: float, low: float, high: float, extent: tuple[float, float, float, float], width: int
+) -> Tensor:
+    """Where voxels between two heights stand, as a mask that lies over a top-down picture.
+
+    Args:
+        centers: [K, 3] centres of occupied voxels on one lattice, metres, world frame.
+        resolution: edge of a voxel, metres.
+        low: lower end of the heights that count, metres.
+        high: upper end.
+        extent: of the picture, see ``TopDown``.
+        width: of the picture, pixels; its pixels are square.
+
+    Returns:
+        [H, W] bool, true where the pixel's centre is in an occupied voxel seen from above.
+    """
+    left, right, bottom, top = extent
+    height = round(width * (top - bottom) / (right - left))
+    x = left + (torch.arange(width, dtype=torch.float64) + 0.5) * (right - left) / width
+    y = top - (torch.arange(height, dtype=torch.float64) + 0.5) * (top - bottom) / height
+    overlaps = (centers[:, 2] + 0.5 * resolution > low) & (centers[:, 2] - 0.5 * resolution < high)
+    flat = centers[overlaps, :2].double().cpu()
+    if len(flat) == 0:
+        return torch.zeros(height, width, dtype=torch.bool)
+    origin = flat.amin(0) - 0.5 * resolution
+    cells = ((flat - origin) / resolution).long()
+    solid = torch.zeros(*(cells.amax(0) + 1).tolist(), dtype=torch.bool)
+    solid[cells[:, 0], cells[:, 1]] = True
+    column, row = ((at - corner).div(resolution).floor().long() for at, corner in zip((x, y), origin, strict=True))
+    inside = ((column >= 0) & (column < len(solid))) & ((row >= 0) & (row < solid.shape[1])).unsqueeze(1)
+    looked_up = solid[column.clamp(0, solid.shape[0] - 1)][:, row.clamp(0, solid.shape[1] - 1)].T
+    return looked_up & inside

@@ -1,0 +1,107 @@
+"""The top-down picture shows the floor of the window, to the pixel."""
+
+import pytest
+import torch
+
+from splatrl.evaluation.topdown import footprint, top_down
+from splatrl.renderers import ReferenceRenderer
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.spherical_harmonics import C0
+
+LOWER, UPPER = (-1.0, 2.0), (2.0, 4.0)  # 3 m × 2 m, off the origin
+
+
+def blobs(rows: list[tuple[tuple[float, float, float], float, tuple[float, float, float]]]) -> Gaussians:
+    """Opaque round Gaussians: (mean, scale, colour) each."""
+    means, scales, colors = (torch.tensor(column) for column in zip(*rows, strict=True))
+    return Gaussians(
+        means=means,
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(len(rows), 1),
+        scales=scales[:, None].repeat(1, 3),
+        opacities=torch.full((len(rows),), 0.99),
+        sh=((colors - 0.5) / C0)[:, None],
+        batch_size=[len(rows)],
+    )
+
+
+RED, GREEN, BLUE = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+
+
+def test_a_gaussian_appears_at_the_pixel_of_its_x_and_y() -> None:
+    # 0.02 m a pixel: x = 1.41 is the centre of column 120, y = 3.37 of row 31
+    image, extent = top_down(blobs([((1.41, 3.37, 0.2), 0.008, RED)]), LOWER, UPPER, below=1.0, size=150)
+    assert image.shape == (100, 150, 3) and image.dtype == torch.uint8
+    assert extent == pytest.approx((-1.0, 2.0, 2.0, 4.0))
+    row, column = divmod(int(image[..., 0].argmax()), 150)
+    assert (row, column) == (31, 120)
+    halo = image[row - 1 : row + 2, column - 1 : column + 2, 0].float()
+    assert torch.allclose(halo, halo.flip(0), atol=3.0) and torch.allclose(halo, halo.flip(1), atol=3.0)
+
+
+def test_height_does_not_move_a_point_near_the_edge_by_half_a_pixel() -> None:
+    for z in (-2.0, 0.0, 0.9):
+        image, _ = top_down(blobs([((1.97, 2.05, z), 0.008, RED)]), LOWER, UPPER, below=1.0, size=150)
+        assert divmod(int(image[..., 0].argmax()), 150) == (97, 148)
+
+
+def test_the_higher_of_two_gaussians_hides_the_lower() -> None:
+    scene = blobs([((0.05, 2.95, 0.501), 0.3, GREEN), ((0.05, 2.95, 0.5), 0.3, RED)])
+    image, _ = top_down(scene, LOWER, UPPER, below=1.0, size=30)
+    assert image[10, 10, 1] > 200 and image[10, 10, 0] < 30
+
+
+def test_what_is_above_the_cut_is_not_shown() -> None:
+    scene = blobs([((0.5, 3.0, 0.0), 0.3, GREEN), ((0.5, 3.0, 1.5), 0.3, RED)])
+    image, _ = top_down(scene, LOWER, UPPER, below=1.0, size=30)
+    assert image[..., 0].max() == 0 and image[10, 15, 1] > 200
+
+
+@pytest.mark.parametrize(
+    ("mean", "scale"), [((30.0, 3.0, 0.5), 10.0), ((0.5, 3.0, -20.0), 2.0), ((0.5, 3.0, 0.9), 8.0)]
+)
+def test_a_sky_dome_does_not_cover_the_floor(mean: tuple[float, float, float], scale: float) -> None:
+    scene = blobs([((0.5, 3.0, 0.0), 0.3, GREEN), (mean, scale, BLUE)])
+    image, _ = top_down(scene, LOWER, UPPER, below=1.0, size=30)
+    assert image[..., 2].max() == 0 and image[10, 15, 1] > 200
+
+
+def test_a_window_that_is_no_whole_number_of_pixels_grows_about_its_centre() -> None:
+    shape = top_down(blobs([((0.5, 0.5, 0.0), 0.3, GREEN)]), (0.0, 0.0), (1.0, 0.61), below=1.0, size=10)
+    assert shape.image.shape == (7, 10, 3)
+    assert shape.extent == pytest.approx((0.0, 1.0, -0.045, 0.655))
+    assert shape.pixels_per_metre == pytest.approx(10.0)
+
+
+def test_the_renderer_can_be_chosen() -> None:
+    def paper(gaussians: Gaussians) -> ReferenceRenderer:
+        return ReferenceRenderer(gaussians, background=(1.0, 1.0, 1.0))
+
+    image, _ = top_down(blobs([((0.5, 3.0, 0.0), 0.1, GREEN)]), LOWER, UPPER, 1.0, 30, paper)
+    assert image[0, 0].tolist() == [255, 255, 255]
+
+
+def test_a_window_without_area_or_content_is_refused() -> None:
+    scene = blobs([((0.5, 3.0, 0.0), 0.3, GREEN)])
+    with pytest.raises(ValueError, match="lower < upper"):
+        top_down(scene, (1.0, 0.0), (1.0, 2.0), below=1.0)
+    with pytest.raises(ValueError, match="below -3"):
+        top_down(scene, LOWER, UPPER, below=-3.0)
+
+
+def test_a_footprint_covers_the_pixels_of_its_voxels_and_no_other() -> None:
+    centers = torch.tensor([[0.25, 2.75, 0.5], [1.75, 2.25, 0.5], [1.25, 2.25, 1.6], [1.25, 2.25, -0.3]])
+    solid = footprint(centers, 0.5, low=0.3, high=1.2, extent=(-1.0, 2.0, 2.0, 4.0), width=30)
+    expected = torch.zeros(20, 30, dtype=torch.bool)
+    expected[10:15, 10:15] = True  # x 0 to 0.5, y 2.5 to 3
+    expected[15:20, 25:30] = True  # x 1.5 to 2, y 2 to 2.5
+    assert torch.equal(solid, expected)
+
+
+def test_a_voxel_that_only_reaches_into_the_heights_counts() -> None:
+    center = torch.tensor([[0.25, 2.75, 0.5]])
+    for low, high, counts in ((0.7, 1.0, True), (0.8, 1.0, False), (-1.0, 0.3, True), (-1.0, 0.2, False)):
+        assert footprint(center, 0.5, low, high, (-1.0, 2.0, 2.0, 4.0), 30).any() == counts
+
+
+def test_a_footprint_of_nothing_is_empty() -> None:
+    assert not footprint(torch.zeros(0, 3), 0.5, 0.0, 1.0, (-1.0, 2.0, 2.0, 4.0), 30).any()
