@@ -1,6 +1,7 @@
 """From Hydra configs to objects: the one place that knows which node builds what."""
 
 import difflib
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -70,6 +71,45 @@ def check_overrides(name: str, arguments: Sequence[str]) -> None:
             hint = f", did you mean {'.'.join([*parents, near[0]])}?" if near else ""
             place = f"of {'.'.join(parents)}" if parents else "at the top"
             sys.exit(f"{key}: no such key{hint}\nvalid keys {place}: {', '.join(valid) or 'none'}")
+
+
+def save_config(cfg: DictConfig, folder: Path) -> None:
+    """Write ``config.yaml`` into a run folder: all that resuming and evaluating need to know."""
+    temporary = folder / "config.yaml.tmp"
+    OmegaConf.save(cfg, temporary)
+    os.replace(temporary, folder / "config.yaml")
+
+
+def run_config(folder: Path) -> DictConfig:
+    """The config that a run folder was made with.
+
+    Raises:
+        FileNotFoundError: where the folder is not a run folder.
+    """
+    path = folder / "config.yaml"
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder}: expected a run folder with config.yaml, found none")
+    cfg = OmegaConf.load(path)
+    assert isinstance(cfg, DictConfig), type(cfg)
+    return cfg
+
+
+def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
+    """The config of a run folder with the changes that the command line asks for.
+
+    Args:
+        folder: the run folder.
+        overrides: of the command line, ``resume`` among them.
+
+    Raises:
+        ValueError: for an override that picks another config group: that would be another run.
+    """
+    cfg = run_config(folder)
+    changes = [o for o in overrides if not o.startswith("resume=")]
+    groups = [o for o in changes if (conf_dir() / o.split("=")[0]).is_dir()]
+    if groups:
+        raise ValueError(f"resume={folder}: expected changes of single keys, got {', '.join(groups)}")
+    return OmegaConf.merge(cfg, OmegaConf.from_dotlist(changes))  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)

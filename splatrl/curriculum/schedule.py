@@ -53,6 +53,6 @@ class Schedule:
         episodes = episodes + counted.sum()
         successes = successes + (counted & success).sum()
         full = episodes >= self.window
-        promoted = full & (successes >= self.threshold * episodes)
+        promoted = full & (successes >= self.threshold * episodes.double() - 1e-9)  # exactly the rate is enough
         now = (now + promoted).clamp_max(self.levels - 1)
         return torch.stack([now, episodes * ~full, successes * ~full])

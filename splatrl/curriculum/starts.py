@@ -69,9 +69,7 @@ class Curriculum(nn.Module):
 
     progress: Tensor  # [3] int64
 
-    def __init__(
-        self, plan: Plan, first: int | None = 2, stride: int = 1, threshold: float = 0.7, window: int = 100
-    ):
+    def __init__(self, plan: Plan, first: int | None = 2, stride: int = 1, threshold: float = 0.7, window: int = 100):
         super().__init__()
         self.starts = Starts(plan, first, stride)
         self.schedule = Schedule(self.starts.levels, threshold, window)

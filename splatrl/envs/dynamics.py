@@ -100,11 +100,15 @@ class LatticeMotion(nn.Module):
     def body_to_world(self, state: Tensor) -> Tensor:
         """Poses of states: [B, 3] int64 -> [B, 4, 4] float32; equal states have poses of equal bytes."""
         position = self.planar(state)[:, :2].float()
-        return rigid(self.rotations[state[:, 2]], torch.cat([position, position.new_full((len(state), 1), self.height)], 1))
+        return rigid(
+            self.rotations[state[:, 2]], torch.cat([position, position.new_full((len(state), 1), self.height)], 1)
+        )
 
 
 def _whole(name: str, length: float, step: float) -> int:
     count = round(length / step) if step > 0 and length > 0 else 0
     if count < 1 or abs(count * step - length) > 1e-6 * length:
-        raise ValueError(f"{name}: expected a whole number of steps of {step} in {length}, got {length / step if step else step}")
+        raise ValueError(
+            f"{name}: expected a whole number of steps of {step} in {length}, got {length / step if step else step}"
+        )
     return count

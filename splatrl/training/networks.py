@@ -3,7 +3,12 @@
 from collections.abc import Sequence
 
 import torch
-from tensordict.nn import ProbabilisticTensorDictModule, ProbabilisticTensorDictSequential, TensorDictModule
+from tensordict.nn import (
+    InteractionType,
+    ProbabilisticTensorDictModule,
+    ProbabilisticTensorDictSequential,
+    TensorDictModule,
+)
 from torch import Tensor, nn
 from torch.distributions import Categorical
 from torchrl.modules import ActorValueOperator, ValueOperator
@@ -20,9 +25,7 @@ class PixelTrunk(nn.Module):
         features: size of the output.
     """
 
-    def __init__(
-        self, height: int, width: int, pool: int = 2, channels: Sequence[int] = (16, 32), features: int = 128
-    ):
+    def __init__(self, height: int, width: int, pool: int = 2, channels: Sequence[int] = (16, 32), features: int = 128):
         super().__init__()
         first, second = channels
         self.convolutions = nn.Sequential(
@@ -76,6 +79,7 @@ def actor_critic(
             in_keys=["logits"],
             out_keys=["action"],
             distribution_class=Categorical,
+            default_interaction_type=InteractionType.RANDOM,  # TorchRL's default is the mode, also in env.rollout
             return_log_prob=True,
             log_prob_key="action_log_prob",
         ),

@@ -83,7 +83,7 @@ class Trainer:
         if self.logger is not None:
             for key, value in row.items():
                 self.logger.log_scalar(key, value, step=self.ppo.frames)
-        if row.get("test_success", -math.inf) >= self.best:
+        if "test_success" in row and row["test_success"] >= self.best:
             self.best = row["test_success"]
             save_checkpoint(self.folder / "checkpoints" / "best.pt", self.state_dict())
 

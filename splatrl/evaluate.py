@@ -1,0 +1,85 @@
+"""``splatrl-evaluate``: evaluate a finished or interrupted run from every pose of its start set."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import hydra
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from tqdm import tqdm
+
+from splatrl.configuration import World, build_world, check_overrides, conf_dir, run_config
+from splatrl.evaluation import pictures
+from splatrl.evaluation.report import summarise, write_json
+from splatrl.evaluation.rollouts import run_episodes
+from splatrl.training import load_checkpoint
+
+
+def evaluate(cfg: DictConfig, folder: Path, world: World) -> dict[str, Any]:
+    """Evaluate a checkpoint of a run folder, write ``evaluation.json`` and the pictures there, and print what came out.
+
+    Args:
+        cfg: of the run.
+        folder: the run folder.
+        world: built from ``cfg``.
+    """
+    settings = cfg.evaluation
+    state = load_checkpoint(folder / "checkpoints" / f"{settings.checkpoint}.pt", cfg.device)
+    starts = world.plan.states[world.plan.start_rows]
+    repeated = starts.repeat_interleave(settings.repeats, 0)
+    env = world.env(min(settings.batch_size, len(repeated)), device=cfg.device)
+    model = instantiate(cfg.network)(env.observation_spec["pixels"].shape[1:], env.action_spec.space.n).to(cfg.device)
+    model.load_state_dict(state["ppo"]["model"])
+    policy = model.get_policy_operator()
+    with tqdm(total=len(repeated) + len(starts), unit="episode", desc="evaluate", dynamic_ncols=True) as bar:
+        sampled = run_episodes(env, policy, repeated, True, settings.seed, bar.update)
+        argmax = run_episodes(env, policy, starts, False, settings.seed, bar.update)
+    summary: dict[str, Any] = summarise(sampled, argmax, world.plan, world.task.motion.index)
+    summary |= {
+        "frames": state["ppo"]["frames"],
+        "wall_seconds": state["seconds"],
+        "level": int(state["ppo"]["env"]["curriculum.progress"][0]) + 1,
+        "checkpoint": settings.checkpoint,
+        "seed": cfg.seed,
+        "start_poses": len(starts),
+        "longest_path": int(world.plan.distance.max()),
+    }
+    write_json(folder / "evaluation.json", summary)
+    files = pictures.draw(folder, world, policy, sampled, state["history"], cfg.logger.video, settings.seed)
+    print(_words(summary, folder, files))
+    return summary
+
+
+def _words(summary: dict[str, Any], folder: Path, files: list[Path]) -> str:
+    lines = [
+        f"success {summary['success_rate']:.3f} (argmax {summary['success_rate_argmax']:.3f}), SPL {summary['spl']:.3f}, "
+        f"collisions {summary['collision_rate']:.3f} over {summary['start_poses']} start poses",
+        f"{summary['frames']:,} frames in {summary['wall_seconds']:.0f} s, curriculum level {summary['level']}",
+        f"pictures in {folder}: {', '.join(path.name for path in files)}",
+    ]
+    return "\n".join(lines)
+
+
+@hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="evaluate")
+def run(cfg: DictConfig) -> None:
+    """Evaluate the run folder ``cfg.run`` with its own config."""
+    folder = Path(cfg.run)
+    own = run_config(folder)
+    for key in ("checkpoint", "repeats", "seed"):
+        if cfg[key] is not None:
+            OmegaConf.update(own, f"evaluation.{key}", cfg[key])
+    own.logger.video = cfg.video
+    torch.set_num_threads(own.threads)
+    evaluate(own, folder, build_world(own))
+
+
+def main() -> None:
+    """Entry point of the command."""
+    check_overrides("evaluate", sys.argv[1:])
+    run()
+
+
+if __name__ == "__main__":
+    main()

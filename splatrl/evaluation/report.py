@@ -1,0 +1,45 @@
+"""The figures of a finished training, as numbers in ``evaluation.json``."""
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from splatrl.curriculum import Plan
+from splatrl.envs.tasks import Outcome
+from splatrl.evaluation.rollouts import Episodes
+
+
+def summarise(sampled: Episodes, argmax: Episodes, plan: Plan, index: Callable[..., Any]) -> dict[str, float]:
+    """What two sets of episodes over a start set add up to.
+
+    Args:
+        sampled: of the policy as a distribution; the headline.
+        argmax: of its most likely actions.
+        plan: shortest paths.
+        index: states -> rows of the plan.
+
+    Returns:
+        Rates in [0, 1], SPL, mean returns and mean lengths; keys of the second set end in ``_argmax``.
+    """
+    summary: dict[str, float] = {}
+    for suffix, episodes in (("", sampled), ("_argmax", argmax)):
+        summary |= {
+            f"success_rate{suffix}": episodes.rate(Outcome.GOAL),
+            f"spl{suffix}": episodes.spl(plan.distance[index(episodes.start)]),
+            f"collision_rate{suffix}": episodes.rate(Outcome.COLLISION),
+            f"out_of_bounds_rate{suffix}": episodes.rate(Outcome.OUT_OF_BOUNDS),
+            f"timeout_rate{suffix}": episodes.rate(Outcome.TIMEOUT),
+            f"mean_return{suffix}": episodes.episode_return.mean().item(),
+            f"mean_length{suffix}": episodes.length.double().mean().item(),
+        }
+    summary["episodes"] = len(sampled.outcome)
+    return summary
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write JSON under a temporary name and rename it."""
+    temporary = path.with_suffix(".tmp")
+    temporary.write_text(json.dumps(content, indent=2) + "\n")
+    os.replace(temporary, path)

@@ -1,0 +1,73 @@
+"""``splatrl-train``: train a policy, evaluate it, and leave pictures in the run folder."""
+
+import sys
+from pathlib import Path
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from splatrl.configuration import World, build_world, check_overrides, conf_dir, resumed_config, save_config
+from splatrl.evaluate import evaluate
+from splatrl.evaluation.rollouts import run_episodes
+from splatrl.training import PPO, Trainer
+
+
+def make_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
+    """Build the learner and the loop around it.
+
+    Args:
+        cfg: the whole config.
+        world: what the envs share.
+        folder: the run folder.
+    """
+    curriculum = instantiate(cfg.curriculum)(world.plan)
+    env = world.env(cfg.env.num_envs, curriculum, cfg.seed, cfg.device)
+    torch.manual_seed(cfg.seed)
+    model = instantiate(cfg.network)(env.observation_spec["pixels"].shape[1:], env.action_spec.space.n).to(cfg.device)
+    collector = cfg.collector
+    ppo = PPO(
+        env, model, instantiate(cfg.loss), instantiate(cfg.optim), collector.frames_per_batch, collector.total_frames
+    )
+    rows = world.plan.start_rows
+    count = min(cfg.logger.num_test_episodes, len(rows))
+    starts = world.plan.states[rows[torch.linspace(0, len(rows) - 1, count).long()]]
+    test_env = world.env(count, seed=cfg.seed, device=cfg.device)
+
+    def test() -> float:
+        return (
+            run_episodes(test_env, model.get_policy_operator(), starts, seed=cfg.evaluation.seed)
+            .success.double()
+            .mean()
+            .item()
+        )
+
+    logger, checkpoint = cfg.logger, cfg.checkpoint
+    return Trainer(ppo, folder, test, logger.test_interval, checkpoint.interval, logger.backend, logger.exp_name)
+
+
+@hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="train")
+def run(cfg: DictConfig) -> None:
+    """Train and evaluate what a config describes, or go on with what a run folder holds."""
+    folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
+    if cfg.resume:
+        cfg = resumed_config(folder, HydraConfig.get().overrides.task)
+    save_config(cfg, folder)
+    torch.set_num_threads(cfg.threads)
+    world = build_world(cfg)
+    trainer = make_trainer(cfg, world, folder)
+    trainer.resume()
+    trainer.fit()
+    evaluate(cfg, folder, world)
+
+
+def main() -> None:
+    """Entry point of the command."""
+    check_overrides("train", sys.argv[1:])
+    run()
+
+
+if __name__ == "__main__":
+    main()
