@@ -1,0 +1,10 @@
+// One function for each part of the module: a new part adds its own here and calls it in module.cpp.
+#pragma once
+
+#include <nanobind/nanobind.h>
+
+namespace splatrl {
+
+void bind_isa(nanobind::module_& m);
+
+}  // namespace splatrl

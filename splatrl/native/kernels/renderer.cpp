@@ -1,0 +1,4 @@
+namespace splatrl {
+namespace SPLATRL_ISA {
+}  // namespace SPLATRL_ISA
+}  // namespace splatrl

@@ -1,0 +1,24 @@
+// splatrl.native._core: the C++ side of splatrl.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include "bindings.h"
+#include "isa.h"
+
+namespace splatrl {
+
+void bind_isa(nanobind::module_& m) {
+    m.def("isa", [] { return std::string(isa_name(choose_isa())); });
+    m.def("supported_isas", [] {
+        std::vector<std::string> names;
+        for (Isa isa : supported_isas()) names.emplace_back(isa_name(isa));
+        return names;
+    });
+}
+
+}  // namespace splatrl
+
+NB_MODULE(_core, m) {
+    splatrl::bind_isa(m);
+}
