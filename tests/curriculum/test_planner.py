@@ -1,0 +1,140 @@
+"""Shortest paths, against a search that knows nothing of tensors."""
+
+from collections import deque
+
+import pytest
+import torch
+from torch import Tensor
+
+from splatrl.curriculum import UNREACHABLE, plan
+from splatrl.envs import LatticeMotion
+from splatrl.envs.tasks import Grid
+from tests.tiny import BlockChecker, tiny_plan, tiny_task
+
+State = tuple[int, ...]
+
+
+class FenceChecker(BlockChecker):
+    """Lets nobody cross the line x = 0.25, though every pose is free."""
+
+    def collides(self, body_to_world: Tensor) -> Tensor:
+        return torch.zeros(len(body_to_world), dtype=torch.bool)
+
+    def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+        crosses = (start[:, 0, 3] < 0.25) != (end[:, 0, 3] < 0.25)
+        return torch.where(crosses, 0.5, 1.0)
+
+
+def brute_force(motion: LatticeMotion, checker: BlockChecker, task: Grid) -> dict[State, int]:
+    """Steps to the goal by a queue, one state at a time, forwards."""
+
+    def neighbours(state: State) -> list[State]:
+        found = []
+        for dx, dy, dyaw in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)):
+            ahead = (state[0] + dx, state[1] + dy, (state[2] + dyaw) % motion.shape[2])
+            if not (0 <= ahead[0] < motion.shape[0] and 0 <= ahead[1] < motion.shape[1]):
+                continue
+            poses = motion.body_to_world(torch.tensor([state, ahead]))
+            if not checker.collides(poses).any() and not checker.sweeps(poses[:1], poses[1:]).any():
+                found.append(ahead)
+        return found
+
+    steps = {}
+    moves = {tuple(state): neighbours(tuple(state)) for state in motion.states().tolist()}
+    for start in moves:
+        if checker.collides(motion.body_to_world(torch.tensor([start]))).any():
+            continue
+        queue, seen = deque([(start, 0)]), {start}
+        while queue:
+            state, depth = queue.popleft()
+            if task.reached(torch.tensor([state])).any():
+                steps[start] = depth
+                break
+            for ahead in moves[state]:
+                if ahead not in seen:
+                    seen.add(ahead)
+                    queue.append((ahead, depth + 1))
+    return steps
+
+
+@pytest.mark.parametrize("checker", [BlockChecker(), FenceChecker(), BlockChecker(reach=0.6)])
+def test_distances_are_those_of_a_plain_search(checker: BlockChecker) -> None:
+    motion = LatticeMotion(0.5, 0.5, 90.0, (-1.0, -1.5), (1.0, 1.5))
+    task = Grid(motion, goal=(0.75, 1.0, 0.0))
+    found = plan(motion, checker, task.reached)
+    expected = brute_force(motion, checker, task)
+    assert {
+        tuple(s): d for s, d in zip(found.states.tolist(), found.distance.tolist(), strict=True) if d >= 0
+    } == expected
+    assert set(found.distance[[tuple(s) not in expected for s in found.states.tolist()]].tolist()) <= {UNREACHABLE}
+
+
+def test_following_the_successors_downhill_reaches_the_goal_in_as_many_steps_as_promised() -> None:
+    found = tiny_plan()
+    rows, steps = found.start_rows, 0
+    left = found.distance[rows]
+    while (left > 0).any():
+        choices = found.successors[rows]
+        cost = torch.where(choices == UNREACHABLE, 10**6, found.distance[choices])
+        rows = torch.where(left > 0, choices.gather(1, cost.argmin(1, keepdim=True)).squeeze(1), rows)
+        assert torch.equal(found.distance[rows], (left - 1).clamp_min(0))
+        left, steps = found.distance[rows], steps + 1
+    assert steps == found.distance.max() == 9
+
+
+def test_the_start_set_is_the_free_states_with_a_way_to_the_goal_without_the_goal() -> None:
+    found = tiny_plan()
+    assert len(found.states) == 280 and found.free.sum() == 280 - 8  # the block fills one position
+    assert len(found.start_rows) == 280 - 8 - 27
+    assert found.free[found.start_rows].all()
+    assert not tiny_task().reached(found.states[found.start_rows]).any()
+
+
+def test_no_state_leads_out_of_the_lattice_or_into_the_block() -> None:
+    found = tiny_plan()
+    corner = (found.states == torch.tensor([0, 0, 0])).all(1).nonzero().item()
+    assert [int(row) == UNREACHABLE for row in found.successors[corner]] == [False, True, False, True, False, False]
+    beside = (found.states == torch.tensor([1, 3, 0])).all(1).nonzero().item()
+    assert found.successors[beside, 0] == UNREACHABLE
+    assert (found.successors[~found.free] == UNREACHABLE).all()
+
+
+def test_starts_behind_a_fence_are_left_out() -> None:
+    task = tiny_task()
+    found = plan(task.motion, FenceChecker(), task.reached)
+    assert found.free.all()
+    reachable = found.distance != UNREACHABLE
+    # x = 0 belongs to the goal's own tolerance, so both sides of the fence hold goal poses
+    assert reachable.all()
+    east = Grid(task.motion, goal=(1.0, 1.0, 0.0))
+    found = plan(task.motion, FenceChecker(), east.reached)
+    assert torch.equal(found.distance != UNREACHABLE, found.states[:, 0] >= 3)
+
+
+def test_a_scene_without_a_free_pose_is_refused() -> None:
+    task = tiny_task()
+    with pytest.raises(ValueError, match="scene: expected free poses, got 280 poses that all collide"):
+        plan(task.motion, BlockChecker(reach=10.0), task.reached)
+
+
+def test_a_goal_inside_something_is_refused() -> None:
+    motion = LatticeMotion(0.5, 0.5, 45.0, (-1.0, -1.5), (1.0, 1.5))
+    task = Grid(motion, goal=(0.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match=r"task\.goal: expected a free pose at the goal, got 27 that collide"):
+        plan(motion, BlockChecker(reach=0.6), task.reached)
+
+
+def test_a_goal_outside_the_lattice_is_refused() -> None:
+    motion = tiny_task().motion
+    with pytest.raises(ValueError, match=r"task\.goal: expected a free pose at the goal"):
+        plan(motion, BlockChecker(), Grid(motion, goal=(5.0, 0.0, 0.0)).reached)
+
+
+def test_a_goal_without_a_way_to_it_is_refused() -> None:
+    class Frozen(FenceChecker):
+        def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+            return torch.zeros(len(start))
+
+    task = tiny_task()
+    with pytest.raises(ValueError, match=r"task\.goal: expected a way to it from some free pose, got none from 280"):
+        plan(task.motion, Frozen(), task.reached)

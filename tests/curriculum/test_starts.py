@@ -1,0 +1,88 @@
+"""Start states by level."""
+
+import pytest
+import torch
+
+from splatrl.curriculum import Curriculum, Starts
+from tests.tiny import tiny_plan
+
+COUNT = 20000
+
+
+def draw(starts: Starts, level: int, count: int = COUNT, seed: int = 0) -> torch.Tensor:
+    return starts.sample(torch.tensor(level), count, torch.Generator().manual_seed(seed))
+
+
+def distances(states: torch.Tensor) -> torch.Tensor:
+    plan = tiny_plan()
+    rows = (states[:, None] == plan.states).all(2).int().argmax(1)
+    return plan.distance[rows]
+
+
+@pytest.mark.parametrize(("first", "stride", "limits"), [(2, 1, range(2, 10)), (3, 4, [3, 7, 11]), (1, 8, [1, 9])])
+def test_a_level_starts_within_its_steps_of_the_goal(first: int, stride: int, limits: list[int]) -> None:
+    starts = Starts(tiny_plan(), first, stride)
+    assert starts.levels == len(limits)
+    for level, limit in enumerate(limits):
+        steps = distances(draw(starts, level, 2000))
+        assert set(steps.tolist()) == set(range(1, min(limit, 9) + 1))
+
+
+@pytest.mark.parametrize("first", [None, 9, 50])
+def test_a_reach_of_all_starts_is_one_level(first: int | None) -> None:
+    assert Starts(tiny_plan(), first).levels == 1
+
+
+@pytest.mark.parametrize(("first", "stride"), [(2, 1), (3, 4), (None, 1)])
+def test_the_last_level_is_the_whole_start_set(first: int | None, stride: int) -> None:
+    plan = tiny_plan()
+    starts = Starts(plan, first, stride)
+    drawn = draw(starts, starts.levels - 1)
+    expected = {tuple(state) for state in plan.states[plan.start_rows].tolist()}
+    assert {tuple(state) for state in drawn.tolist()} == expected
+
+
+def test_starts_of_a_level_are_equally_likely() -> None:
+    drawn = draw(Starts(tiny_plan(), first=2), level=0)
+    _, counts = drawn.unique(dim=0, return_counts=True)
+    states = int(((tiny_plan().distance > 0) & (tiny_plan().distance <= 2)).sum())
+    assert len(counts) == states
+    expected = COUNT / states
+    assert ((counts - expected).abs() < 5 * expected**0.5).all()
+
+
+def test_the_generator_alone_decides() -> None:
+    starts = Starts(tiny_plan())
+    assert torch.equal(draw(starts, 1, 50, seed=3), draw(starts, 1, 50, seed=3))
+    assert not torch.equal(draw(starts, 1, 50, seed=3), draw(starts, 1, 50, seed=4))
+
+
+def test_a_longer_draw_begins_with_the_shorter_one() -> None:
+    starts = Starts(tiny_plan())
+    assert torch.equal(draw(starts, 2, 5), draw(starts, 2, 9)[:5])
+
+
+def test_the_curriculum_samples_at_its_present_level() -> None:
+    curriculum = Curriculum(tiny_plan(), first=2, threshold=1.0, window=1)
+    generator = torch.Generator().manual_seed(0)
+    assert distances(curriculum.sample(500, generator)).max() == 2
+    one = torch.tensor([True])
+    curriculum.record(torch.tensor([0]), one, one)
+    assert curriculum.level == 1
+    assert distances(curriculum.sample(500, generator)).max() == 3
+
+
+def test_progress_is_all_that_a_curriculum_saves() -> None:
+    curriculum = Curriculum(tiny_plan(), window=1)
+    one = torch.tensor([True])
+    curriculum.record(torch.tensor([0]), one, one)
+    assert list(curriculum.state_dict()) == ["progress"]
+    other = Curriculum(tiny_plan(), window=1)
+    other.load_state_dict(curriculum.state_dict())
+    assert other.level == 1
+
+
+@pytest.mark.parametrize(("first", "stride"), [(0, 1), (2, 0), (None, 0)])
+def test_levels_without_steps_are_refused(first: int | None, stride: int) -> None:
+    with pytest.raises(ValueError, match="curriculum: expected first and stride of at least 1 step"):
+        Starts(tiny_plan(), first, stride)

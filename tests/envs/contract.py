@@ -1,0 +1,194 @@
+"""What every env promises: derive from ``EnvContract``, say how to make the env, and its tests run."""
+
+from abc import ABC, abstractmethod
+from functools import partial
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
+from torchrl.envs.utils import check_env_specs, step_mdp
+
+from splatrl.envs import SplatEnv
+from tests.tiny import CountingRenderer
+
+
+def base_env(env: EnvBase) -> SplatEnv:
+    """The SplatEnv under any transforms."""
+    while isinstance(env, TransformedEnv):
+        env = env.base_env
+    assert isinstance(env, SplatEnv)
+    return env
+
+
+def seeded_rollout(env: EnvBase, steps: int, seed: int) -> TensorDictBase:
+    """A rollout of random actions from a reset that depends on nothing but ``seed``."""
+    env.set_seed(seed)
+    torch.manual_seed(seed)
+    return env.rollout(steps, break_when_any_done=False)
+
+
+def assert_same(left: TensorDictBase, right: TensorDictBase) -> None:
+    """Both hold the same keys and bytes."""
+    assert set(left.keys(True, True)) == set(right.keys(True, True))
+    for key in left.keys(True, True):
+        assert torch.equal(left[key], right[key]), key
+
+
+class EnvContract(ABC):
+    """Tests that hold for every env; random actions must end episodes within ``steps``."""
+
+    steps = 40
+
+    @staticmethod
+    @abstractmethod
+    def make(batch_size: tuple[int], seed: int = 0) -> EnvBase:
+        """A new env; a static method of plain values, so that SerialEnv can call it."""
+
+    @pytest.mark.parametrize("batch", [1, 3])
+    def test_specs_hold(self, batch: int) -> None:
+        check_env_specs(self.make((batch,)), break_when_any_done="both", seed=0)
+
+    @pytest.mark.parametrize("method", ["reset", "step"])
+    def test_a_wrong_batch_size_is_refused(self, method: str) -> None:
+        env, larger = self.make((3,)), self.make((5,))
+        td = larger.rand_action(larger.reset())
+        with pytest.raises(RuntimeError, match="batch"):
+            getattr(env, method)(td)
+
+    def test_an_episode_ends_within_the_steps_of_this_contract(self) -> None:
+        assert seeded_rollout(self.make((3,)), self.steps, 1)["next", "done"].sum() >= 2
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_a_partial_reset_leaves_the_other_rows_as_they_are(self, seed: int) -> None:
+        env = self.make((6,))
+        td = env.rollout(5, break_when_any_done=True)[:, -1]["next"].clone()
+        mask = torch.rand(6, 1, generator=torch.Generator().manual_seed(seed)) < 0.5
+        mask[0], mask[1] = True, False
+        td["done"][1] = td["terminated"][1] = True  # an end that nobody asks to reset stays an end
+        before = td.clone()
+        after = env.reset(td.exclude("reward").set("_reset", mask), set_state=False)
+        for key in env.observation_spec.keys(True, True):
+            assert torch.equal(after[key][~mask.squeeze(1)], before[key][~mask.squeeze(1)]), key
+        for key in ("done", "terminated", "truncated"):
+            assert torch.equal(after[key], before[key] & ~mask), key
+        assert (after["step_count"][mask] == 0).all() and (before["step_count"][mask] > 0).all()
+
+    def test_a_partial_reset_renders_only_the_rows_that_it_resets(self) -> None:
+        env = self.make((6,))
+        base = base_env(env)
+        base.renderer = counting = CountingRenderer(base.renderer)
+        td = env.reset()
+        assert counting.rendered == 6
+        mask = torch.tensor([[True], [False], [False], [True], [False], [False]])
+        env.reset(td.set("_reset", mask), set_state=False)
+        assert counting.rendered == 6 + 2
+
+    def test_a_step_sees_what_the_last_one_left(self) -> None:
+        batch = seeded_rollout(self.make((3,)), self.steps, 2)
+        goes_on = ~batch["next", "done"][:, :-1, 0]
+        assert goes_on.any() and not goes_on.all()
+        for key in batch["next"].keys(True, True):
+            if key in batch.keys(True, True):
+                assert torch.equal(batch[key][:, 1:][goes_on], batch["next", key][:, :-1][goes_on]), key
+        begins = batch["step_count"][:, 1:][~goes_on]
+        assert (begins == 0).all()
+
+    def test_a_rollout_goes_on_where_another_stopped(self) -> None:
+        env = self.make((3,))
+        first = env.rollout(2, break_when_any_done=False)
+        second = env.rollout(
+            2, auto_reset=False, tensordict=env.maybe_reset(step_mdp(first[:, -1])), break_when_any_done=False
+        )
+        ended = first["next", "done"][:, -1]
+        assert torch.equal(second["step_count"][:, 0], torch.where(ended, 0, first["next", "step_count"][:, -1]))
+        assert torch.equal(second["pixels"][:, 0][~ended[:, 0]], first["next", "pixels"][:, -1][~ended[:, 0]])
+
+    def test_the_same_seed_gives_the_same_bytes(self) -> None:
+        first, second = (seeded_rollout(self.make((3,), seed), self.steps, 7) for seed in (0, 99))
+        assert_same(first, second)
+
+    def test_the_seed_of_the_constructor_is_that_of_set_seed(self) -> None:
+        env = self.make((3,), seed=1)
+        env.set_seed(5)
+        assert_same(env.reset(), self.make((3,), seed=5).reset())
+
+    def test_another_seed_gives_other_starts(self) -> None:
+        env = self.make((16,))
+        env.set_seed(1)
+        first = env.reset()["state"]
+        env.set_seed(2)
+        assert not torch.equal(first, env.reset()["state"])
+
+    def test_an_episode_can_begin_at_a_given_state(self) -> None:
+        env = self.make((3,))
+        given = env.reset().select("state", "pixels")
+        seen = env.reset(given.clone(), set_state=True)
+        assert torch.equal(seen["state"], given["state"])
+        assert (seen["level"] == -1).all() and not seen["done"].any()
+        moved = env.rollout(4, break_when_any_done=False)
+        assert not torch.equal(moved["state"][:, 0], given["state"])
+        again = env.reset(TensorDict({"state": given["state"]}, [3]), set_state=True)
+        assert torch.equal(again["pixels"], given["pixels"])
+
+    def test_a_loaded_state_dict_goes_on_to_the_byte(self) -> None:
+        env = self.make((3,), seed=3)
+        carried = env.rollout(self.steps, break_when_any_done=False)[:, -1]
+        state = {key: value.clone() for key, value in env.state_dict().items()}
+        other = self.make((3,), seed=4)
+        other.reset()
+        other.load_state_dict(state)
+        assert torch.equal(base_env(other).curriculum.progress, base_env(env).curriculum.progress)
+        runs = []
+        for each in (env, other):
+            torch.manual_seed(0)
+            start = each.maybe_reset(step_mdp(carried.clone()))
+            runs.append(each.rollout(self.steps, auto_reset=False, tensordict=start, break_when_any_done=False).clone())
+        assert_same(*runs)
+
+    def test_later_steps_do_not_change_what_was_handed_out(self) -> None:
+        env = self.make((3,))
+        torch.manual_seed(0)
+        td = env.reset()
+        handed: list[tuple[TensorDictBase, TensorDictBase]] = []
+        for _ in range(self.steps):
+            step, td = env.step_and_maybe_reset(env.rand_action(td))
+            handed.append((step, step.clone()))
+        assert any(copy["next", "done"].any() for _, copy in handed)
+        for step, copy in handed:
+            assert_same(step, copy)
+
+    def test_moving_to_its_own_device_changes_nothing(self) -> None:
+        env = self.make((3,))
+        assert env.to("cpu") is env
+        assert_same(seeded_rollout(env, 5, 0), seeded_rollout(self.make((3,)), 5, 0))
+
+    def test_a_robot_does_not_depend_on_the_others(self) -> None:
+        batch = seeded_rollout(self.make((5,)), 1, 0)
+        alone = self.make((1,))
+        for row in range(5):
+            start = alone.reset(batch[row : row + 1, 0].select("state"), set_state=True)
+            assert torch.equal(start["pixels"], batch["pixels"][row : row + 1, 0])
+            step = alone.step(start.set("action", batch["action"][row : row + 1, 0]))["next"]
+            for key in ("pixels", "state", "reward", "done", "outcome", "touched_fraction"):
+                assert torch.equal(step[key], batch["next", key][row : row + 1, 0]), key
+
+    def test_it_runs_in_a_serial_env(self) -> None:
+        env = SerialEnv(2, [partial(self.make, (3,), seed) for seed in (1, 2)])
+        batch = env.rollout(self.steps, break_when_any_done=False)
+        assert batch.shape == (2, 3, self.steps)
+        assert batch["next", "done"].any(-2).any()
+        env.close()
+
+    def test_it_runs_in_a_collector(self) -> None:
+        torch.manual_seed(0)
+        collector = Collector(
+            partial(self.make, (3,)), None, frames_per_batch=3 * self.steps, total_frames=6 * self.steps
+        )
+        batches = list(collector)
+        collector.shutdown()
+        assert [batch.numel() for batch in batches] == [3 * self.steps] * 2
+        last, first = batches[0][:, -1]["next"], batches[1][:, 0]
+        goes_on = ~last["done"].squeeze(1)
+        assert torch.equal(last["pixels"][goes_on], first["pixels"][goes_on])

@@ -1,0 +1,165 @@
+"""The env: the contract, and what is its own."""
+
+from functools import partial
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.collectors import MultiSyncCollector
+from torchrl.envs import ParallelEnv
+
+from splatrl.cameras import Cameras
+from splatrl.envs import SplatEnv
+from splatrl.envs.tasks import Outcome
+from tests.envs.contract import EnvContract
+from tests.tiny import BlockChecker, RememberingRenderer, tiny_env, tiny_motion, tiny_renderer
+
+FORWARD_X, BACK_X, LEFT_Y, RIGHT_Y, SPIN, SPIN_BACK = range(6)
+
+
+class TestContract(EnvContract):
+    @staticmethod
+    def make(batch_size: tuple[int], seed: int = 0) -> SplatEnv:
+        return tiny_env(batch_size, seed, max_steps=15, first=3, threshold=0.01, window=5)
+
+
+def step_from(states: list[list[int]], actions: list[int], max_steps: int = 20) -> TensorDictBase:
+    """One step of robots placed by hand."""
+    env = tiny_env([len(states)], max_steps=max_steps)
+    td = env.reset(TensorDict({"state": torch.tensor(states)}, [len(states)]), set_state=True)
+    return env.step(td.set("action", torch.tensor(actions)))["next"]
+
+
+def test_a_blocked_robot_stays_where_it_was_and_tells_how_far_it_was_free() -> None:
+    after = step_from([[1, 3, 0], [4, 0, 5], [1, 1, 7]], [FORWARD_X, FORWARD_X, SPIN])
+    assert after["state"].tolist() == [[1, 3, 0], [4, 0, 5], [1, 1, 0]]
+    assert after["outcome"].flatten().tolist() == [Outcome.COLLISION, Outcome.OUT_OF_BOUNDS, Outcome.RUNNING]
+    assert after["terminated"].flatten().tolist() == [True, True, False]
+    assert after["reward"].flatten().tolist() == pytest.approx([-10.0, -10.0, -0.2])
+    torch.testing.assert_close(after["touched_fraction"].flatten(), torch.tensor([0.3, 1.0, 1.0]))
+    poses = tiny_motion().body_to_world(after["state"])
+    robot = tiny_env([3]).robot
+    assert torch.equal(after["pixels"], tiny_renderer().pixels(robot.cameras(poses)))
+
+
+def test_return_and_length_count_the_steps_of_the_episode() -> None:
+    env = tiny_env([2])
+    td = env.reset(TensorDict({"state": torch.tensor([[0, 0, 0], [0, 5, 0]])}, [2]), set_state=True)
+    for action in ([FORWARD_X, SPIN], [LEFT_Y, FORWARD_X], [SPIN_BACK, FORWARD_X]):
+        td = env.step_mdp(env.step(td.set("action", torch.tensor(action))))
+    assert td["step_count"].flatten().tolist() == [3, 3]
+    assert td["episode_return"].flatten().tolist() == pytest.approx([-0.6, 49.6])
+    assert td["state"].tolist() == [[1, 1, 7], [2, 5, 1]]
+    assert td["outcome"].flatten().tolist() == [Outcome.RUNNING, Outcome.GOAL]
+
+
+def test_an_episode_is_truncated_at_the_limit_and_not_before() -> None:
+    env = tiny_env([2], max_steps=3)
+    td = env.reset(TensorDict({"state": torch.tensor([[0, 0, 0], [4, 0, 0]])}, [2]), set_state=True)
+    ends = []
+    for _ in range(3):
+        td = env.step_mdp(env.step(td.set("action", torch.full((2,), SPIN))))
+        ends.append(td["truncated"].flatten().tolist())
+    assert ends == [[False, False], [False, False], [True, True]]
+    assert (td["outcome"] == Outcome.TIMEOUT).all() and td["done"].all() and not td["terminated"].any()
+
+
+def test_a_last_step_that_terminates_is_not_truncated() -> None:
+    after = step_from([[1, 5, 0], [1, 3, 0], [0, 0, 0], [0, 1, 0]], [FORWARD_X, FORWARD_X, RIGHT_Y, SPIN], max_steps=1)
+    assert after["truncated"].flatten().tolist() == [False, False, False, True]
+    assert after["terminated"].flatten().tolist() == [True, True, True, False]
+    assert after["done"].all()
+    expected = [Outcome.GOAL, Outcome.COLLISION, Outcome.OUT_OF_BOUNDS, Outcome.TIMEOUT]
+    assert after["outcome"].flatten().tolist() == expected
+
+
+def test_the_curriculum_hears_of_each_end_once_and_of_no_episode_placed_by_hand() -> None:
+    env = tiny_env([2], first=1, window=3, threshold=1.0)
+    home = torch.tensor([[1, 5, 0], [1, 4, 1]])  # one step to the goal
+    td = env.reset(TensorDict({"state": home}, [2]), set_state=True)
+    env.step(td.set("action", torch.tensor([FORWARD_X, FORWARD_X])))
+    assert env.curriculum.progress.tolist() == [0, 0, 0]
+    td["level"] = torch.zeros_like(td["level"])
+    env.step(td.set("action", torch.tensor([FORWARD_X, SPIN])))
+    assert env.curriculum.progress.tolist() == [0, 1, 1]
+    env.step(td.set("action", torch.tensor([FORWARD_X, FORWARD_X])))
+    assert env.curriculum.progress.tolist() == [1, 0, 0]
+    assert (env.reset()["level"] == 1).all()
+
+
+class CameraRecorder(RememberingRenderer):
+    """Keeps the cameras that it was last asked for."""
+
+    def pixels(self, cameras: Cameras) -> Tensor:
+        self.cameras = cameras
+        return super().pixels(cameras)
+
+
+def test_a_camera_offset_moves_the_camera_and_not_the_robot() -> None:
+    recorder = CameraRecorder(tiny_renderer())
+    env = tiny_env([2], renderer=recorder)
+    start = {"state": torch.tensor([[0, 1, 0], [3, 0, 2]])}
+    td = env.reset(TensorDict(start, [2]), set_state=True)
+    still = recorder.cameras.camera_to_world
+    offset = torch.tensor([[0.0] * 6, [0.01, 0.02, 0.03, 0.0, 0.0, 0.0]])
+    moved = env.reset(TensorDict({**start, "camera_offset": offset}, [2]), set_state=True)
+    shift = recorder.cameras.camera_to_world[:, :3, 3] - still[:, :3, 3]
+    torch.testing.assert_close(shift, offset[:, :3])
+    assert torch.equal(moved["state"], td["state"])
+    after = env.step(moved.set("action", torch.tensor([SPIN, SPIN])))["next"]
+    shift = recorder.cameras.camera_to_world[:, :3, 3] - still[:, :3, 3]
+    torch.testing.assert_close(shift, offset[:, :3])
+    assert after["state"].tolist() == [[0, 1, 1], [3, 0, 3]]
+
+
+def test_a_camera_offset_goes_to_its_own_row_on_a_partial_reset() -> None:
+    recorder = CameraRecorder(tiny_renderer())
+    env = tiny_env([3], renderer=recorder)
+    td = env.reset()
+    offset = torch.zeros(3, 6)
+    offset[:, 2] = torch.tensor([0.1, 0.2, 0.3])
+    mask = torch.tensor([[False], [True], [True]])
+    env.reset(td.update({"camera_offset": offset, "_reset": mask}), set_state=False)
+    torch.testing.assert_close(recorder.cameras.camera_to_world[:, 2, 3], torch.tensor([0.7, 0.8]))
+
+
+@pytest.mark.parametrize("batch_size", [[], [0], [2, 3]])
+def test_a_batch_that_is_not_one_positive_number_is_refused(batch_size: list[int]) -> None:
+    with pytest.raises(ValueError, match="batch_size: expected one number"):
+        tiny_env(batch_size)
+
+
+def test_envs_without_a_seed_differ() -> None:
+    first, second = (tiny_env([16], seed=None).reset()["state"] for _ in range(2))
+    assert not torch.equal(first, second)
+
+
+def test_the_checker_of_these_tests_is_right_by_hand() -> None:
+    checker, motion = BlockChecker(), tiny_motion()
+    start = motion.body_to_world(torch.tensor([[1, 3, 0], [3, 3, 0], [2, 1, 0], [2, 4, 0], [1, 1, 0], [2, 3, 0]]))
+    end = motion.body_to_world(torch.tensor([[2, 3, 0], [2, 3, 0], [2, 2, 0], [2, 3, 0], [2, 1, 0], [2, 3, 1]]))
+    fraction = checker.touched_fraction(start, end)
+    torch.testing.assert_close(fraction, torch.tensor([0.3, 0.3, 1.0, 0.3, 1.0, 0.0]))
+    assert checker.sweeps(start, end).tolist() == [True, True, False, True, False, True]
+    assert checker.collides(end).tolist() == [True, True, False, True, False, True]
+
+
+def test_two_processes_step_envs_of_their_own() -> None:
+    env = ParallelEnv(2, [partial(tiny_env, (3,), seed) for seed in (1, 2)], mp_start_method="spawn")
+    batch = env.rollout(5, break_when_any_done=False)
+    env.close()
+    assert batch.shape == (2, 3, 5)
+    assert torch.equal(batch["state"][0, :, 0], tiny_env((3,), 1).reset()["state"])
+    assert not torch.equal(batch["state"][0, :, 0], batch["state"][1, :, 0])
+
+
+def test_two_processes_collect() -> None:
+    collector = MultiSyncCollector(
+        [partial(tiny_env, (3,), seed) for seed in (1, 2)], None, frames_per_batch=60, total_frames=120
+    )
+    collector.set_seed(0)
+    batches = [batch.clone() for batch in collector]
+    collector.shutdown()
+    assert [batch.numel() for batch in batches] == [60, 60]
+    assert all((batch["next", "step_count"] > batch["step_count"]).all() for batch in batches)

@@ -1,0 +1,170 @@
+"""The tiny world that tests share: a coloured room of a few hundred Gaussians, and envs in it.
+
+The room is 3 × 4 m with a wall of its own colour on each side, a white block in the middle and a red thing on the east
+wall. The lattice has 5 × 7 positions (no square) and 8 headings; the goal pose looks at the red thing from nearby.
+"""
+
+from collections.abc import Sequence
+from functools import cache
+
+import torch
+from torch import Tensor
+
+from splatrl.bodies import Body, Box
+from splatrl.cameras import Cameras
+from splatrl.curriculum import Curriculum, Plan, plan
+from splatrl.envs import LatticeMotion, Robot, SplatEnv
+from splatrl.envs.tasks import Grid
+from splatrl.renderers import ReferenceRenderer, Renderer, RenderOutput
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.spherical_harmonics import C0
+
+HEIGHT = 0.5
+BLOCK = 0.2
+"""Half the side of the block in the middle, metres."""
+BODY = Box((0.3, 0.3, 0.2))
+
+
+def tiny_gaussians() -> Gaussians:
+    """The room: about 400 round Gaussians of degree 0."""
+    patches = [
+        _patch((0, 0, 0), (1.5, 0, 0), (0, 2, 0), (7, 9), (0.4, 0.3, 0.2)),
+        _patch((1.5, 0, 0.6), (0, 2, 0), (0, 0, 0.6), (9, 4), (0.2, 0.7, 0.3)),
+        _patch((-1.5, 0, 0.6), (0, 2, 0), (0, 0, 0.6), (9, 4), (0.8, 0.8, 0.2)),
+        _patch((0, 2, 0.6), (1.5, 0, 0), (0, 0, 0.6), (7, 4), (0.2, 0.3, 0.8)),
+        _patch((0, -2, 0.6), (1.5, 0, 0), (0, 0, 0.6), (7, 4), (0.6, 0.2, 0.7)),
+        _patch((1.4, 1, 0.5), (0, 0.2, 0), (0, 0, 0.2), (3, 3), (1.0, 0.0, 0.0), 0.1),
+    ]
+    for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        side = (BLOCK * x, BLOCK * y, 0.5)
+        patches.append(_patch(side, (BLOCK * y, BLOCK * x, 0), (0, 0, 0.5), (3, 5), (0.9, 0.9, 0.9), 0.08))
+    means, scales, colors = (torch.cat(parts) for parts in zip(*patches, strict=True))
+    count = len(means)
+    return Gaussians(
+        means=means,
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        scales=scales,
+        opacities=torch.full((count,), 0.9),
+        sh=((colors - 0.5) / C0).unsqueeze(1),
+        batch_size=[count],
+    )
+
+
+def _patch(
+    center: Sequence[float],
+    u: Sequence[float],
+    v: Sequence[float],
+    counts: tuple[int, int],
+    color: Sequence[float],
+    scale: float = 0.2,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """A rectangle of Gaussians, center ± u ± v, its colour waving along it: means, scales, colours, [N, 3] each."""
+    steps = torch.cartesian_prod(*(torch.linspace(-1, 1, n) for n in counts))
+    means = torch.tensor(center) + steps @ torch.tensor([u, v], dtype=torch.float32)
+    wave = 0.15 * torch.sin(3 * means[:, :1] + 5 * means[:, 1:2])
+    return means, torch.full_like(means, scale), (torch.tensor(color) + wave).clamp(0, 1)
+
+
+class BlockChecker:
+    """Finds touches of the block by hand: body and block as one square, ``reach`` from its centre to a side."""
+
+    def __init__(self, body: Body = BODY, reach: float = BLOCK + 0.15):
+        self.body, self.reach = body, reach
+
+    def collides(self, body_to_world: Tensor) -> Tensor:
+        return (body_to_world[:, :2, 3].abs() < self.reach).all(1)
+
+    def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+        """Where the line enters the square: the later of its entries into the two slabs."""
+        begin, way = start[:, :2, 3], (end - start)[:, :2, 3]
+        sides = torch.stack([-self.reach - begin, self.reach - begin]) / way
+        inside = begin.abs() < self.reach
+        still = way == 0
+        enter = torch.where(still, torch.where(inside, -torch.inf, torch.inf), sides.amin(0)).amax(1)
+        leave = torch.where(still, torch.where(inside, torch.inf, -torch.inf), sides.amax(0)).amin(1)
+        hits = (enter < leave) & (enter < 1) & (leave > 0)
+        return torch.where(hits, enter.clamp_min(0), 1.0)
+
+    def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
+        return self.touched_fraction(start, end) < 1
+
+    def clearance(self, points: Tensor) -> Tensor:
+        return (points[:, :2].abs().amax(1) - BLOCK).clamp_min(0)
+
+
+class CountingRenderer:
+    """Passes cameras on and counts them."""
+
+    def __init__(self, renderer: Renderer):
+        self.renderer, self.rendered = renderer, 0
+
+    def render(self, cameras: Cameras) -> RenderOutput:
+        self.rendered += len(cameras)
+        return self.renderer.render(cameras)
+
+    def pixels(self, cameras: Cameras) -> Tensor:
+        self.rendered += len(cameras)
+        return self.renderer.pixels(cameras)
+
+
+class RememberingRenderer:
+    """Renders each pose once; so simple that it can vouch for quick tests."""
+
+    def __init__(self, renderer: Renderer):
+        self.renderer = renderer
+        self.views: dict[bytes, Tensor] = {}
+
+    def render(self, cameras: Cameras) -> RenderOutput:
+        return self.renderer.render(cameras)
+
+    def pixels(self, cameras: Cameras) -> Tensor:
+        return torch.stack([self._view(cameras[row : row + 1]) for row in range(len(cameras))])
+
+    def _view(self, camera: Cameras) -> Tensor:
+        key = camera.camera_to_world.numpy().tobytes() + camera.K.numpy().tobytes()
+        if key not in self.views:
+            self.views[key] = self.renderer.pixels(camera)[0]
+        return self.views[key]
+
+
+def tiny_motion() -> LatticeMotion:
+    """5 × 7 positions, 0.5 m apart, × 8 headings."""
+    return LatticeMotion(HEIGHT, step=0.5, angle_step_deg=45.0, lower=(-1.0, -1.5), upper=(1.0, 1.5))
+
+
+def tiny_task(max_steps: int = 20) -> Grid:
+    """The goal pose looks east at the red thing; 27 poses count as there, and all are free."""
+    return Grid(tiny_motion(), goal=(0.5, 1.0, 0.0), max_steps=max_steps)
+
+
+def tiny_robot() -> Robot:
+    """Sees 16 × 12 pixels."""
+    return Robot(BODY, HEIGHT, image_width=16, image_height=12)
+
+
+@cache
+def tiny_renderer() -> RememberingRenderer:
+    """The reference renderer behind a memory that one process shares."""
+    return RememberingRenderer(ReferenceRenderer(tiny_gaussians()))
+
+
+@cache
+def tiny_plan() -> Plan:
+    """Shortest paths in the room."""
+    task = tiny_task()
+    return plan(task.motion, BlockChecker(), task.reached)
+
+
+def tiny_env(
+    batch_size: Sequence[int] = (3,),
+    seed: int | None = 0,
+    max_steps: int = 20,
+    first: int | None = None,
+    threshold: float = 0.7,
+    window: int = 100,
+    renderer: Renderer | None = None,
+) -> SplatEnv:
+    """Robots in the room: a top-level function of plain values, so that a worker process can make one."""
+    curriculum = Curriculum(tiny_plan(), first, threshold=threshold, window=window)
+    renderer = renderer or tiny_renderer()
+    return SplatEnv(renderer, BlockChecker(), tiny_robot(), tiny_task(max_steps), curriculum, batch_size, seed)
