@@ -54,8 +54,8 @@ def evaluate(cfg: DictConfig, folder: Path, world: World) -> dict[str, Any]:
 
 def _words(summary: dict[str, Any], folder: Path, files: list[Path]) -> str:
     lines = [
-        f"success {summary['success_rate']:.3f} (argmax {summary['success_rate_argmax']:.3f}), SPL {summary['spl']:.3f}, "
-        f"collisions {summary['collision_rate']:.3f} over {summary['start_poses']} start poses",
+        f"success {summary['success_rate']:.3f} (argmax {summary['success_rate_argmax']:.3f}), "
+        f"SPL {summary['spl']:.3f}, collisions {summary['collision_rate']:.3f} over {summary['start_poses']} start poses",
         f"{summary['frames']:,} frames in {summary['wall_seconds']:.0f} s, curriculum level {summary['level']}",
         f"pictures in {folder}: {', '.join(path.name for path in files)}",
     ]

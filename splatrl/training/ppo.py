@@ -82,7 +82,8 @@ class PPO:
     ):
         if frames_per_batch % env.numel():
             raise ValueError(
-                f"collector.frames_per_batch: expected a multiple of env.num_envs = {env.numel()}, got {frames_per_batch}"
+                f"collector.frames_per_batch: expected a multiple of env.num_envs = {env.numel()}, "
+                f"got {frames_per_batch}"
             )
         self.env, self.model, self.loss, self.optim = env, model, loss, optim
         self.frames_per_batch, self.total_frames = frames_per_batch, total_frames

@@ -11,7 +11,9 @@ from splatrl.envs.tasks.base import Outcome, Verdict
 
 
 class Grid(nn.Module):
-    """Reach a goal pose by steps along the world's axes and turns on the spot, as in "Robotic Learning in your Backyard".
+    """Reach a goal pose by steps along the world's axes and turns on the spot.
+
+    The task of "Robotic Learning in your Backyard", with its actions and rewards.
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view.
     Action: [B] int64, one of +x, −x, +y, −y, +spin, −spin.
