@@ -1,0 +1,113 @@
+"""Collision by the Flexible Collision Library (Pan et al. 2012): the exact reference of the other checkers."""
+
+from typing import Any
+
+import fcl
+import numpy as np
+import torch
+from torch import Tensor
+
+from splatrl.bodies import Body, Box, Capsule, Sphere
+from splatrl.collision.distances import DistanceField
+from splatrl.collision.motion import Move, checked_poses
+from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.octree import encode_octree
+
+_SLACK = 1e-5
+"""Metres by which a body must clear the nearest voxel for FCL not to be asked: far above rounding."""
+
+
+class FclChecker:
+    """Tests a box, a sphere or a capsule against one OctoMap octree of the occupancy.
+
+    FCL looks at one pose after the other, some microseconds each; the distance field settles the poses that are clear
+    of everything beforehand and never changes an answer. A touch counts as a hit. A move is tested in steps in which
+    no point of the body travels more than half a voxel (``Move``), so it may graze a voxel's edge by less than that
+    unseen, and the answer is the same in both directions. A checker is for one thread; copies and pickles build
+    their own octree.
+
+    Attributes:
+        occupancy: what is solid.
+        body: what is tested, in the body frame.
+    """
+
+    def __init__(self, occupancy: Occupancy, body: Body) -> None:
+        """Build the octree.
+
+        Args:
+            occupancy: what is solid, with keys within ±32768.
+            body: what is tested.
+
+        Raises:
+            ValueError: for a voxel beyond what the octree's keys reach.
+        """
+        self.occupancy = occupancy
+        self.body = body
+        self._field = DistanceField(occupancy)
+        self._request = fcl.CollisionRequest()
+        self._body_object = fcl.CollisionObject(_fcl_shape(body))
+        # FCL takes an octree without nodes for one that is solid everywhere
+        self._octree = _fcl_octree(occupancy) if occupancy.count else None
+
+    def __reduce__(self) -> tuple[type["FclChecker"], tuple[Occupancy, Body]]:
+        return FclChecker, (self.occupancy, self.body)
+
+    def collides(self, body_to_world: Tensor) -> Tensor:
+        """Whether the body touches a solid voxel: see ``Checker.collides``."""
+        return self._hits(checked_poses("body_to_world", body_to_world)).to(body_to_world.device)
+
+    def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+        """The share of each move up to the last free step: see ``Checker.touched_fraction``.
+
+        0 where the body touches something at the start, 1 where it is free all the way and at the end.
+        """
+        move = Move(
+            checked_poses("start", start),
+            checked_poses("end", end),
+            self.body.radius,
+            0.5 * self.occupancy.resolution,
+        )
+        fraction = torch.ones(start.shape[0])
+        rows = torch.arange(start.shape[0])
+        index = 0
+        while len(rows):
+            hit = self._hits(move.at(rows, index))
+            fraction[rows[hit]] = max(index - 1, 0) / move.steps[rows[hit]]
+            rows = rows[~hit & (move.steps[rows] > index)]
+            index += 1
+        return fraction.to(start.device)
+
+    def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
+        """Whether anything is hit on the way, ends included: [B] bool."""
+        return self.touched_fraction(start, end) < 1.0
+
+    def clearance(self, points: Tensor) -> Tensor:
+        """A lower bound of the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
+        return torch.from_numpy(self._field.clearance(points)).float().to(points.device)
+
+    def _hits(self, poses: Tensor) -> Tensor:
+        """Whether the body touches something at rigid poses [M, 4, 4] float64: [M] bool."""
+        hits = torch.zeros(len(poses), dtype=torch.bool)
+        if self._octree is None:
+            return hits
+        array = poses.numpy()
+        for row in np.flatnonzero(self._field.clearance(array[:, :3, 3]) <= self.body.radius + _SLACK):
+            self._body_object.setTranslation(array[row, :3, 3])
+            self._body_object.setRotation(array[row, :3, :3])
+            result = fcl.CollisionResult()  # a used one keeps its hit
+            hits[row] = bool(fcl.collide(self._body_object, self._octree, self._request, result))
+        return hits
+
+
+def _fcl_shape(body: Body) -> Any:
+    match body:
+        case Box():
+            return fcl.Box(*body.size)
+        case Sphere():
+            return fcl.Sphere(body.radius)
+        case Capsule():
+            return fcl.Capsule(body.cap_radius, body.length)
+
+
+def _fcl_octree(occupancy: Occupancy) -> Any:
+    return fcl.CollisionObject(fcl.OcTree(occupancy.resolution, encode_octree(occupancy)))

@@ -1,0 +1,69 @@
+"""What every voxel grid here agrees on: the coordinates that it takes and how large it may become."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+MAX_VOXELS = 2**26
+"""Voxels of the largest grid that is made unasked: 64 MiB of occupancy, a quarter of a GiB of densities."""
+
+Bounds = tuple[Sequence[float], Sequence[float]]
+"""Lower and upper corner of an axis-aligned box, metres."""
+
+
+def check_resolution(resolution: float) -> None:
+    """Refuse a voxel edge that is not finite and positive.
+
+    Raises:
+        ValueError: for such an edge.
+    """
+    if not (np.isfinite(resolution) and resolution > 0):
+        raise ValueError(f"resolution: expected finite metres above 0, got {resolution}")
+
+
+def checked_points(name: str, values: Tensor | ArrayLike) -> NDArray[np.float64]:
+    """Points as [N, 3] float64, metres.
+
+    Raises:
+        ValueError: for another shape, or names the first row that is not finite.
+    """
+    array = np.asarray(values.detach().cpu() if isinstance(values, Tensor) else values, np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"{name}: expected shape [N, 3], got {list(array.shape)}")
+    bad = ~np.isfinite(array).all(1)
+    if bad.any():
+        row = int(bad.argmax())
+        raise ValueError(f"{name}: expected finite metres, got {array[row].tolist()} in row {row}")
+    return array
+
+
+def checked_crop(crop: Bounds) -> NDArray[np.float64]:
+    """The corners of a crop as [2, 3] float64, metres.
+
+    Raises:
+        ValueError: where they are not two finite corners with the lower one below.
+    """
+    corners = checked_points("crop", [tuple(corner) for corner in crop])
+    if len(corners) != 2 or not (corners[0] < corners[1]).all():
+        raise ValueError(f"crop: expected a lower corner and an upper corner above it, got {corners.tolist()}")
+    return corners
+
+
+def grid_shape(
+    first_key: NDArray[np.int64], end_key: NDArray[np.int64], resolution: float, max_voxels: int
+) -> tuple[int, int, int]:
+    """Voxels along each axis of the grid from ``first_key`` up to and without ``end_key``.
+
+    Raises:
+        ValueError: names bounds and resolution where the grid has more than ``max_voxels``.
+    """
+    x, y, z = (max(int(end) - int(first), 0) for first, end in zip(first_key, end_key, strict=True))
+    if x * y * z > max_voxels:
+        lower, upper = (np.round(key * resolution, 3).tolist() for key in (first_key, end_key))
+        raise ValueError(
+            f"grid from {lower} to {upper} m at a resolution of {resolution} m: expected at most {max_voxels} voxels, "
+            f"got {[x, y, z]}, {x * y * z} in all; crop it, take a coarser resolution or raise max_voxels"
+        )
+    return x, y, z
