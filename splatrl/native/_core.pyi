@@ -1,5 +1,7 @@
 """The C++ core. Arrays are C-contiguous CPU memory: torch tensors and numpy arrays both go in without a copy."""
 
+from torch import Tensor
+
 def isa() -> str:
     """The instruction set that kernels run with: the fastest one, or the one that $SPLATRL_ISA names.
 
@@ -9,3 +11,35 @@ def isa() -> str:
 
 def supported_isas() -> list[str]:
     """The instruction sets that this processor can run, slowest first."""
+
+class Renderer:
+    """Renders into memory that the caller gives; what goes in is finite."""
+
+    def __init__(
+        self,
+        means: Tensor,  # [N, 3] float32, metres, world frame
+        axes: Tensor,  # [N, 3, 3] float32, columns: the axes of the Gaussian times its standard deviations
+        opacities: Tensor,  # [N] float32
+        sh: Tensor,  # [N, (degree + 1)², 3] float32
+        degree: int,
+        antialiased: bool,
+        background: tuple[float, float, float],
+    ) -> None: ...
+    def render(
+        self,
+        camera_to_world: Tensor,  # [B, 4, 4] float32
+        K: Tensor,  # [B, 3, 3] float32
+        rgb: Tensor,  # [B, H, W, 3] float32, written
+        depth: Tensor,  # [B, H, W] float32, written
+        alpha: Tensor,  # [B, H, W] float32, written
+        visible: Tensor,  # [B] int32, written: Gaussians that can show
+        threads: int,
+    ) -> None: ...
+    def pixels(
+        self,
+        camera_to_world: Tensor,  # [B, 4, 4] float32
+        K: Tensor,  # [B, 3, 3] float32
+        pixels: Tensor,  # [B, H, W, 3] uint8, written
+        visible: Tensor,  # [B] int32, written
+        threads: int,
+    ) -> None: ...

@@ -6,5 +6,6 @@
 namespace splatrl {
 
 void bind_isa(nanobind::module_& m);
+void bind_renderer(nanobind::module_& m);
 
 }  // namespace splatrl

@@ -21,4 +21,5 @@ void bind_isa(nanobind::module_& m) {
 
 NB_MODULE(_core, m) {
     splatrl::bind_isa(m);
+    splatrl::bind_renderer(m);
 }

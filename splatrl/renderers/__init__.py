@@ -1,6 +1,7 @@
 """Renderers: from cameras to images of one scene."""
 
 from splatrl.renderers.base import Renderer, RenderOutput
+from splatrl.renderers.native import NativeRenderer
 from splatrl.renderers.reference import ReferenceRenderer
 
-__all__ = ["ReferenceRenderer", "RenderOutput", "Renderer"]
+__all__ = ["NativeRenderer", "ReferenceRenderer", "RenderOutput", "Renderer"]

@@ -1,0 +1,21 @@
+// From the accumulated blocks of a frame to images.
+#pragma once
+
+#include <cstdint>
+
+#include "kernel.h"
+
+namespace splatrl {
+
+// Images of one frame, row-major; a null pointer is left out.
+struct Images {
+    float* rgb;       // [height, width, 3]
+    float* depth;     // [height, width] metres
+    float* alpha;     // [height, width]
+    uint8_t* pixels;  // [height, width, 3]
+};
+
+// This is compiled once, without contraction, so `pixels` is the rounding of `rgb` on every instruction set.
+void write_images(const float* frame, const Camera& camera, const float background[3], const Images& images);
+
+}  // namespace splatrl

@@ -1,0 +1,57 @@
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
+
+#include "bindings.h"
+#include "renderer.h"
+
+namespace nb = nanobind;
+
+namespace splatrl {
+
+namespace {
+
+template <class T, long... SHAPE>
+using Tensor = nb::ndarray<T, nb::shape<SHAPE...>, nb::c_contig, nb::device::cpu>;
+
+using Poses = Tensor<const float, -1, 4, 4>;
+using Lenses = Tensor<const float, -1, 3, 3>;
+using Counts = Tensor<int32_t, -1>;
+
+}  // namespace
+
+void bind_renderer(nb::module_& m) {
+    nb::class_<Renderer>(m, "Renderer")
+        .def(
+            "__init__",
+            [](Renderer* self, Tensor<const float, -1, 3> means, Tensor<const float, -1, 3, 3> axes,
+               Tensor<const float, -1> opacities, Tensor<const float, -1, -1, 3> sh, int degree, bool antialiased,
+               std::array<float, 3> background) {
+                new (self) Renderer(
+                    Scene(means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0), degree), antialiased,
+                    background, choose_isa());
+            },
+            nb::arg("means"), nb::arg("axes"), nb::arg("opacities"), nb::arg("sh"), nb::arg("degree"),
+            nb::arg("antialiased"), nb::arg("background"))
+        .def(
+            "render",
+            [](Renderer& self, Poses camera_to_world, Lenses K, Tensor<float, -1, -1, -1, 3> rgb,
+               Tensor<float, -1, -1, -1> depth, Tensor<float, -1, -1, -1> alpha, Counts visible, size_t threads) {
+                const nb::gil_scoped_release release;
+                self.render(camera_to_world.data(), K.data(), rgb.shape(0), int(rgb.shape(2)), int(rgb.shape(1)),
+                            threads, {rgb.data(), depth.data(), alpha.data(), nullptr}, visible.data());
+            },
+            nb::arg("camera_to_world"), nb::arg("K"), nb::arg("rgb"), nb::arg("depth"), nb::arg("alpha"),
+            nb::arg("visible"), nb::arg("threads"))
+        .def(
+            "pixels",
+            [](Renderer& self, Poses camera_to_world, Lenses K, Tensor<uint8_t, -1, -1, -1, 3> pixels, Counts visible,
+               size_t threads) {
+                const nb::gil_scoped_release release;
+                self.render(camera_to_world.data(), K.data(), pixels.shape(0), int(pixels.shape(2)),
+                            int(pixels.shape(1)), threads, {nullptr, nullptr, nullptr, pixels.data()}, visible.data());
+            },
+            nb::arg("camera_to_world"), nb::arg("K"), nb::arg("pixels"), nb::arg("visible"), nb::arg("threads"));
+}
+
+}  // namespace splatrl

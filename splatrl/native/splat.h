@@ -1,0 +1,142 @@
+// The mathematics of a splat, for one number or a vector of them, on any processor.
+//
+// `F` is a number type: float, or Lanes of sixteen floats. Overloads of sqrt, log2, min, max and select for it are
+// found where a template is used. The formulas are those of renderers/reference.py, with one change for precision:
+// covariances are kept as factors A (Σ = A Aᵀ), from which determinants come without cancellation.
+#pragma once
+
+#ifdef __CUDACC__
+#define SPLAT_INLINE __host__ __device__ __forceinline__
+#else
+#define SPLAT_INLINE static inline __attribute__((always_inline))
+#endif
+
+namespace splatrl {
+
+constexpr float NEAR_DEPTH = 0.01f;           // metres
+constexpr float DILATION = 0.3f;              // square pixels
+constexpr float MAX_ALPHA = 0.999f;
+constexpr float MIN_TRANSMITTANCE = 1e-4f;
+constexpr float LOG2_INVISIBLE = -7.99435344f;  // log2(1 / 255)
+constexpr float HALF_LOG2_E = 0.72134752f;
+constexpr float SH_C0 = 0.28209479177387814f;
+
+struct Camera {
+    float rotation[9];  // world_to_camera, row-major
+    float position[3];  // world, metres
+    float fx, fy, cx, cy;
+    float slope_left, slope_right, slope_top, slope_bottom;  // bounds of x / z and y / z in the Jacobian
+    int width, height;
+};
+
+// A Gaussian on the image: alpha(p) = 2^(log2_opacity - u² - v²), u = l11 dx + l12 dy, v = l22 dy, (dx, dy) = p - mean.
+template <class F>
+struct Footprint {
+    F x, y, depth;        // pixels, pixels, metres
+    F l11, l12, l22;      // 1 / pixels
+    F log2_opacity;
+    F extent_x, extent_y; // half the box in which alpha can reach 1/255, pixels
+};
+
+template <class F>
+struct Vector {
+    F x, y, z;
+};
+
+template <class F>
+SPLAT_INLINE Vector<F> rotate(const float* rotation, F x, F y, F z) {
+    return {x * rotation[0] + y * rotation[1] + z * rotation[2], x * rotation[3] + y * rotation[4] + z * rotation[5],
+            x * rotation[6] + y * rotation[7] + z * rotation[8]};
+}
+
+// Project a Gaussian whose mean is `offset` from the camera (world axes) and whose scaled axes are the columns of
+// `axes` (row-major 3×3). Meaningful where depth >= NEAR_DEPTH. EWA: eq. 29 to 31 of Zwicker et al. 2001.
+template <bool ANTIALIASED, class F>
+SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const F* axes, F log2_opacity) {
+    const Vector<F> mean = rotate(camera.rotation, offset.x, offset.y, offset.z);
+    const F inverse_depth = 1.0f / mean.z;
+    const F slope_x = mean.x * inverse_depth, slope_y = mean.y * inverse_depth;
+    const F scale_x = camera.fx * inverse_depth, scale_y = camera.fy * inverse_depth;
+    const F bent_x = min(max(slope_x, camera.slope_left), camera.slope_right);
+    const F bent_y = min(max(slope_y, camera.slope_top), camera.slope_bottom);
+
+    F jx[3], jy[3];  // the rows of J · rotation · A
+    for (int axis = 0; axis < 3; ++axis) {
+        const Vector<F> a = rotate(camera.rotation, axes[axis], axes[3 + axis], axes[6 + axis]);
+        jx[axis] = scale_x * (a.x - bent_x * a.z);
+        jy[axis] = scale_y * (a.y - bent_y * a.z);
+    }
+    const F minor_x = jx[1] * jy[2] - jx[2] * jy[1];
+    const F minor_y = jx[2] * jy[0] - jx[0] * jy[2];
+    const F minor_z = jx[0] * jy[1] - jx[1] * jy[0];
+    const F bare_xx = jx[0] * jx[0] + jx[1] * jx[1] + jx[2] * jx[2];
+    const F bare_yy = jy[0] * jy[0] + jy[1] * jy[1] + jy[2] * jy[2];
+    const F xy = jx[0] * jy[0] + jx[1] * jy[1] + jx[2] * jy[2];
+    // det(M Mᵀ) is the sum of the squared minors of M (Cauchy–Binet).
+    const F bare_determinant = minor_x * minor_x + minor_y * minor_y + minor_z * minor_z;
+    const F determinant = bare_determinant + (bare_xx + bare_yy) * DILATION + DILATION * DILATION;
+    const F xx = bare_xx + DILATION, yy = bare_yy + DILATION;
+
+    Footprint<F> out;
+    out.x = slope_x * camera.fx + camera.cx;
+    out.y = slope_y * camera.fy + camera.cy;
+    out.depth = mean.z;
+    out.log2_opacity = log2_opacity;
+    if (ANTIALIASED) out.log2_opacity = log2_opacity + 0.5f * log2(max(bare_determinant / determinant, 1e-30f));
+    // The Cholesky factor of the inverse covariance: no cancellation, however thin the needle.
+    const F inverse_yy = 1.0f / yy;
+    out.l11 = sqrt(HALF_LOG2_E * (yy / determinant));
+    out.l12 = -(out.l11 * (xy * inverse_yy));
+    out.l22 = sqrt(HALF_LOG2_E * inverse_yy);
+    // alpha = 1/255 where (u² + v²) = log2_opacity - LOG2_INVISIBLE; the box of that ellipse, a hair wider.
+    const F reach = max(out.log2_opacity - LOG2_INVISIBLE, 0.0f) * (1.0002f / HALF_LOG2_E);
+    out.extent_x = sqrt(reach * xx);
+    out.extent_y = sqrt(reach * yy);
+    return out;
+}
+
+// One colour channel of spherical harmonics along a unit direction: SH + 0.5, clamped at 0 from below.
+// Coefficient i is read at sh[i * stride]; basis as in spherical_harmonics.py.
+template <class F>
+SPLAT_INLINE void sh_basis(int degree, F x, F y, F z, F* basis) {
+    basis[0] = x * 0.0f + SH_C0;
+    if (degree < 1) return;
+    basis[1] = -0.4886025119029199f * y;
+    basis[2] = 0.4886025119029199f * z;
+    basis[3] = -0.4886025119029199f * x;
+    if (degree < 2) return;
+    const F xx = x * x, yy = y * y, zz = z * z;
+    basis[4] = 1.0925484305920792f * (x * y);
+    basis[5] = -1.0925484305920792f * (y * z);
+    basis[6] = 0.31539156525252005f * (2.0f * zz - xx - yy);
+    basis[7] = -1.0925484305920792f * (x * z);
+    basis[8] = 0.5462742152960396f * (xx - yy);
+    if (degree < 3) return;
+    basis[9] = -0.5900435899266435f * (y * (3.0f * xx - yy));
+    basis[10] = 2.890611442640554f * (x * y * z);
+    basis[11] = -0.4570457994644658f * (y * (4.0f * zz - xx - yy));
+    basis[12] = 0.3731763325901154f * (z * (2.0f * zz - 3.0f * xx - 3.0f * yy));
+    basis[13] = -0.4570457994644658f * (x * (4.0f * zz - xx - yy));
+    basis[14] = 1.445305721320277f * (z * (xx - yy));
+    basis[15] = -0.5900435899266435f * (x * (xx - 3.0f * yy));
+}
+
+// The opacity of a splat at a pixel, 0 below 1/255.
+template <class F>
+SPLAT_INLINE F alpha_at(F dx, F dy, float l11, float l12, float l22, float log2_opacity) {
+    const F u = dx * l11 + dy * l12, v = dy * l22;
+    const F exponent = log2_opacity - u * u - v * v;
+    // Below -8 nothing shows: the clamp only keeps exp2 inside its domain.
+    return select_if_at_least(exponent, LOG2_INVISIBLE, min(exp2(max(exponent, -8.5f)), MAX_ALPHA));
+}
+
+// Blend one splat over a pixel, front to back. Returns its share of the pixel: 0 from where the transmittance would
+// fall to MIN_TRANSMITTANCE. The transmittance goes on falling, so what is finished stays finished.
+template <class F>
+SPLAT_INLINE F blend_share(F alpha, F& transmittance) {
+    const F share = transmittance * alpha;
+    transmittance = transmittance - share;
+    return select_if_above(transmittance, MIN_TRANSMITTANCE, share);
+}
+
+}  // namespace splatrl
