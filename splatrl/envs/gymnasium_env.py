@@ -1,0 +1,196 @@
+"""Gymnasium's view of an env: one robot as ``gymnasium.Env``, a batch as ``gymnasium.vector.VectorEnv``."""
+
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+import torch
+from gymnasium.spaces import Box, Discrete
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Categorical
+from torchrl.envs import EnvBase
+
+from splatrl.envs.tasks.base import Outcome
+
+Pixels = npt.NDArray[np.uint8]
+Infos = dict[str, Any]
+
+_METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
+_VECTOR_METADATA: dict[str, Any] = {**_METADATA, "autoreset_mode": AutoresetMode.SAME_STEP}
+
+
+class GymnasiumEnv(gymnasium.Env[Pixels, np.int64]):
+    """One robot.
+
+    Observation: [H, W, 3] uint8, the ego view.
+    Action: ``Discrete``, the task's.
+    Info: ``outcome`` (int, an ``Outcome``), ``success`` (bool) and ``state`` (the task's, an array).
+    Reset: ``reset(seed=...)`` seeds the starts, ``reset(options={"state": ...})`` begins at that state of the task.
+
+    Example:
+        >>> import splatrl
+        >>> env = GymnasiumEnv(splatrl.make_env(batch_size=[1]))
+        >>> observation, info = env.reset(seed=0)
+
+    Args:
+        env: a ``SplatEnv``, bare or under transforms, of batch size [1].
+        render_mode: what ``render`` returns: the present view, or nothing.
+
+    Raises:
+        ValueError: for another batch size, an action that is not discrete, or another render mode.
+    """
+
+    metadata = _METADATA
+
+    def __init__(self, env: EnvBase, render_mode: Literal["rgb_array"] | None = "rgb_array"):
+        if env.batch_size != (1,):
+            raise ValueError(f"env: expected batch size [1], got {list(env.batch_size)}")
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode: expected 'rgb_array' or None, got {render_mode!r}")
+        self.env, self.render_mode = env, render_mode
+        self.observation_space, self.action_space = _spaces(env)
+        self._present: TensorDictBase | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Pixels, Infos]:
+        """Begin an episode."""
+        super().reset(seed=seed)
+        self._present = _begin(self.env, seed, options)
+        return _pixels(self._present)[0], _one(_infos(self._present))
+
+    def step(self, action: np.int64) -> tuple[Pixels, float, bool, bool, Infos]:
+        """Take one action."""
+        if self._present is None:
+            raise gymnasium.error.ResetNeeded("step: expected reset first")
+        step = self.env.step(_act(self.env, self._present, self.action_space, action))
+        after = step["next"]
+        self._present = self.env.step_mdp(step)
+        terminated, truncated = bool(after["terminated"]), bool(after["truncated"])
+        return _pixels(after)[0], after["reward"].item(), terminated, truncated, _one(_infos(after))
+
+    def render(self) -> Pixels | None:
+        """The present view, [H, W, 3] uint8; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        if self._present is None:
+            raise gymnasium.error.ResetNeeded("render: expected reset first")
+        return _pixels(self._present)[0]
+
+
+class GymnasiumVectorEnv(VectorEnv[Pixels, npt.NDArray[np.int64], npt.NDArray[Any]]):
+    """A batch of robots; a robot whose episode ends begins the next in the same step.
+
+    Observation: [B, H, W, 3] uint8.
+    Action: [B] int64.
+    Info: ``outcome``, ``success`` and ``state`` of what is observed, [B, ...] each; of the robots whose episode ended,
+        ``final_obs`` and ``final_info`` hold the last of it. A mask, [B] bool, stands beside each under ``_<name>``.
+
+    Args:
+        env: a ``SplatEnv``, bare or under transforms.
+
+    Raises:
+        ValueError: for an env that is not of batch size [B], or an action that is not discrete.
+    """
+
+    metadata = _VECTOR_METADATA
+
+    def __init__(self, env: EnvBase):
+        if env.ndim != 1:
+            raise ValueError(f"env: expected batch size [B], got {list(env.batch_size)}")
+        self.env, self.num_envs, self.render_mode = env, env.numel(), "rgb_array"
+        self.single_observation_space, self.single_action_space = _spaces(env)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._present: TensorDictBase | None = None
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Pixels, Infos]:
+        """Begin all episodes anew; one seed serves the whole batch."""
+        if isinstance(seed, list):
+            raise ValueError(f"seed: expected one number for the whole batch, got {seed}")
+        super().reset(seed=seed)
+        self._present = _begin(self.env, seed, options)
+        everywhere = np.ones(self.num_envs, dtype=bool)
+        return _pixels(self._present), _masked(_infos(self._present), everywhere)
+
+    def step(
+        self, actions: npt.NDArray[np.int64]
+    ) -> tuple[Pixels, npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_], Infos]:
+        """Take an action with each robot."""
+        if self._present is None:
+            raise gymnasium.error.ResetNeeded("step: expected reset first")
+        acted = _act(self.env, self._present, self.action_space, actions)
+        step, self._present = self.env.step_and_maybe_reset(acted)
+        after = step["next"]
+        infos = _masked(_infos(self._present), np.ones(self.num_envs, dtype=bool))
+        ended = _column(after, "done")
+        if ended.any():
+            last = np.full(self.num_envs, None, dtype=object)
+            for row in ended.nonzero()[0]:
+                last[row] = _pixels(after)[row]
+            infos |= _masked({"final_obs": last, "final_info": _masked(_infos(after), ended)}, ended)
+        reward = _column(after, "reward").astype(np.float64)
+        return _pixels(self._present), reward, _column(after, "terminated"), _column(after, "truncated"), infos
+
+    def render(self) -> tuple[Pixels, ...]:
+        """The present views, [H, W, 3] uint8 each."""
+        if self._present is None:
+            raise gymnasium.error.ResetNeeded("render: expected reset first")
+        return tuple(_pixels(self._present))
+
+
+def _spaces(env: EnvBase) -> tuple[gymnasium.Space[Any], gymnasium.Space[Any]]:
+    """Observation and action of one robot."""
+    if not isinstance(env.action_spec, Categorical):
+        raise ValueError(f"env: expected a discrete action, got {type(env.action_spec).__name__}")
+    shape = tuple(env.observation_spec["pixels"].shape[1:])
+    return Box(0, 255, shape, np.uint8), Discrete(int(env.action_spec.n))
+
+
+def _begin(env: EnvBase, seed: int | None, options: dict[str, Any] | None) -> TensorDictBase:
+    unknown = set(options or ()) - {"state"}
+    if unknown:
+        raise ValueError(f"options: expected 'state' or nothing, got {sorted(unknown)}")
+    if seed is not None:
+        env.set_seed(seed)
+    if not options:
+        return env.reset()
+    expected = env.observation_spec["state"]
+    state = torch.as_tensor(options["state"], dtype=expected.dtype, device=env.device)
+    placed = state.reshape(expected.shape) if state.numel() == expected.shape.numel() else None
+    if placed is None or not expected.is_in(placed):
+        raise ValueError(f"options['state']: expected {list(expected.shape)} inside the bounds, got {state.tolist()}")
+    return env.reset(TensorDict({"state": placed}, env.batch_size, device=env.device), set_state=True)
+
+
+def _act(env: EnvBase, present: TensorDictBase, space: gymnasium.Space[Any], actions: Any) -> TensorDictBase:
+    if not space.contains(actions):
+        raise ValueError(f"action: expected one of {space}, got {actions}")
+    return present.set("action", torch.as_tensor(actions, device=env.device).reshape(env.action_spec.shape))
+
+
+def _pixels(td: TensorDictBase) -> Pixels:
+    return td["pixels"].cpu().numpy()
+
+
+def _column(td: TensorDictBase, key: str) -> npt.NDArray[Any]:
+    return td[key].squeeze(1).cpu().numpy()
+
+
+def _infos(td: TensorDictBase) -> Infos:
+    outcome = _column(td, "outcome")
+    return {"outcome": outcome, "success": outcome == Outcome.GOAL, "state": td["state"].cpu().numpy()}
+
+
+def _one(infos: Infos) -> Infos:
+    """The infos of the only robot, numbers as Python's own."""
+    rows = {key: value[0] for key, value in infos.items()}
+    return {key: row.item() if row.ndim == 0 else row for key, row in rows.items()}
+
+
+def _masked(infos: Infos, rows: npt.NDArray[np.bool_]) -> Infos:
+    """Infos with the mask of the rows that they speak of beside each, as Gymnasium's vector envs have them."""
+    return infos | {f"_{key}": rows for key in infos}
