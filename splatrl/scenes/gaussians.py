@@ -3,7 +3,7 @@
 import warnings
 
 import torch
-from tensordict import tensorclass
+from tensordict import TensorClass
 from torch import Tensor
 
 from splatrl.geometry import multiply_quats, quats_to_rotations, rotations_to_quats
@@ -13,8 +13,7 @@ INVISIBLE = 1.0 / 255.0
 """A Gaussian of lower opacity cannot change an image: renderers skip every alpha below it."""
 
 
-@tensorclass
-class Gaussians:
+class Gaussians(TensorClass):
     """N anisotropic Gaussians (Kerbl et al. 2023), activated: what files store as logs and logits is plain here.
 
     Attributes:
@@ -54,9 +53,7 @@ class Gaussians:
         scale = matrix[:3, :3].det().sign() * matrix[:3, :3].det().abs() ** (1 / 3)
         rotation = matrix[:3, :3] / scale
         if not (scale > 0 and torch.allclose(rotation @ rotation.T, torch.eye(3, dtype=torch.float64), atol=1e-4)):
-            raise ValueError(
-                f"transform: expected a rotation times a positive scale, got {matrix[:3, :3].tolist()}"
-            )
+            raise ValueError(f"transform: expected a rotation times a positive scale, got {matrix[:3, :3].tolist()}")
         turn = rotation.to(self.means)
         return Gaussians(
             means=self.means @ (turn.T * scale.to(self.means)) + matrix[:3, 3].to(self.means),
@@ -92,12 +89,12 @@ def checked_gaussians(
     for (name, shape), value in zip(expected.items(), (means, quats, scales, opacities), strict=True):
         if value.shape != shape:
             raise ValueError(f"{source}: {name}: expected shape {list(shape)}, got {list(value.shape)}")
-    if sh.ndim != 3 or sh.shape[0] != count or sh.shape[2] != 3:
-        raise ValueError(f"{source}: sh: expected shape [{count}, K, 3], got {list(sh.shape)}")
-    sh_degree(sh.shape[1])
+    if sh.ndim != 3 or sh.shape[0] != count or sh.shape[1] not in (1, 4, 9, 16) or sh.shape[2] != 3:
+        raise ValueError(f"{source}: sh: expected shape [{count}, 1 or 4 or 9 or 16, 3], got {list(sh.shape)}")
     means, quats, scales, opacities, sh = (v.float() for v in (means, quats, scales, opacities, sh))
     finite = torch.cat([means, quats, scales, opacities[:, None], sh.flatten(1)], 1).isfinite().all(1)
-    finite &= (quats.norm(dim=1) > 0) & (scales > 0).all(1)
+    norms = quats.double().norm(dim=1, keepdim=True)  # float64: the square of a tiny or a huge float32 is not 0 or inf
+    finite &= (norms[:, 0] > 0) & (scales > 0).all(1)
     visible = opacities >= INVISIBLE
     keep = finite & visible
     if not keep.any():
@@ -108,10 +105,10 @@ def checked_gaussians(
             f"{int((finite & ~visible).sum())} fully transparent of {count} Gaussians",
             stacklevel=3,
         )
-        means, quats, scales, opacities, sh = (v[keep] for v in (means, quats, scales, opacities, sh))
+        means, quats, norms, scales, opacities, sh = (v[keep] for v in (means, quats, norms, scales, opacities, sh))
     return Gaussians(
         means=means,
-        quats=torch.nn.functional.normalize(quats, dim=1),
+        quats=(quats / norms).float(),
         scales=scales,
         opacities=opacities.clamp(0.0, 1.0),
         sh=sh,

@@ -1,0 +1,61 @@
+"""A cache of arrays on disk: everything in it can be made again."""
+
+import functools
+import os
+import struct
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splatrl.scenes.atomic import replacing
+
+Arrays = dict[str, NDArray[Any]]
+
+DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, KeyError, OSError, RuntimeError, ValueError)
+"""What ``np.load`` raises for a damaged npz file."""
+
+
+def cache_dir() -> Path:
+    """Where caches live: $SPLATRL_CACHE, or splatrl in $XDG_CACHE_HOME or ~/.cache."""
+    chosen = os.environ.get("SPLATRL_CACHE")
+    return Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "splatrl"
+
+
+def cached_arrays(name: str, build: Callable[[], Arrays]) -> Arrays:
+    """The arrays kept under a name, or those that ``build`` makes, which are kept from then on.
+
+    A damaged file is made again, with a warning. Where the folder cannot be written to, one warning is given and
+    nothing is kept.
+
+    Args:
+        name: of the file, without its ending; holds a digest of all that the arrays are made from.
+        build: makes the arrays.
+    """
+    path = cache_dir() / f"{name}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            return dict(arrays)
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except DAMAGED as error:
+        warnings.warn(f"{path}: a cache file that cannot be read, made again: {error}", stacklevel=2)
+    arrays = build()
+    named: dict[str, Any] = dict(arrays)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as stream:
+            np.savez_compressed(stream, **named)
+    except OSError as error:
+        _warn_unwritable(path.parent, error.strerror)
+    return arrays
+
+
+@functools.cache
+def _warn_unwritable(folder: Path, error: str | None) -> None:
+    warnings.warn(f"{folder}: cannot keep caches here, set SPLATRL_CACHE to another folder: {error}", stacklevel=3)

@@ -1,0 +1,55 @@
+"""Compressed PLY of PlayCanvas and SuperSplat: chunks of 256 Gaussians, each quantised between its own bounds."""
+
+from pathlib import Path
+
+from splatrl.scenes.formats.extra import extra_module, from_gsply
+from splatrl.scenes.formats.ply_header import PlyHeader
+from splatrl.scenes.gaussians import Gaussians
+
+CHUNK = 256
+PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+BOUNDS = tuple(
+    f"{end}_{name}"
+    for names in (("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b"))
+    for end in ("min", "max")
+    for name in names
+)
+
+
+def is_compressed(header: PlyHeader) -> bool:
+    """Whether a PLY file holds packed Gaussians in chunks."""
+    vertex = header.elements.get("vertex")
+    return "chunk" in header.elements and vertex is not None and "packed_position" in vertex.properties
+
+
+def read_compressed_ply(path: Path, header: PlyHeader) -> Gaussians:
+    """Read a compressed PLY file.
+
+    All that gsply's compiled loops take for granted is checked first: they do not check bounds.
+
+    Raises:
+        ValueError: for another layout, or a size other than the header promises.
+        ImportError: without the extra ``gsply``.
+    """
+    gsply = extra_module("gsply", path)
+    if header.format != "binary_little_endian":
+        raise ValueError(f"{path}: format: expected binary_little_endian, got {header.format}")
+    if list(header.elements) not in (["chunk", "vertex"], ["chunk", "vertex", "sh"]):
+        raise ValueError(f"{path}: expected the elements chunk, vertex and perhaps sh, got {list(header.elements)}")
+    count = header.elements["vertex"].count
+    harmonics = len(header.elements["sh"].properties) if "sh" in header.elements else 0
+    if harmonics not in (0, 9, 24, 45):
+        raise ValueError(f"{path}: sh: expected 9, 24 or 45 properties, got {harmonics}")
+    expected = {
+        "chunk": (-(-count // CHUNK), BOUNDS, ("float", "float32")),
+        "vertex": (count, PACKED, ("uint", "uint32")),
+        "sh": (count, tuple(f"f_rest_{i}" for i in range(harmonics)), ("uchar", "uint8")),
+    }
+    for name, element in header.elements.items():
+        rows, names, kinds = expected[name]
+        if element.count != rows or rows == 0:
+            raise ValueError(f"{path}: {name}: expected {max(rows, 1)} rows, got {element.count}")
+        if tuple(element.properties) != names or not set(element.properties.values()) <= set(kinds):
+            raise ValueError(f"{path}: {name}: expected the {kinds[0]}s {', '.join(names)}, got {element.properties}")
+    header.check_size(path)
+    return from_gsply(path, gsply.decompress_from_bytes(path.read_bytes()))

@@ -1,0 +1,32 @@
+"""The optional library gsply, which decodes the formats that only it reads."""
+
+import importlib
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from splatrl.scenes.formats.stored import activated
+from splatrl.scenes.gaussians import Gaussians
+
+
+def extra_module(name: str, path: Path) -> ModuleType:
+    """Import a module that the extra ``gsply`` brings.
+
+    It is imported with the first file that needs it, because its compiler takes seconds to start.
+
+    Raises:
+        ImportError: without the extra; says how to install it.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ImportError(f"{path}: to read this format: pip install 'splatrl[gsply]'") from error
+
+
+def from_gsply(path: Path, decoded: Any) -> Gaussians:
+    """Gaussians of what gsply decoded: log scales, logits and harmonics [N, K, 3] without degree 0."""
+    sh = np.concatenate([decoded.sh0[:, None, :], decoded.shN], 1)
+    stored = (decoded.means, decoded.quats, decoded.scales, decoded.opacities, sh)
+    return activated(path, *(np.ascontiguousarray(values, np.float32) for values in stored))

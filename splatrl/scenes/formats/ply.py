@@ -1,0 +1,115 @@
+"""3DGS PLY as Inria's code, nerfstudio, gsplat and others write it; what splatrl writes is Inria's layout."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import plyfile
+from numpy.typing import NDArray
+
+from splatrl.scenes.atomic import replacing
+from splatrl.scenes.formats.compressed_ply import is_compressed, read_compressed_ply
+from splatrl.scenes.formats.ply_header import PlyHeader, read_ply_header
+from splatrl.scenes.formats.stored import activated, opacity_logits
+from splatrl.scenes.gaussians import Gaussians
+
+MEANS = ("x", "y", "z")
+NORMALS = ("nx", "ny", "nz")
+SH0 = ("f_dc_0", "f_dc_1", "f_dc_2")
+SCALES = ("scale_0", "scale_1", "scale_2")
+QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
+
+
+def read_ply(path: Path) -> Gaussians:
+    """Read a PLY file of Gaussians: fields by name in any order, ASCII or binary, SH degree 0 to 3.
+
+    Raises:
+        ValueError: for a damaged file, one of something else than Gaussians, or a wrong number of harmonics.
+    """
+    header = read_ply_header(path)
+    if is_compressed(header):
+        return read_compressed_ply(path, header)
+    rest = _checked_fields(path, header)
+    header.check_size(path)
+    try:
+        rows = plyfile.PlyData.read(str(path))["vertex"].data
+    except (plyfile.PlyParseError, ValueError, OverflowError) as error:
+        raise ValueError(f"{path}: expected the rows that the header describes, got a damaged file: {error}") from error
+    sh0 = _columns(rows, SH0)[:, None, :]
+    sh_rest = _columns(rows, rest).reshape(len(rows), 3, -1).transpose(0, 2, 1)  # the file keeps channels together
+    return activated(
+        path,
+        means=_columns(rows, MEANS),
+        quats=_columns(rows, QUATS),
+        log_scales=_columns(rows, SCALES),
+        opacity_logits=_columns(rows, ("opacity",))[:, 0],
+        sh=np.concatenate([sh0, sh_rest], 1),
+    )
+
+
+def write_gaussians(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
+    """Write Gaussians to a PLY file in Inria's layout, which every viewer and editor of splats opens.
+
+    The file appears whole or not at all. Reading it gives the same values up to the float32 rounding of logs and
+    logits; Gaussians of opacity 0 are written, and readers drop them.
+
+    Args:
+        path: where to; ends in .ply.
+        gaussians: in any frame.
+
+    Raises:
+        ValueError: for another ending, or for values that have no finite log.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".ply":
+        raise ValueError(f"{path}: expected a name that ends in .ply, got {path.suffix or 'no ending'!r}")
+    sh = gaussians.sh.detach().cpu()
+    values = {
+        MEANS: gaussians.means,
+        NORMALS: gaussians.means.new_zeros(len(sh), 3),
+        SH0: sh[:, 0],
+        _rest(3 * (sh.shape[1] - 1)): sh[:, 1:].mT.flatten(1),
+        ("opacity",): opacity_logits(gaussians.opacities)[:, None],
+        SCALES: gaussians.scales.double().log(),
+        QUATS: gaussians.quats,
+    }
+    rows = np.empty(len(sh), [(name, "<f4") for names in values for name in names])
+    for names, columns in values.items():
+        if not columns.isfinite().all():
+            raise ValueError(f"{path}: {', '.join(names)}: expected values that a file can store, got non-finite ones")
+        for name, column in zip(names, columns.detach().cpu().unbind(1), strict=True):
+            rows[name] = column.numpy()
+    element = plyfile.PlyElement.describe(rows, "vertex")
+    with replacing(path) as stream:
+        plyfile.PlyData([element], byte_order="<").write(stream)
+
+
+def _rest(count: int) -> tuple[str, ...]:
+    return tuple(f"f_rest_{i}" for i in range(count))
+
+
+def _checked_fields(path: Path, header: PlyHeader) -> tuple[str, ...]:
+    """Names of the harmonics above degree 0, once it is sure that all fields are there."""
+    if "vertex" not in header.elements:
+        raise ValueError(f"{path}: expected an element vertex, got {', '.join(header.elements) or 'none'}")
+    properties = header.elements["vertex"].properties
+    rest = _rest(sum(name.startswith("f_rest_") for name in properties))
+    if len(rest) not in (0, 9, 24, 45):
+        raise ValueError(f"{path}: f_rest_*: expected 0, 9, 24 or 45 harmonics above degree 0, got {len(rest)}")
+    needed = (*MEANS, *SH0, *rest, "opacity", *SCALES, *QUATS)
+    missing = [name for name in needed if properties.get(name, "list") == "list"]
+    if missing:
+        raise ValueError(
+            f"{path}: expected the fields of Gaussians, got a PLY file without {', '.join(missing)}; "
+            f"it has {', '.join(properties) or 'none'}"
+        )
+    return rest
+
+
+def _columns(rows: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.float32]:
+    """Some fields side by side: [N, len(names)], whatever their types and byte order."""
+    columns = np.empty((len(rows), len(names)), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # a double too large for float32 becomes inf, and is dropped
+        for i, name in enumerate(names):
+            columns[:, i] = rows[name]
+    return columns

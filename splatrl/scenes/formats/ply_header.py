@@ -1,0 +1,89 @@
+"""The header of a PLY file, read before anything is allocated on its word."""
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, cast
+
+PlyFormat = Literal["ascii", "binary_little_endian", "binary_big_endian"]
+
+MAX_HEADER = 1 << 20
+SIZES = {"char": 1, "uchar": 1, "short": 2, "ushort": 2, "int": 4, "uint": 4, "float": 4, "double": 8}
+SIZES |= {"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4, "float32": 4, "float64": 8}
+
+
+@dataclass
+class PlyElement:
+    """One table: how many rows it promises, and its columns' types by name; a list's type is ``list``."""
+
+    count: int
+    properties: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def size(self) -> int | None:
+        """Bytes of the table in a binary file; None where it has lists, whose lengths only the rows tell."""
+        if "list" in self.properties.values():
+            return None
+        return self.count * sum(SIZES[kind] for kind in self.properties.values())
+
+
+@dataclass
+class PlyHeader:
+    """Format and tables of a PLY file, its length in bytes and that of the file."""
+
+    format: PlyFormat
+    elements: dict[str, PlyElement]
+    size: int
+    file_size: int
+
+    def check_size(self, path: Path) -> None:
+        """Refuse a file that does not hold what its header promises, as far as that can be told without reading it."""
+        held = self.file_size - self.size
+        sizes = [element.size for element in self.elements.values()]
+        if self.format != "ascii" and None not in sizes:
+            promised = sum(size for size in sizes if size is not None)
+            if held != promised:
+                raise ValueError(f"{path}: expected {promised} bytes behind the header, got {held}")
+        else:  # each value takes a byte or more
+            least = sum(element.count * max(1, len(element.properties)) for element in self.elements.values())
+            if held < least:
+                raise ValueError(f"{path}: expected {least} bytes or more behind the header, got {held}")
+
+
+def read_ply_header(path: Path) -> PlyHeader:
+    """Read the header of a PLY file, strictly.
+
+    Raises:
+        ValueError: for a file that does not begin with a PLY header.
+    """
+    with path.open("rb") as stream:
+        start = stream.read(MAX_HEADER)
+    end = re.search(rb"^end_header\r?\n", start, re.MULTILINE)
+    if not start.startswith((b"ply\n", b"ply\r\n")) or end is None:
+        raise ValueError(f"{path}: expected a PLY file with a header from 'ply' to 'end_header', got none")
+    formats: list[str] = []
+    elements: dict[str, PlyElement] = {}
+    for line in start[: end.start()].decode("ascii", "replace").split("\n")[1:]:
+        match line.split():
+            case [] | ["comment" | "obj_info", *_]:
+                pass
+            case ["format", ("ascii" | "binary_little_endian" | "binary_big_endian") as kind, "1.0"] if not formats:
+                formats.append(kind)
+            case ["element", name, count] if re.fullmatch("[0-9]{1,12}", count) and name not in elements:
+                elements[name] = PlyElement(int(count))
+            case ["property", "list", length, kind, name] if elements and {length, kind} <= SIZES.keys():
+                _add_property(path, elements, name, "list")
+            case ["property", kind, name] if elements and kind in SIZES:
+                _add_property(path, elements, name, kind)
+            case _:
+                raise ValueError(f"{path}: header: expected a line of a PLY header, got {line[:80]!r}")
+    if not formats:
+        raise ValueError(f"{path}: header: expected a format line, got none")
+    return PlyHeader(cast(PlyFormat, formats[0]), elements, end.end(), path.stat().st_size)
+
+
+def _add_property(path: Path, elements: dict[str, PlyElement], name: str, kind: str) -> None:
+    element = list(elements)[-1]
+    if name in elements[element].properties:
+        raise ValueError(f"{path}: header: expected each property of {element} once, got {name} twice")
+    elements[element].properties[name] = kind

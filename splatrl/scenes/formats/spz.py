@@ -1,0 +1,144 @@
+"""Niantic's SPZ, versions 2 and 3: a gzip stream of quantised Gaussians, one attribute after another.
+
+The format is described at https://github.com/nianticlabs/spz. Positions and harmonics stay in the axes of the file
+(x right, y up, z back where its writer follows the format's advice); the order and signs of the harmonics are those
+of 3DGS, with the colour channel varying fastest.
+"""
+
+import struct
+import zlib
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from splatrl.scenes.gaussians import Gaussians, checked_gaussians
+
+HEADER = struct.Struct("<4sIIBBBB")
+MAX_INFLATION = 1032  # a deflate stream cannot unpack to more than this many times its size
+COLOR_SCALE = 0.15  # of the degree-0 harmonics, so that colours a little out of range fit a byte
+HAS_EXTENSIONS = 0x2  # vendors' records may follow the attributes
+
+Bytes = NDArray[np.uint8]
+
+
+class Header(NamedTuple):
+    """What the first 16 bytes say."""
+
+    magic: bytes
+    version: int
+    points: int
+    sh_degree: int
+    fractional_bits: int
+    flags: int
+    reserved: int
+
+    @property
+    def widths(self) -> dict[str, int]:
+        """Bytes a Gaussian of each attribute, in the order of the file."""
+        rotation = 3 if self.version == 2 else 4
+        harmonics = 3 * ((self.sh_degree + 1) ** 2 - 1)
+        return {"positions": 9, "alphas": 1, "colors": 3, "scales": 3, "rotations": rotation, "sh": harmonics}
+
+
+def read_spz(path: Path) -> Gaussians:
+    """Read an SPZ file of version 2 or 3.
+
+    Raises:
+        ValueError: for another version, a damaged stream or a size other than the header promises.
+    """
+    header, payload = _unpack(path, path.read_bytes())
+    columns: dict[str, Bytes] = {}
+    start = 0
+    for name, width in header.widths.items():
+        columns[name] = payload[start : start + width * header.points].reshape(header.points, width)
+        start += width * header.points
+    rotations = _first_three(columns["rotations"]) if header.version == 2 else _smallest_three(columns["rotations"])
+    sh0 = (columns["colors"][:, None, :] / np.float32(255.0) - np.float32(0.5)) / np.float32(COLOR_SCALE)
+    sh_rest = (columns["sh"].reshape(header.points, -1, 3) - np.float32(128.0)) / np.float32(128.0)
+    return checked_gaussians(
+        str(path),
+        means=torch.from_numpy(_positions(columns["positions"], header.fractional_bits)),
+        quats=torch.from_numpy(rotations),
+        scales=torch.from_numpy(np.exp(columns["scales"] / np.float32(16.0) - np.float32(10.0))),
+        opacities=torch.from_numpy(columns["alphas"][:, 0] / np.float32(255.0)),
+        sh=torch.from_numpy(np.concatenate([sh0, sh_rest], 1)),
+    )
+
+
+def _unpack(path: Path, data: bytes) -> tuple[Header, Bytes]:
+    """Header and attributes; never unpacks more than the header promises, nor believes one that promises too much."""
+    if data[:4] == b"NGSP":
+        version = int.from_bytes(data[4:8], "little")
+        raise ValueError(f"{path}: version: expected gzipped SPZ 2 or 3, got {version}")
+    inflater = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
+    try:
+        start = inflater.decompress(data, HEADER.size)
+        if len(start) < HEADER.size:
+            raise ValueError(f"{path}: header: expected {HEADER.size} bytes, got {len(start)}")
+        header = _checked(path, Header(*HEADER.unpack(start)))
+        promised = sum(header.widths.values()) * header.points
+        if promised > MAX_INFLATION * len(data):
+            raise ValueError(
+                f"{path}: numPoints: {header.points} Gaussians need {promised} bytes, more than a file of "
+                f"{len(data)} bytes can hold"
+            )
+        payload = inflater.decompress(inflater.unconsumed_tail, promised)
+        surplus = inflater.decompress(inflater.unconsumed_tail, 1)
+    except zlib.error as error:
+        raise ValueError(f"{path}: expected a gzip stream, got a damaged one: {error}") from error
+    extended = bool(header.flags & HAS_EXTENSIONS)
+    if len(payload) < promised or not (inflater.eof or extended or surplus):
+        raise ValueError(f"{path}: expected {promised} bytes behind the header, got {len(payload)}: truncated")
+    if surplus and not extended:
+        raise ValueError(f"{path}: expected {promised} bytes behind the header, got more")
+    return header, np.frombuffer(payload, np.uint8)
+
+
+def _checked(path: Path, header: Header) -> Header:
+    if header.magic != b"NGSP":
+        raise ValueError(f"{path}: magic: expected b'NGSP', got {header.magic!r}")
+    if header.version not in (2, 3):
+        raise ValueError(f"{path}: version: expected 2 or 3, got {header.version}")
+    if header.points == 0:
+        raise ValueError(f"{path}: numPoints: expected at least 1, got 0")
+    if header.sh_degree > 3:
+        raise ValueError(f"{path}: shDegree: expected 0 to 3, got {header.sh_degree}")
+    if header.fractional_bits > 24:
+        raise ValueError(f"{path}: fractionalBits: expected at most 24, got {header.fractional_bits}")
+    return header
+
+
+def _positions(packed: Bytes, fractional_bits: int) -> NDArray[np.float32]:
+    """24-bit signed fixed point, little endian: [N, 9] → [N, 3]."""
+    wide = np.zeros((len(packed), 3, 4), np.uint8)
+    wide[:, :, 1:] = packed.reshape(-1, 3, 3)  # in the upper bytes, so that the shift extends the sign
+    fixed = wide.reshape(-1, 12).view("<i4") >> 8
+    return (fixed / np.float32(1 << fractional_bits)).astype(np.float32)
+
+
+def _first_three(packed: Bytes) -> NDArray[np.float32]:
+    """Version 2 rotations, x, y, z in a byte each and w ≥ 0: [N, 3] → wxyz [N, 4]."""
+    xyz = packed / np.float32(127.5) - np.float32(1.0)
+    w = np.sqrt(np.maximum(0.0, 1.0 - (xyz * xyz).sum(1, keepdims=True)))
+    return np.concatenate([w, xyz], 1).astype(np.float32)
+
+
+def _smallest_three(packed: Bytes) -> NDArray[np.float32]:
+    """Version 3 rotations: [N, 4] → wxyz [N, 4].
+
+    A little-endian word: two bits say which of x, y, z, w is the largest, which is left out and positive; the others
+    follow from the upper bits down, each a sign and 9 bits of magnitude over √½.
+    """
+    word = np.ascontiguousarray(packed).view("<u4")[:, 0]
+    largest = (word >> 30).astype(np.intp)
+    three = np.stack([word >> 20, word >> 10, word], 1)
+    values = (three & 511).astype(np.float32) * np.float32(0.5**0.5 / 511)
+    values *= 1.0 - 2.0 * ((three >> 9) & 1).astype(np.float32)
+    xyzw = np.empty((len(word), 4), np.float32)
+    left_out = np.arange(4) == largest[:, None]
+    xyzw[~left_out] = values.ravel()
+    xyzw[left_out] = np.sqrt(np.maximum(0.0, 1.0 - (values * values).sum(1)))
+    return np.roll(xyzw, 1, axis=1)

@@ -1,0 +1,41 @@
+"""Between stored values, logs and logits, and the activated ones of ``Gaussians``."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from splatrl.scenes.gaussians import Gaussians, checked_gaussians
+
+EDGE = 1e-9
+"""Opacities are stored as logits this far from 0 and 1: finite, and 1 again once they are float32."""
+
+Floats = NDArray[np.float32]
+
+
+def activated(
+    source: object, means: Floats, quats: Floats, log_scales: Floats, opacity_logits: Floats, sh: Floats
+) -> Gaussians:
+    """Gaussians of the values that a file stores.
+
+    Args:
+        source: what the values came from, for the messages.
+        means: [N, 3].
+        quats: [N, 4] wxyz, any length.
+        log_scales: [N, 3].
+        opacity_logits: [N].
+        sh: [N, K, 3].
+    """
+    return checked_gaussians(
+        str(source),
+        means=torch.from_numpy(means),
+        quats=torch.from_numpy(quats),
+        scales=torch.from_numpy(log_scales).double().exp(),
+        opacities=torch.from_numpy(opacity_logits).double().sigmoid(),
+        sh=torch.from_numpy(sh),
+    )
+
+
+def opacity_logits(opacities: Tensor) -> Tensor:
+    """What a file stores for opacities: [N] float64 logits, finite for 0 and 1 too."""
+    return opacities.double().clamp(EDGE, 1 - EDGE).logit()

@@ -1,0 +1,80 @@
+"""Where a splat file's own frame lies in the world: one similarity, described by people in YAML."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+AXES = {f"{sign}{axis}": (i, value) for i, axis in enumerate("xyz") for sign, value in (("", 1.0), ("-", -1.0))}
+
+
+def similarity(
+    axes: Sequence[str] = ("x", "y", "z"),
+    scale: float = 1.0,
+    translation: Sequence[float] = (0.0, 0.0, 0.0),
+    matrix: Sequence[Sequence[float]] | Tensor | None = None,
+) -> Tensor:
+    """Build ``world_from_splat``: a rotation, a uniform positive scale and a translation.
+
+    Args:
+        axes: the signed splat axes that give world x, y and z: ``["x", "-z", "y"]`` stands a y-up file upright,
+            ``["x", "z", "-y"]`` a −y-up one.
+        scale: metres a splat unit, above 0.
+        translation: [3] metres, added last.
+        matrix: [4, 4], in place of the other three.
+
+    Returns:
+        [4, 4] float64, from splat coordinates to world metres.
+
+    Raises:
+        ValueError: for a reflection, a non-uniform scale, or values that are neither axes nor finite numbers.
+    """
+    if matrix is not None:
+        if list(axes) != ["x", "y", "z"] or scale != 1.0 or list(translation) != [0.0, 0.0, 0.0]:
+            raise ValueError("world_from_splat: expected a matrix, or axes, scale and translation, got both")
+        return checked_similarity(matrix)
+    if len(axes) != 3 or not all(axis in AXES for axis in axes):
+        raise ValueError(f"world_from_splat.axes: expected 3 of {', '.join(AXES)}, got {list(axes)}")
+    if sorted(AXES[axis][0] for axis in axes) != [0, 1, 2]:
+        raise ValueError(f"world_from_splat.axes: expected each of x, y and z once, got {list(axes)}")
+    if not 0.0 < _number("scale", scale) < float("inf"):
+        raise ValueError(f"world_from_splat.scale: expected a finite number above 0, got {scale}")
+    if len(translation) != 3:
+        raise ValueError(f"world_from_splat.translation: expected 3 numbers, got {list(translation)}")
+    transform = torch.zeros(4, 4, dtype=torch.float64)
+    for row, axis in enumerate(axes):
+        column, sign = AXES[axis]
+        transform[row, column] = sign * scale
+    transform[:3, 3] = torch.tensor([_number("translation", v) for v in translation], dtype=torch.float64)
+    transform[3, 3] = 1.0
+    return checked_similarity(transform)
+
+
+def checked_similarity(matrix: Sequence[Sequence[float]] | Tensor) -> Tensor:
+    """A 4×4 similarity as float64, or a ValueError that says what else it is."""
+    rows = matrix if isinstance(matrix, Tensor) else [[_number("matrix", v) for v in row] for row in matrix]
+    if not isinstance(rows, Tensor) and [len(row) for row in rows] != [4, 4, 4, 4]:
+        raise ValueError(f"world_from_splat.matrix: expected 4 rows of 4, got {[len(row) for row in rows]}")
+    transform = torch.as_tensor(rows, dtype=torch.float64).cpu()
+    if transform.shape != (4, 4) or not transform.isfinite().all():
+        raise ValueError(f"world_from_splat.matrix: expected 4 by 4 finite numbers, got {transform.tolist()}")
+    if transform[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+        raise ValueError(f"world_from_splat.matrix: expected a last row of 0, 0, 0, 1, got {transform[3].tolist()}")
+    linear = transform[:3, :3]
+    lengths = linear.norm(dim=0)
+    if lengths.min() <= 0.0 or not torch.allclose(lengths, lengths.mean(), rtol=1e-4):
+        raise ValueError(f"world_from_splat: expected one scale above 0 for all axes, got {lengths.tolist()}")
+    rotation = linear / lengths.mean()
+    if not torch.allclose(rotation.T @ rotation, torch.eye(3, dtype=torch.float64), atol=1e-4):
+        raise ValueError(f"world_from_splat: expected axes at right angles, got {linear.tolist()}")
+    if rotation.det() < 0:
+        raise ValueError(
+            f"world_from_splat: expected a rotation, got a reflection: {linear.tolist()}; flip the sign of one axis"
+        )
+    return transform
+
+
+def _number(name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"world_from_splat.{name}: expected numbers, got {value!r}")
+    return float(value)
