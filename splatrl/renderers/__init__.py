@@ -1,7 +1,8 @@
 """Renderers: from cameras to images of one scene."""
 
 from splatrl.renderers.base import Renderer, RenderOutput
+from splatrl.renderers.lattice import LatticeRenderer
 from splatrl.renderers.native import NativeRenderer
 from splatrl.renderers.reference import ReferenceRenderer
 
-__all__ = ["NativeRenderer", "ReferenceRenderer", "RenderOutput", "Renderer"]
+__all__ = ["LatticeRenderer", "NativeRenderer", "ReferenceRenderer", "RenderOutput", "Renderer"]

@@ -1,5 +1,6 @@
 """What every renderer promises."""
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import torch
@@ -54,3 +55,15 @@ def require_finite(cameras: Cameras) -> None:
     if not poses[row]:
         raise ValueError(f"camera_to_world[{row}]: expected finite values, got {cameras.camera_to_world[row].tolist()}")
     raise ValueError(f"K[{row}]: expected finite values and positive focal lengths, got {cameras.K[row].tolist()}")
+
+
+def checked_background(background: Sequence[float]) -> tuple[float, float, float]:
+    """A background colour as three floats.
+
+    Raises:
+        ValueError: for anything but three numbers in [0, 1].
+    """
+    if len(background) != 3 or not all(0.0 <= value <= 1.0 for value in background):
+        raise ValueError(f"background: expected red, green and blue in [0, 1], got {tuple(background)}")
+    red, green, blue = (float(value) for value in background)
+    return red, green, blue

@@ -1,6 +1,7 @@
 """The renderer for processors: exact, C++, one frame per core."""
 
 import os
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -8,7 +9,7 @@ from torch import Tensor
 from splatrl.cameras import Cameras
 from splatrl.geometry import quats_to_rotations
 from splatrl.native import _core
-from splatrl.renderers.base import RenderOutput, require_finite
+from splatrl.renderers.base import RenderOutput, checked_background, require_finite
 from splatrl.scenes.gaussians import Gaussians
 
 
@@ -32,7 +33,7 @@ class NativeRenderer:
         self,
         gaussians: Gaussians,
         antialiased: bool = True,
-        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        background: Sequence[float] = (0.0, 0.0, 0.0),
         threads: int | None = None,
     ) -> None:
         if threads is not None and threads < 1:
@@ -50,7 +51,7 @@ class NativeRenderer:
             if not bool(value.isfinite().all()):
                 raise ValueError(f"gaussians.{name}: expected finite values")
         self._core = _core.Renderer(
-            **arrays, degree=gaussians.sh_degree, antialiased=antialiased, background=background
+            **arrays, degree=gaussians.sh_degree, antialiased=antialiased, background=checked_background(background)
         )
 
     def render(self, cameras: Cameras) -> RenderOutput:

@@ -1,5 +1,6 @@
 """The renderer that the fast ones are tested against: plain torch, any device, any float type, differentiable."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -7,7 +8,7 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.geometry import invert_rigid
-from splatrl.renderers.base import RenderOutput, require_finite, to_pixels
+from splatrl.renderers.base import RenderOutput, checked_background, require_finite, to_pixels
 from splatrl.scenes.gaussians import INVISIBLE, Gaussians
 from splatrl.spherical_harmonics import sh_colors
 
@@ -60,11 +61,11 @@ class ReferenceRenderer:
         self,
         gaussians: Gaussians,
         antialiased: bool = True,
-        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        background: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> None:
         self.gaussians = gaussians
         self.antialiased = antialiased
-        self.background = background
+        self.background = checked_background(background)
 
     def render(self, cameras: Cameras) -> RenderOutput:
         """Colour, depth and alpha of each camera, on the device and in the float type of the Gaussians."""
