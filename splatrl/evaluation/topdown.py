@@ -4,10 +4,12 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras, look_at
+from splatrl.collision.occupancy import Occupancy
 from splatrl.renderers import ReferenceRenderer
 from splatrl.renderers.base import Renderer
 from splatrl.scenes.gaussians import Gaussians
@@ -88,35 +90,28 @@ def _floor(
     return beside.all(1) & small & (means[:, 2] < below) & (means[:, 2] > below - DEPTH)
 
 
-def footprint(
-    centers: Tensor, resolution: float, low: float, high: float, extent: tuple[float, float, float, float], width: int
-) -> Tensor:
-    """Where voxels between two heights stand, as a mask that lies over a top-down picture.
+def footprint(occupancy: Occupancy, low: float, high: float, ground: TopDown) -> Tensor:
+    """What is solid between two heights, as a mask that lies over a top-down picture.
 
     Args:
-        centers: [K, 3] centres of occupied voxels on one lattice, metres, world frame.
-        resolution: edge of a voxel, metres.
+        occupancy: of the scene.
         low: lower end of the heights that count, metres.
         high: upper end.
-        extent: of the picture, see ``TopDown``.
-        width: of the picture, pixels; its pixels are square.
+        ground: the picture.
 
     Returns:
-        [H, W] bool, true where the pixel's centre is in an occupied voxel seen from above.
+        [H, W] bool, true where the pixel's centre is in a solid voxel seen from above.
     """
-    left, right, bottom, top = extent
-    height = round(width * (top - bottom) / (right - left))
-    x = left + (torch.arange(width, dtype=torch.float64) + 0.5) * (right - left) / width
-    y = top - (torch.arange(height, dtype=torch.float64) + 0.5) * (top - bottom) / height
-    overlaps = (centers[:, 2] + 0.5 * resolution > low) & (centers[:, 2] - 0.5 * resolution < high)
-    flat = centers[overlaps, :2].double().cpu()
-    if len(flat) == 0:
-        return torch.zeros(height, width, dtype=torch.bool)
-    origin = flat.amin(0) - 0.5 * resolution
-    cells = ((flat - origin) / resolution).long()
-    solid = torch.zeros(*(cells.amax(0) + 1).tolist(), dtype=torch.bool)
-    solid[cells[:, 0], cells[:, 1]] = True
-    column, row = ((at - corner).div(resolution).floor().long() for at, corner in zip((x, y), origin, strict=True))
-    inside = ((column >= 0) & (column < len(solid))) & ((row >= 0) & (row < solid.shape[1])).unsqueeze(1)
-    looked_up = solid[column.clamp(0, solid.shape[0] - 1)][:, row.clamp(0, solid.shape[1] - 1)].T
-    return looked_up & inside
+    left, _, _, top = ground.extent
+    height, width = ground.image.shape[:2]
+    x = left + (np.arange(width) + 0.5) / ground.pixels_per_metre
+    y = top - (np.arange(height) + 0.5) / ground.pixels_per_metre
+    origin = np.array(occupancy.origin_key)
+    bottom, ceiling = (round_(z / occupancy.resolution) for round_, z in ((math.floor, low), (math.ceil, high)))
+    layers = occupancy.occupied[:, :, max(bottom - origin[2], 0) : max(ceiling - origin[2], 0)].any(2)
+    padded = np.pad(layers, 1)  # whatever is outside the grid is free, and so is its padding
+    column, row = (
+        (np.floor(at / occupancy.resolution).astype(int) - key + 1).clip(0, count - 1)
+        for at, key, count in zip((x, y), origin, padded.shape, strict=False)
+    )
+    return torch.from_numpy(padded[np.ix_(column, row)].T.copy())

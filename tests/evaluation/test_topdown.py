@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from splatrl.evaluation.topdown import footprint, top_down
+from splatrl.collision.occupancy import Occupancy
+from splatrl.evaluation.topdown import TopDown, footprint, top_down
 from splatrl.renderers import ReferenceRenderer
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
@@ -88,9 +89,13 @@ def test_a_window_without_area_or_content_is_refused() -> None:
         top_down(scene, LOWER, UPPER, below=-3.0)
 
 
+EXTENT = (-1.0, 2.0, 2.0, 4.0)
+GROUND = TopDown(torch.zeros(20, 30, 3, dtype=torch.uint8), EXTENT)  # 0.1 m a pixel
+
+
 def test_a_footprint_covers_the_pixels_of_its_voxels_and_no_other() -> None:
-    centers = torch.tensor([[0.25, 2.75, 0.5], [1.75, 2.25, 0.5], [1.25, 2.25, 1.6], [1.25, 2.25, -0.3]])
-    solid = footprint(centers, 0.5, low=0.3, high=1.2, extent=(-1.0, 2.0, 2.0, 4.0), width=30)
+    occupancy = Occupancy.from_keys([[0, 5, 1], [3, 4, 1], [2, 4, 3], [2, 4, -1]], 0.5)
+    solid = footprint(occupancy, low=0.3, high=1.2, ground=GROUND)
     expected = torch.zeros(20, 30, dtype=torch.bool)
     expected[10:15, 10:15] = True  # x 0 to 0.5, y 2.5 to 3
     expected[15:20, 25:30] = True  # x 1.5 to 2, y 2 to 2.5
@@ -98,10 +103,10 @@ def test_a_footprint_covers_the_pixels_of_its_voxels_and_no_other() -> None:
 
 
 def test_a_voxel_that_only_reaches_into_the_heights_counts() -> None:
-    center = torch.tensor([[0.25, 2.75, 0.5]])
-    for low, high, counts in ((0.7, 1.0, True), (0.8, 1.0, False), (-1.0, 0.3, True), (-1.0, 0.2, False)):
-        assert footprint(center, 0.5, low, high, (-1.0, 2.0, 2.0, 4.0), 30).any() == counts
+    occupancy = Occupancy.from_keys([[0, 5, 1]], 0.5)  # from 0.5 m to 1 m
+    for low, high, counts in ((0.9, 2.0, True), (1.0, 2.0, False), (-1.0, 0.6, True), (-1.0, 0.5, False)):
+        assert footprint(occupancy, low, high, GROUND).any() == counts
 
 
-def test_a_footprint_of_nothing_is_empty() -> None:
-    assert not footprint(torch.zeros(0, 3), 0.5, 0.0, 1.0, (-1.0, 2.0, 2.0, 4.0), 30).any()
+def test_the_footprint_of_nothing_is_empty() -> None:
+    assert not footprint(Occupancy.empty(), 0.0, 1.0, GROUND).any()

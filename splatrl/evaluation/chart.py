@@ -1,0 +1,119 @@
+"""The map of a video: drawn once, and the robot on it again for every picture."""
+
+import math
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+from torch import Tensor
+
+from splatrl.bodies import Body, Box, Sphere
+from splatrl.envs.tasks import Outcome
+from splatrl.evaluation.figures import ARROW, BLUE, GOAL, INK, MISSED, PARTLY, REACHED
+from splatrl.evaluation.recording import Recording
+from splatrl.evaluation.topdown import TopDown
+
+FINE = 2
+"""The map is drawn this much larger and then reduced, which smooths its lines."""
+COLORS = {
+    Outcome.RUNNING: BLUE,
+    Outcome.GOAL: REACHED,
+    Outcome.TIMEOUT: PARTLY,
+    Outcome.COLLISION: MISSED,
+    Outcome.OUT_OF_BOUNDS: MISSED,
+}
+
+
+def font(size: int) -> ImageFont.FreeTypeFont:
+    """The font that matplotlib brings, so that every machine has it."""
+    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)
+
+
+class Chart:
+    """The map of one scene and task.
+
+    Args:
+        ground: the picture.
+        solid: [H, W] bool over the picture, what is solid at the height of the body.
+        goal: [3] x, y and yaw of the goal pose.
+        body: of the robot.
+        box: largest width and height, pixels.
+
+    Attributes:
+        size: width and height, pixels.
+    """
+
+    def __init__(self, ground: TopDown, solid: Tensor | None, goal: Tensor, body: Body, box: tuple[int, int]):
+        height, width = ground.image.shape[:2]
+        zoom = min(box[0] / width, box[1] / height)
+        self.size = (round(zoom * width), round(zoom * height))
+        self.scale = FINE * self.size[0] / width * ground.pixels_per_metre  # pixels a metre
+        self.corner = np.array([ground.extent[0], ground.extent[3]])
+        self.body = _outline(body)
+        image = 0.3 * 255 + 0.7 * np.asarray(ground.image, dtype=np.float64)
+        if solid is not None:
+            image[np.asarray(solid)] *= 0.45
+        fine = (FINE * self.size[0], FINE * self.size[1])
+        self.static = Image.fromarray(image.astype(np.uint8)).resize(fine, Image.Resampling.BICUBIC)
+        pose = np.asarray(goal, dtype=np.float64)
+        length = 26 / self.scale * FINE  # metres
+        pen = ImageDraw.Draw(self.static)
+        pen.polygon(self._place(ARROW * (length, 0.35 * length), pose), fill=GOAL, outline=INK, width=FINE)
+        self._dot(pen, pose[:2], 5, GOAL)
+        self._ruler(pen)
+
+    def draw(self, recording: Recording, step: int) -> Image.Image:
+        """The map after some steps of an episode."""
+        image = self.static.copy()
+        pen = ImageDraw.Draw(image)
+        trail = np.asarray(recording.planar[: step + 1], dtype=np.float64)
+        for color, width in (("white", 5), (BLUE, 3)):
+            pen.line(self._pixels(trail[:, :2]), fill=color, width=width * FINE, joint="curve")
+        for position in trail[:, :2]:
+            self._dot(pen, position, 3, BLUE)
+        self._dot(pen, trail[0, :2], 5, "white")
+        ended = step == len(recording.action)
+        color = COLORS[recording.outcome if ended else Outcome.RUNNING]
+        pen.polygon(self._place(self.body, trail[-1]), outline="white", width=4 * FINE)
+        pen.polygon(self._place(self.body, trail[-1]), outline=color, width=2 * FINE)
+        length = 16 / self.scale * FINE
+        pointer = length * np.array([[1.3, 0.0], [-0.7, 0.55], [-0.4, 0.0], [-0.7, -0.55]])
+        pen.polygon(self._place(pointer, trail[-1]), fill=color, outline="white", width=FINE)
+        return image.reduce(FINE)
+
+    def _pixels(self, positions: NDArray[np.float64]) -> list[tuple[float, float]]:
+        """World x and y -> fine pixels: [N, 2]."""
+        columns, rows = ((positions - self.corner) * (self.scale, -self.scale)).T
+        return list(zip(columns.tolist(), rows.tolist(), strict=True))
+
+    def _place(self, shape: NDArray[np.float64], planar: NDArray[np.float64]) -> list[tuple[float, float]]:
+        """Put a shape at a pose: [K, 2] metres in the body frame -> fine pixels."""
+        cos, sin = math.cos(planar[2]), math.sin(planar[2])
+        return self._pixels(shape @ np.array([[cos, sin], [-sin, cos]]) + planar[:2])
+
+    def _dot(self, pen: ImageDraw.ImageDraw, position: NDArray[np.float64], radius: float, color: str) -> None:
+        (center,) = self._pixels(position[None])
+        pen.circle(center, radius * FINE, fill=color, outline=INK, width=FINE)
+
+    def _ruler(self, pen: ImageDraw.ImageDraw) -> None:
+        """A bar of a round number of metres."""
+        width, height = FINE * self.size[0], FINE * self.size[1]
+        metres = 10.0 ** math.floor(math.log10(0.4 * width / self.scale))
+        metres *= max(factor for factor in (1, 2, 5) if factor * metres * self.scale <= 0.4 * width)
+        left, base = 12 * FINE, height - 12 * FINE
+        for color, grow in (("white", 2 * FINE), (INK, 0)):
+            box = (left - grow, base - 3 * FINE - grow, left + metres * self.scale + grow, base + grow)
+            pen.rectangle(box, fill=color)
+        place = (left, base - 8 * FINE)
+        pen.text(place, f"{metres:g} m", INK, font(14 * FINE), "ls", stroke_width=2 * FINE, stroke_fill="white")
+
+
+def _outline(body: Body) -> NDArray[np.float64]:
+    """A body seen from above: [K, 2] metres, body frame."""
+    if isinstance(body, Box):
+        return 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * body.size[:2]
+    radius = body.radius if isinstance(body, Sphere) else body.cap_radius
+    angles = np.linspace(0, math.tau, 32, endpoint=False)
+    return radius * np.stack([np.cos(angles), np.sin(angles)], -1)

@@ -1,0 +1,248 @@
+"""The pictures of a finished training: how it learned, and from where it succeeds."""
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
+from numpy.typing import NDArray
+from torch import Tensor
+
+from splatrl.evaluation.topdown import TopDown
+
+REACHED, PARTLY, MISSED = "#009e73", "#e69f00", "#d55e00"  # told apart with any colour vision
+GOAL, TEST, BLUE, PURPLE, INK = "#e0409f", "#f0e442", "#0072b2", "#8a5a99", "#222222"
+DPI = 160
+MAP_SIZE = 5.8
+"""Inches: the longer side of a map."""
+FOOT = 1.1
+"""Inches below a map for its axis and legend."""
+ARROW = np.array([[0.2, 0.22], [0.68, 0.42], [0.68, 1.0], [1.0, 0.0], [0.68, -1.0], [0.68, -0.42], [0.2, -0.22]])
+"""[7, 2]: an arrow along +x, thin at its foot; x in lengths, y in half widths of the head."""
+
+
+def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
+    """Draw success, curriculum level and return over the frames of a training.
+
+    Args:
+        history: a row an iteration with ``frames`` and what there is of ``success``, ``test_success``, ``level``
+            (from 0), ``return`` and ``episodes``; absent values and NaN leave a gap.
+        path: of the picture; its suffix is the format.
+    """
+    figure = Figure(figsize=(7.2, 5.4), dpi=DPI, layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    frames, episodes = _column(history, "frames"), np.nan_to_num(_column(history, "episodes"), nan=1.0)
+    tests = _column(history, "test_success")
+    levels = above.twinx()
+    level = _column(history, "level") + 1
+    levels.fill_between(frames, 0, level, step="mid", color=PURPLE, alpha=0.12, linewidth=0)
+    levels.step(frames, level, where="mid", color=PURPLE, linewidth=1.2)
+    levels.set_ylim(0, max([1.0, *level[~np.isnan(level)]]) * 1.05)
+    levels.yaxis.set_major_locator(MaxNLocator(integer=True))
+    levels.set_ylabel("curriculum level", color=PURPLE)
+    levels.tick_params(axis="y", colors=PURPLE)
+    above.set_zorder(levels.get_zorder() + 1)
+    above.patch.set_visible(False)
+    _curve(above, frames, _column(history, "success"), episodes, BLUE)
+    above.plot(frames, tests, "D", color=INK, markersize=4.5, markerfacecolor=TEST, clip_on=False)
+    above.set(ylabel="success", ylim=(-0.02, 1.02))
+    above.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    handles = [
+        Line2D([], [], color=BLUE, linewidth=2, label="training episodes"),
+        Line2D([], [], color=INK, marker="D", markersize=4.5, markerfacecolor=TEST, linewidth=0, label="test"),
+        Line2D([], [], color=PURPLE, linewidth=1.2, label="curriculum level"),
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False)
+    _curve(below, frames, _column(history, "return"), episodes, BLUE)
+    below.set(xlabel="frames", ylabel="episode return")
+    below.xaxis.set_major_formatter(EngFormatter(sep=""))
+    for axes in (above, below):
+        axes.grid(color="0.9", linewidth=0.8)
+        axes.set_axisbelow(True)
+        axes.margins(x=0.01)
+    below.set_xlim(left=0)
+    _save(figure, path)
+
+
+def start_map(
+    planar: Tensor,
+    success: Tensor,
+    goal: Tensor,
+    ground: TopDown,
+    path: Path,
+    solid: Tensor | None = None,
+    blocked: Tensor | None = None,
+) -> None:
+    """Draw every start pose as an arrow, coloured by whether the goal was reached from it.
+
+    Headings at one position make a rosette around it.
+
+    Args:
+        planar: [N, 3] x and y in metres and yaw in radians of the starts; a pose can occur more than once.
+        success: [N] bool.
+        goal: [3] x, y and yaw of the goal pose.
+        ground: what the map is drawn on.
+        path: of the picture; its suffix is the format.
+        solid: [H, W] bool over the ground's picture, what is solid at the height of the body (``footprint``).
+        blocked: [M, 2] x and y of positions where the body fits in no heading, metres.
+    """
+    poses, rate = _mean_by_row(planar, success)
+    length = 0.5 * _spacing(poses, ground)
+    headings = np.unique(poses[:, :2], axis=0, return_counts=True)[1].max()
+    half_width = min(0.14 * length, 0.75 * length * math.pi * 0.68 / headings)
+    kinds = [
+        (rate == 1, REACHED, "goal reached"),
+        ((rate > 0) & (rate < 1), PARTLY, "reached in part of the episodes"),
+        (rate == 0, MISSED, "not reached"),
+    ]
+    figure, axes = _map(ground, solid, colourful=True)
+    handles: list[Patch | Line2D] = []
+    for order, (mask, color, label) in enumerate(kinds):
+        if mask.any():
+            arrows = list(_arrows(poses[mask], length, half_width))
+            axes.add_collection(
+                PolyCollection(arrows, facecolors=color, edgecolors="white", linewidths=0.15, zorder=3 + order)
+            )
+            handles.append(Patch(color=color, label=label))
+    if blocked is not None and len(blocked):
+        x, y = np.asarray(blocked).T
+        halo = [withStroke(linewidth=3, foreground="white")]
+        axes.plot(x, y, "x", color=INK, markersize=4, markeredgewidth=1.2, zorder=2.5, path_effects=halo)
+        handles.append(Line2D([], [], color=INK, marker="x", markersize=5, linewidth=0, label="body does not fit"))
+    handles += _goal(axes, goal, length)
+    rows = len(poses), int((rate == 1).sum())
+    axes.set_title(f"goal reached from {rows[1]:,} of {rows[0]:,} start poses ({rows[1] / rows[0]:.1%})", fontsize=10)
+    _finish(figure, handles, solid, path)
+
+
+def success_map(
+    planar: Tensor, success: Tensor, goal: Tensor, ground: TopDown, path: Path, solid: Tensor | None = None
+) -> None:
+    """Draw the success rate by start position, the mean over headings and repetitions, as coloured cells.
+
+    Positions on a lattice get a cell each; positions that are no lattice are pooled in 20 cells across the picture.
+
+    Args:
+        planar: [N, 3] x and y in metres and yaw in radians of the starts.
+        success: [N] bool.
+        goal: [3] x, y and yaw of the goal pose.
+        ground: what the map is drawn on.
+        path: of the picture; its suffix is the format.
+        solid: [H, W] bool over the ground's picture, what is solid at the height of the body (``footprint``).
+    """
+    positions = np.asarray(planar, dtype=np.float64)[:, :2]
+    cell, corner = _spacing(positions, ground), positions.min(0)
+    cells, rate = _mean_by_row(((positions - corner) / cell).round(), success)
+    centers = corner + cells * cell
+    half = 0.43 * cell
+    squares = centers[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    figure, axes = _map(ground, solid, colourful=False)
+    heat = PolyCollection(
+        squares, array=rate, cmap="viridis", clim=(0, 1), edgecolors="white", linewidths=0.4, zorder=3
+    )
+    axes.add_collection(heat)
+    scale = axes.inset_axes((1.03, 0.0, 0.04, 1.0))
+    bar = figure.colorbar(heat, cax=scale, format=PercentFormatter(1.0, decimals=0))
+    bar.set_label("success, mean over headings")
+    mean = np.asarray(success, dtype=np.float64).mean()
+    axes.set_title(f"success by start position (all starts {mean:.1%})", fontsize=10)
+    _finish(figure, _goal(axes, goal, 0.5 * cell), solid, path)
+
+
+def _column(history: Sequence[Mapping[str, float]], key: str) -> NDArray[np.float64]:
+    return np.array([row.get(key, math.nan) for row in history], dtype=np.float64)
+
+
+def _curve(
+    axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], weights: NDArray[np.float64], color: str
+) -> None:
+    """The raw values, faint, and their weighted mean over the last twelfth of the rows."""
+    known = ~np.isnan(y)
+    x, y, weights = x[known], y[known], weights[known]
+    axes.plot(x, y, ".-", color=color, linewidth=0.8, markersize=4, alpha=0.35)
+    rows = math.ceil(len(y) / 12)
+    sums = [np.convolve(values, np.ones(rows))[: len(y)] for values in (weights * y, weights)] if len(y) else [y, y]
+    axes.plot(x, sums[0] / sums[1], color=color, linewidth=2)
+
+
+def _mean_by_row(rows: Tensor | NDArray[np.float64], values: Tensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The distinct rows, and the mean of the values of each."""
+    distinct, row = np.unique(np.asarray(rows, dtype=np.float64).round(6), axis=0, return_inverse=True)
+    row = row.reshape(-1)
+    return distinct, np.bincount(row, np.asarray(values, dtype=np.float64)) / np.bincount(row)
+
+
+def _spacing(positions: NDArray[np.float64], ground: TopDown) -> float:
+    """Distance between neighbouring positions of a lattice, or a size that reads well where there is no lattice."""
+    left, right, bottom, top = ground.extent
+    side = max(right - left, top - bottom)
+    gaps = np.concatenate([np.diff(np.unique(positions[:, axis].round(6))) for axis in (0, 1)])
+    spacing = gaps.min() if len(gaps) else side
+    return float(min(spacing, side / 8)) if spacing > side / 60 else side / 20
+
+
+def _arrows(planar: NDArray[np.float64], length: float, half_width: float) -> NDArray[np.float64]:
+    """Outlines of arrows that start at poses: [N, 3] -> [N, 7, 2]."""
+    cos, sin = np.cos(planar[:, 2]), np.sin(planar[:, 2])
+    turn = np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], -2)  # row vectors
+    return planar[:, None, :2] + (ARROW * (length, half_width)) @ turn
+
+
+def _map(ground: TopDown, solid: Tensor | None, colourful: bool) -> tuple[Figure, Axes]:
+    """Axes in metres over a picture of the ground that is pale enough to draw on."""
+    left, right, bottom, top = ground.extent
+    inches = MAP_SIZE / max(right - left, top - bottom)
+    width, height = inches * (right - left), inches * (top - bottom)
+    page_width, page_height = max(width, 4.8) + 1.6, height + FOOT + 0.4
+    figure = Figure(figsize=(page_width, page_height), dpi=DPI)
+    axes = figure.add_axes(
+        (0.5 - 0.5 * width / page_width, FOOT / page_height, width / page_width, height / page_height)
+    )
+    image = np.asarray(ground.image, dtype=np.float64) / 255
+    image = image if colourful else image @ np.array([0.299, 0.587, 0.114])[:, None] * np.ones(3)
+    axes.imshow(0.5 + 0.5 * image, extent=ground.extent, interpolation="antialiased")
+    if solid is not None and solid.any():
+        mask = np.pad(np.asarray(solid, dtype=np.float64), 1)  # so that the outline closes at the picture's edge
+        pixel = (right - left) / solid.shape[1]
+        x = left + (np.arange(-1, solid.shape[1] + 1) + 0.5) * pixel
+        y = top - (np.arange(-1, solid.shape[0] + 1) + 0.5) * pixel
+        axes.contourf(x, y, mask, levels=[0.5, 2], colors=["none"], hatches=["//////"], zorder=2)
+        axes.contour(x, y, mask, levels=[0.5], colors=[INK], linewidths=1.0, zorder=2)
+    axes.set(xlabel="x (m)", ylabel="y (m)", xlim=(left, right), ylim=(bottom, top), aspect="equal")
+    return figure, axes
+
+
+def _goal(axes: Axes, goal: Tensor, length: float) -> list[Patch | Line2D]:
+    pose = np.asarray(goal, dtype=np.float64)[None]
+    axes.add_collection(
+        PolyCollection(
+            list(_arrows(pose, 1.2 * length, 0.4 * length)), facecolors=GOAL, edgecolors=INK, linewidths=1, zorder=9
+        )
+    )
+    axes.plot(*pose[0, :2], "o", color=GOAL, markeredgecolor=INK, markersize=6, zorder=9)
+    return [Line2D([], [], color=GOAL, marker="o", markeredgecolor=INK, markersize=6, linewidth=0, label="goal pose")]
+
+
+def _finish(figure: Figure, handles: list[Patch | Line2D], solid: Tensor | None, path: Path) -> None:
+    if solid is not None and solid.any():
+        handles.append(Patch(facecolor="none", edgecolor=INK, hatch="//////", label="solid"))
+    top = (FOOT - 0.5) / figure.get_figheight()
+    figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, top), ncols=3, frameon=False, fontsize=9)
+    _save(figure, path)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    """Write under a temporary name and rename, so that nobody meets half a picture."""
+    FigureCanvasAgg(figure)
+    temporary = path.with_name(path.name + ".tmp")
+    figure.savefig(temporary, format=path.suffix.removeprefix("."), bbox_inches="tight")
+    os.replace(temporary, path)

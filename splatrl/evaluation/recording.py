@@ -1,0 +1,87 @@
+"""Episodes step by step, to be looked at."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from splatrl.envs.splat_env import SplatEnv
+from splatrl.envs.tasks import Outcome
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One finished episode of T steps, its start included.
+
+    Attributes:
+        planar: [T + 1, 3] x and y in metres and yaw in radians.
+        body_to_world: [T + 1, 4, 4].
+        pixels: [T + 1, H, W, 3] uint8, what the policy saw.
+        action: [T, ...].
+        episode_return: [T + 1] float32, so far.
+        outcome: how it ended.
+    """
+
+    planar: Tensor
+    body_to_world: Tensor
+    pixels: Tensor
+    action: Tensor
+    episode_return: Tensor
+    outcome: Outcome
+
+
+@torch.no_grad()
+def record_episodes(
+    env: SplatEnv,
+    policy: Callable[[TensorDictBase], TensorDictBase],
+    starts: Tensor,
+    sampled: bool = True,
+    seed: int = 0,
+) -> list[Recording]:
+    """Record one episode from each start, side by side; PyTorch's global generator is left as it was.
+
+    Args:
+        env: has as many robots as there are starts.
+        policy: reads ``pixels``, writes ``action``.
+        starts: [N, D] states.
+        sampled: sample from the policy's distribution, or take its mode.
+        seed: of the sampling.
+
+    Raises:
+        ValueError: for an env of another size.
+    """
+    if env.numel() != len(starts):
+        raise ValueError(f"env: expected as many robots as starts, {len(starts)}, got {env.numel()}")
+    kind = ExplorationType.RANDOM if sampled else ExplorationType.DETERMINISTIC
+    steps: list[TensorDictBase] = []
+    with torch.random.fork_rng(devices=[]), set_exploration_type(kind):
+        torch.manual_seed(seed)
+        given = TensorDict({"state": starts}, batch_size=env.batch_size, device=env.device)
+        now = env.reset(given, set_state=True)
+        running = torch.ones(len(starts), dtype=torch.bool)
+        while running.any():  # a robot that has finished goes on unrecorded until all have
+            step = env.step(policy(now))
+            steps.append(step.cpu())
+            running &= ~steps[-1]["next", "done"].squeeze(1)
+            now = env.step_mdp(step)
+    return [_recording(env, [step[row] for step in steps]) for row in range(len(starts))]
+
+
+def _recording(env: SplatEnv, steps: list[TensorDictBase]) -> Recording:
+    length = next(i for i, step in enumerate(steps, 1) if step["next", "done"])
+    steps = steps[:length]
+    states = [steps[0], *(step["next"] for step in steps)]
+    keys = "state", "pixels", "episode_return"
+    state, pixels, episode_return = (torch.stack([now[key] for now in states]) for key in keys)
+    motion, state = env.task.motion, state.to(env.device)
+    return Recording(
+        planar=motion.planar(state).cpu(),
+        body_to_world=motion.body_to_world(state).cpu(),
+        pixels=pixels,
+        action=torch.stack([step["action"] for step in steps]),
+        episode_return=episode_return.squeeze(1),
+        outcome=Outcome(int(steps[-1]["next", "outcome"])),
+    )

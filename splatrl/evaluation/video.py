@@ -1,0 +1,141 @@
+"""Clips of episodes: what the robot sees beside where it is."""
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+
+import av
+from PIL import Image, ImageDraw
+from torch import Tensor
+
+from splatrl.envs.robot import Robot
+from splatrl.envs.tasks import Outcome
+from splatrl.evaluation.chart import COLORS, Chart, font
+from splatrl.evaluation.figures import INK
+from splatrl.evaluation.recording import Recording
+from splatrl.evaluation.topdown import TopDown
+from splatrl.renderers.base import Renderer
+
+PANEL, WIDEST, GAP, STRIP = 384, 512, 8, 60
+"""Pixels: height of both panels, largest width of the map, space around them, height of the text."""
+HOLD = 0.7
+"""Seconds for which the last picture of an episode stays."""
+BATCH = 8
+"""Large views rendered at once; bounds the memory."""
+
+
+def rollout_video(
+    recordings: Sequence[Recording],
+    robot: Robot,
+    goal: Tensor,
+    ground: TopDown,
+    path: Path,
+    solid: Tensor | None = None,
+    renderer: Renderer | None = None,
+    action_names: Sequence[str] = (),
+    fps: int = 6,
+) -> None:
+    """Write episodes one after the other as an mp4: the ego view beside a map with the robot and its trail.
+
+    Args:
+        recordings: the episodes.
+        robot: body and camera.
+        goal: [3] x, y and yaw of the goal pose.
+        ground: what the map is drawn on.
+        path: of the video.
+        solid: [H, W] bool over the ground's picture, what is solid at the height of the body.
+        renderer: renders the ego view large, with the policy's own pixels in its corner; without one those pixels are
+            enlarged.
+        action_names: by the number of an action.
+        fps: steps in a second of video.
+
+    Raises:
+        ValueError: without a recording.
+    """
+    if not recordings:
+        raise ValueError("recordings: expected at least one episode, got none")
+    chart = Chart(ground, solid, goal, robot.body, (WIDEST, PANEL))
+    _encode(_frames(recordings, robot, chart, renderer, action_names, fps), path, fps)
+
+
+def _frames(
+    recordings: Sequence[Recording],
+    robot: Robot,
+    chart: Chart,
+    renderer: Renderer | None,
+    action_names: Sequence[str],
+    fps: int,
+) -> Iterator[Image.Image]:
+    for number, recording in enumerate(recordings, 1):
+        last = len(recording.action)
+        for step, view in enumerate(_views(recording, robot, renderer)):
+            width = view.width + chart.size[0] + 3 * GAP
+            page = Image.new("RGB", (width + width % 2, PANEL + 2 * GAP + STRIP), INK)
+            page.paste(view, (GAP, GAP))
+            page.paste(chart.draw(recording, step), (view.width + 2 * GAP, GAP + (PANEL - chart.size[1]) // 2))
+            facts = [
+                ("episode", f"{number} of {len(recordings)}"),
+                ("step", str(step)),
+                ("action", _action(recording.action[step - 1], action_names) if step else "none yet"),
+                ("return", f"{recording.episode_return[step]:.1f}"),
+            ]
+            _caption(page, facts, recording.outcome if step == last else Outcome.RUNNING)
+            for _ in range(1 + round(HOLD * fps) * (step == last)):
+                yield page
+
+
+def _views(recording: Recording, robot: Robot, renderer: Renderer | None) -> Iterator[Image.Image]:
+    """The ego view at each step, PANEL pixels high."""
+    large = replace(robot, image_height=PANEL, image_width=round(PANEL * robot.image_width / robot.image_height))
+    size = (large.image_width, PANEL)
+    for seen, poses in zip(recording.pixels.split(BATCH), recording.body_to_world.split(BATCH), strict=True):
+        views = seen if renderer is None else renderer.pixels(large.cameras(poses)).cpu()
+        for own, view in zip(seen.numpy(), views.numpy(), strict=True):
+            image = Image.fromarray(view).resize(size, Image.Resampling.NEAREST)
+            if renderer is not None:
+                small = Image.fromarray(own).resize((size[0] // 3, PANEL // 3), Image.Resampling.NEAREST)
+                corner = (size[0] - small.width - 6, PANEL - small.height - 6)
+                image.paste("white", (corner[0] - 2, corner[1] - 2, size[0] - 4, PANEL - 4))
+                image.paste(small, corner)
+            yield image
+
+
+def _action(action: Tensor, names: Sequence[str]) -> str:
+    if names:
+        return names[int(action)]
+    return " ".join(f"{value:.3g}" for value in action.reshape(-1).tolist())
+
+
+def _caption(page: Image.Image, facts: list[tuple[str, str]], outcome: Outcome) -> None:
+    """Write facts below the panels, and the outcome as a badge."""
+    pen = ImageDraw.Draw(page)
+    column, top = page.width / (len(facts) + 1), page.height - STRIP + 4
+    for number, (name, value) in enumerate([*facts, ("outcome", "")]):
+        left = number * column + 2 * GAP
+        pen.text((left, top), name, fill="#aaaaaa", font=font(12), anchor="lt")
+        pen.text((left, top + 36), value, fill="white", font=font(18), anchor="ls")
+    if outcome is Outcome.RUNNING:
+        pen.text((left, top + 36), "running", fill="white", font=font(18), anchor="ls")
+        return
+    words = outcome.name.replace("_", " ").lower()
+    wide = pen.textlength(words, font=font(16))
+    pen.rounded_rectangle((left - 6, top + 17, left + wide + 6, top + 44), 5, fill=COLORS[outcome])
+    pen.text((left, top + 30), words, fill="white", font=font(16), anchor="lm")
+
+
+def _encode(frames: Iterator[Image.Image], path: Path, fps: int) -> None:
+    """Write an mp4 under a temporary name and rename it."""
+    temporary = path.with_name(path.name + ".tmp")
+    x264 = "libx264" in av.codecs_available
+    with av.open(temporary, "w", format="mp4", options={"movflags": "faststart"}) as container:
+        stream = container.add_stream("libx264" if x264 else "mpeg4", rate=fps)
+        stream.pix_fmt = "yuv420p"
+        stream.options = {"crf": "18", "preset": "veryfast"} if x264 else {"qscale": "3"}
+        first = next(frames)
+        stream.width, stream.height = first.size
+        for image in chain([first], frames):
+            container.mux(stream.encode(av.VideoFrame.from_image(image)))
+        container.mux(stream.encode(None))
+    os.replace(temporary, path)

@@ -1,0 +1,94 @@
+"""The map of a video shows the robot, its trail and the goal at their places."""
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from splatrl.bodies import Box, Capsule, Sphere
+from splatrl.envs.tasks import Outcome
+from splatrl.evaluation.chart import COLORS, Chart
+from splatrl.evaluation.figures import BLUE, GOAL, MISSED
+from splatrl.evaluation.recording import Recording
+from splatrl.evaluation.topdown import TopDown
+
+GROUND = TopDown(torch.full((60, 100, 3), 255, dtype=torch.uint8), (-1.0, 4.0, 2.0, 5.0))  # 5 m × 3 m
+PLACE = torch.tensor([3.0, 4.0, 1.2])
+BODY = Box((0.3, 0.2, 0.1))
+SCALE = 80.0  # pixels a metre in a map 400 pixels wide
+
+
+def recording(outcome: Outcome = Outcome.COLLISION) -> Recording:
+    planar = torch.tensor([[0.0, 2.5, 0.0], [1.0, 2.5, 0.0], [2.0, 2.5, 0.0], [2.0, 3.5, 1.57]])
+    return Recording(
+        planar=planar,
+        body_to_world=torch.eye(4).repeat(4, 1, 1),
+        pixels=torch.zeros(4, 6, 8, 3, dtype=torch.uint8),
+        action=torch.tensor([0, 0, 2]),
+        episode_return=torch.zeros(4),
+        outcome=outcome,
+    )
+
+
+def chart(solid: torch.Tensor | None = None) -> Chart:
+    return Chart(GROUND, solid, PLACE, BODY, (400, 384))
+
+
+def found(image: Image.Image, color: str) -> np.ndarray:
+    """World x and y of the pixels of this colour: [N, 2]."""
+    wanted = np.array([int(color[i : i + 2], 16) for i in (1, 3, 5)])
+    rows, columns = (np.abs(np.asarray(image).astype(int) - wanted).max(-1) < 20).nonzero()
+    return np.stack([-1.0 + (columns + 0.5) / SCALE, 5.0 - (rows + 0.5) / SCALE], -1)
+
+
+def test_a_map_fits_its_box_without_being_stretched() -> None:
+    assert chart().size == (400, 240)
+    assert Chart(GROUND, None, PLACE, BODY, (1000, 120)).size == (200, 120)
+
+
+def test_the_robot_is_drawn_at_its_pose() -> None:
+    image = chart().draw(recording(), 3)
+    assert image.size == (400, 240)
+    here = found(image, MISSED)
+    assert np.abs(here.min(0) + here.max(0) - (4.0, 7.0)).max() < 0.1
+    assert np.ptp(here, 0) == pytest.approx([0.2, 0.3], abs=0.1)  # turned by a quarter
+    assert (np.abs(here - (2.0, 3.5)).max(1) < 0.3).all()
+
+
+def test_the_trail_leads_from_the_start_to_the_present_step_and_no_further() -> None:
+    for step, farthest in ((1, 1.0), (2, 2.0)):
+        trail = found(chart().draw(recording(), step), BLUE)
+        assert trail[:, 0].min() < 0.2 and trail[:, 0].max() == pytest.approx(farthest + 0.2, abs=0.15)
+        assert np.abs(trail[:, 1] - 2.5).max() < 0.25
+
+
+@pytest.mark.parametrize("outcome", [Outcome.GOAL, Outcome.COLLISION, Outcome.TIMEOUT])
+def test_only_the_last_picture_tells_the_outcome_by_the_robots_colour(outcome: Outcome) -> None:
+    assert len(found(chart().draw(recording(outcome), 3), COLORS[outcome])) > 50
+    assert len(found(chart().draw(recording(outcome), 2), COLORS[outcome])) == 0
+
+
+def test_the_goal_is_marked_at_its_place_in_every_picture() -> None:
+    for step in (0, 3):
+        goal = found(chart().draw(recording(), step), GOAL)
+        assert len(goal) > 50 and np.linalg.norm(goal - (3.0, 4.0), axis=1).max() < 0.4
+        assert goal[:, 1].mean() > 4.05  # the arrow points up
+
+
+def test_what_is_solid_is_dark() -> None:
+    solid = torch.zeros(60, 100, dtype=torch.bool)
+    solid[10:20, 20:40] = True  # x 0 to 1, y 4 to 4.5
+    bright = np.asarray(chart(solid).draw(recording(), 0))[..., 0]
+    assert bright[44:76, 84:156].max() < 130 and bright[:36].min() > 240
+
+
+def test_drawing_leaves_no_trace_on_the_next_picture() -> None:
+    one = chart()
+    before = one.draw(recording(), 1).tobytes()
+    one.draw(recording(), 3)
+    assert one.draw(recording(), 1).tobytes() == before
+
+
+@pytest.mark.parametrize(("body", "half"), [(Sphere(0.25), 0.25), (Capsule(0.15, 0.5), 0.15), (BODY, 0.15)])
+def test_a_body_is_seen_from_above(body: Box | Sphere | Capsule, half: float) -> None:
+    assert Chart(GROUND, None, PLACE, body, (400, 384)).body.max() == pytest.approx(half)

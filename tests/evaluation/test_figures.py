@@ -1,0 +1,190 @@
+"""The figures show what the numbers say, on the right scales."""
+
+import math
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from PIL import Image
+from torch import Tensor
+
+from splatrl.evaluation import figures
+from splatrl.evaluation.figures import GOAL, MISSED, PARTLY, REACHED, learning_curve, start_map, success_map
+from splatrl.evaluation.topdown import TopDown
+
+GROUND = TopDown(torch.full((80, 120, 3), 200, dtype=torch.uint8), (-1.5, 1.5, -0.5, 1.5))
+PLACE = torch.tensor([0.3, 0.7, 0.5], dtype=torch.float64)
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """Collects figures, which are then not written."""
+    collected: list[Figure] = []
+    monkeypatch.setattr(figures, "_save", lambda figure, path: collected.append(figure))
+    return collected
+
+
+def lattice(headings: int = 8) -> Tensor:
+    """4 × 3 positions, 0.25 m apart, times headings: [N, 3]."""
+    yaws = torch.arange(headings, dtype=torch.float64) * math.tau / headings
+    steps = torch.arange(4, dtype=torch.float64) * 0.25
+    return torch.cartesian_prod(steps - 0.5, steps[:3], yaws)
+
+
+def polygons(figure: Figure, color: str) -> np.ndarray:
+    """Outlines of this colour on the map: [N, K, 2]."""
+    sets = [c for c in figure.axes[0].collections if isinstance(c, PolyCollection) and len(c.get_facecolor())]
+    chosen = [c for c in sets if to_hex(c.get_facecolor()[0]) == color]
+    return np.concatenate([[path.vertices[:-1] for path in c.get_paths()] for c in chosen] or [np.zeros((0, 7, 2))])
+
+
+def labels(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_a_learning_curve_shows_every_known_value_and_counts_levels_from_one(drawn: list[Figure]) -> None:
+    history = [{"frames": 100.0 * i, "success": i / 10, "return": 2.0 * i, "level": i // 4} for i in range(1, 10)]
+    history[2]["success"] = history[2]["return"] = math.nan
+    history[4]["test_success"] = 0.6
+    learning_curve(history, Path("unused.png"))
+    above, below, levels = drawn[0].axes
+    raw, smooth, test = above.lines
+    known = [row["frames"] for row in history if not math.isnan(row["success"])]
+    assert raw.get_xdata().tolist() == known and smooth.get_xdata().tolist() == known
+    assert raw.get_ydata().tolist() == [0.1, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]
+    shown = ~np.isnan(test.get_ydata())
+    assert test.get_xdata()[shown].tolist() == [500.0] and test.get_ydata()[shown].tolist() == [0.6]
+    assert below.lines[0].get_ydata().tolist() == [2.0, 4.0, 8.0, 10.0, 12.0, 14.0, 16.0, 18.0]
+    assert levels.lines[0].get_ydata().tolist() == [1, 1, 1, 2, 2, 2, 2, 3, 3]
+    assert (above.get_ylabel(), below.get_ylabel(), levels.get_ylabel()) == (
+        "success",
+        "episode return",
+        "curriculum level",
+    )
+    assert below.get_xlabel() == "frames"
+
+
+def test_the_smooth_curve_weighs_iterations_by_their_episodes(drawn: list[Figure]) -> None:
+    history = [{"frames": float(i), "success": float(i % 2), "episodes": 1.0 + 2 * (i % 2)} for i in range(24)]
+    learning_curve(history, Path("unused.png"))
+    smooth = drawn[0].axes[0].lines[1].get_ydata()  # the mean of two neighbours, of weights 1 and 3
+    assert smooth == pytest.approx([0.0] + [0.75] * 23)
+
+
+@pytest.mark.parametrize("history", [[], [{"frames": 10.0, "success": math.nan}], [{"frames": 10.0, "success": 0.5}]])
+def test_a_history_of_hardly_anything_makes_a_picture_without_warning(
+    history: list[dict[str, float]], tmp_path: Path
+) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        learning_curve(history, tmp_path / "curve.png")
+    assert [path.name for path in tmp_path.iterdir()] == ["curve.png"]
+
+
+def test_the_suffix_is_the_format(tmp_path: Path) -> None:
+    learning_curve([{"frames": 10.0, "success": 0.5}], tmp_path / "curve.pdf")
+    assert (tmp_path / "curve.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_every_start_is_an_arrow_from_its_position_along_its_heading(drawn: list[Figure]) -> None:
+    planar = lattice()
+    success = planar[:, 0] > -0.3
+    start_map(planar, success, PLACE, GROUND, Path("unused.png"))
+    for color, chosen in ((REACHED, planar[success]), (MISSED, planar[~success])):
+        outlines = polygons(drawn[0], color)
+        assert len(outlines) == len(chosen)
+        way = outlines[:, 3] - chosen[:, :2].numpy()  # the tip
+        heading = torch.stack([chosen[:, 2].cos(), chosen[:, 2].sin()], -1).numpy()
+        assert way / np.linalg.norm(way, axis=1, keepdims=True) == pytest.approx(heading, abs=1e-5)
+    assert "72 of 96 start poses (75.0%)" in drawn[0].axes[0].get_title()
+
+
+@pytest.mark.parametrize("headings", [4, 16, 36])
+def test_arrows_of_a_rosette_and_of_its_neighbours_do_not_overlap(headings: int, drawn: list[Figure]) -> None:
+    planar = lattice(headings)
+    start_map(planar, torch.ones(len(planar), dtype=torch.bool), PLACE, GROUND, Path("unused.png"))
+    offset = polygons(drawn[0], REACHED) - planar[:, None, :2].numpy()
+    cos, sin = np.cos(planar[:, 2:].numpy()), np.sin(planar[:, 2:].numpy())
+    along, across = offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin
+    assert np.hypot(along, across).max() <= 0.125 + 1e-9  # half the distance to the next position
+    assert np.arctan2(np.abs(across), along).max() < math.pi / headings
+
+
+def test_a_pose_that_succeeds_now_and_then_has_a_colour_of_its_own(drawn: list[Figure]) -> None:
+    planar = lattice().repeat(2, 1)
+    success = torch.ones(len(planar), dtype=torch.bool)
+    success[:5] = False  # the first of two episodes
+    start_map(planar, success, PLACE, GROUND, Path("unused.png"))
+    assert len(polygons(drawn[0], PARTLY)) == 5 and len(polygons(drawn[0], REACHED)) == 91
+    assert labels(drawn[0]) == ["goal reached", "reached in part of the episodes", "goal pose"]
+
+
+def test_starts_that_are_no_lattice_get_arrows_of_a_size_that_can_be_seen(drawn: list[Figure]) -> None:
+    planar = torch.rand(200, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    start_map(planar, planar[:, 0] > 0.5, PLACE, GROUND, Path("unused.png"))
+    arrows = polygons(drawn[0], REACHED)
+    length, width = np.linalg.norm(arrows[:, 3] - arrows[:, [0, 6]].mean(1), axis=-1), arrows[:, 2] - arrows[:, 4]
+    assert (length > 0.05).all() and (np.linalg.norm(width, axis=-1) > 0.01).all()  # of 3 m
+
+
+def test_the_goal_and_the_blocked_positions_are_marked_where_they_are(drawn: list[Figure]) -> None:
+    planar, blocked = lattice(), torch.tensor([[0.5, 0.25], [0.75, 0.5]])
+    start_map(planar, planar[:, 0] > 0, PLACE, GROUND, Path("unused.png"), blocked=blocked)
+    crosses, disc = drawn[0].axes[0].lines
+    assert np.stack(crosses.get_data(), -1).tolist() == blocked.tolist()
+    assert [float(value[0]) for value in disc.get_data()] == [0.3, 0.7]
+    (goal,) = polygons(drawn[0], GOAL)
+    assert math.atan2(*(goal[3] - PLACE[:2].numpy())[::-1]) == pytest.approx(0.5)
+    assert {"body does not fit", "goal pose"} <= set(labels(drawn[0]))
+
+
+def test_cells_show_the_mean_over_headings_at_their_position(drawn: list[Figure]) -> None:
+    planar = lattice()
+    success = torch.rand(len(planar), generator=torch.Generator().manual_seed(1)) > 0.4
+    success_map(planar, success, PLACE, GROUND, Path("unused.png"))
+    heat = next(c for c in drawn[0].axes[0].collections if c.get_array() is not None)
+    centers = np.array([path.vertices[:-1].mean(0) for path in heat.get_paths()])
+    assert centers == pytest.approx(planar[::8, :2].numpy())
+    assert np.asarray(heat.get_array()) == pytest.approx(success.view(12, 8).double().mean(1).numpy())
+    assert heat.get_clim() == (0, 1)
+    assert np.ptp(heat.get_paths()[0].vertices[:, 0]) == pytest.approx(0.86 * 0.25)
+    assert drawn[0].axes[0].get_title() == f"success by start position (all starts {success.double().mean():.1%})"
+
+
+def test_a_map_is_in_metres_with_x_to_the_right_and_y_up(drawn: list[Figure]) -> None:
+    success_map(lattice(), torch.ones(96, dtype=torch.bool), PLACE, GROUND, Path("unused.png"))
+    axes = drawn[0].axes[0]
+    assert axes.get_xlim() == (-1.5, 1.5) and axes.get_ylim() == (-0.5, 1.5)
+    assert axes.images[0].get_extent() == [-1.5, 1.5, -0.5, 1.5] and axes.images[0].origin == "upper"
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x (m)", "y (m)")
+    width, height = axes.get_position().size * drawn[0].get_size_inches()
+    assert width / height == pytest.approx(1.5)
+
+
+def test_what_is_solid_is_outlined_where_it_stands(drawn: list[Figure]) -> None:
+    solid = torch.zeros(80, 120, dtype=torch.bool)
+    solid[20:40, 70:90] = True  # 0.025 m a pixel: x from 0.25 to 0.75, y from 0.5 to 1
+    success_map(lattice(), torch.ones(96, dtype=torch.bool), PLACE, GROUND, Path("unused.png"), solid)
+    hatched = next(c for c in drawn[0].axes[0].collections if getattr(c, "hatches", [None])[0])
+    outline = hatched.get_paths()[0].vertices
+    assert [*outline.min(0), *outline.max(0)] == pytest.approx([0.25, 0.5, 0.75, 1.0], abs=0.002)
+    assert "solid" in labels(drawn[0])
+
+
+def test_a_written_map_has_green_where_the_goal_is_reached_and_red_where_not(tmp_path: Path) -> None:
+    planar = lattice(16)
+    start_map(planar, planar[:, 0] > -0.1, PLACE, GROUND, tmp_path / "map.png")
+    assert [path.name for path in tmp_path.iterdir()] == ["map.png"]
+    pixels = np.asarray(Image.open(tmp_path / "map.png").convert("RGB")).astype(int)[:-90]  # without the legend
+    columns = []
+    for color in (REACHED, MISSED):
+        wanted = np.array([int(color[i : i + 2], 16) for i in (1, 3, 5)])
+        near = np.abs(pixels - wanted).max(-1) < 12
+        assert near.sum() > 500
+        columns.append(near.nonzero()[1])
+    assert columns[1].max() < columns[0].min()

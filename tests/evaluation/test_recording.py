@@ -1,0 +1,82 @@
+"""Recordings hold what happened, from the first pose to the last."""
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from splatrl.envs.tasks import Outcome
+from splatrl.evaluation.recording import record_episodes
+from tests.tiny import tiny_env, tiny_plan, tiny_renderer, tiny_task
+
+
+def scripted(*actions: list[int]) -> "Script":
+    return Script(torch.tensor(actions).T)
+
+
+class Script:
+    """Plays columns of actions, [T, B]; after the last it repeats it."""
+
+    def __init__(self, actions: Tensor):
+        self.actions, self.step = actions, 0
+
+    def __call__(self, td: TensorDictBase) -> TensorDictBase:
+        td["action"] = self.actions[min(self.step, len(self.actions) - 1)].clone()
+        self.step += 1
+        return td
+
+
+STARTS = torch.tensor([[0, 0, 2], [2, 2, 1], [1, 4, 0]])  # far from all, south of the block, two steps from the goal
+ACTIONS = [0, 4, 3], [4, 2, 4], [0, 0, 0]  # out of bounds; into the block; to the goal
+
+
+def test_each_recording_ends_where_its_own_episode_ends() -> None:
+    recordings = record_episodes(tiny_env((3,)), scripted(*ACTIONS), STARTS)
+    assert [r.outcome for r in recordings] == [Outcome.OUT_OF_BOUNDS, Outcome.COLLISION, Outcome.GOAL]
+    assert [r.action.tolist() for r in recordings] == [[0, 4, 3], [4, 2], [0]]
+    for recording in recordings:
+        steps = len(recording.action)
+        assert recording.pixels.shape == (steps + 1, 12, 16, 3) and recording.pixels.dtype == torch.uint8
+        assert recording.planar.shape == (steps + 1, 3) and recording.body_to_world.shape == (steps + 1, 4, 4)
+    assert [r.episode_return.tolist() for r in recordings] == [
+        pytest.approx([0, -0.2, -0.4, -10.4]),
+        pytest.approx([0, -0.2, -10.2]),
+        pytest.approx([0, 50]),
+    ]
+
+
+def test_poses_and_pixels_belong_together_from_the_start_on() -> None:
+    env = tiny_env((3,))
+    recordings = record_episodes(env, scripted(*ACTIONS), STARTS)
+    motion = tiny_task().motion
+    states = [[[0, 0, 2], [1, 0, 2], [1, 0, 3], [1, 0, 3]], [[2, 2, 1], [2, 2, 2], [2, 2, 2]], [[1, 4, 0], [2, 4, 0]]]
+    for recording, expected in zip(recordings, states, strict=True):
+        state = torch.tensor(expected)
+        assert torch.equal(recording.planar, motion.planar(state))
+        assert torch.equal(recording.body_to_world, motion.body_to_world(state))
+        seen = tiny_renderer().pixels(env.robot.cameras(recording.body_to_world))
+        assert torch.equal(recording.pixels, seen)
+
+
+def test_an_episode_without_end_is_cut_at_the_limit_of_steps() -> None:
+    spinning = scripted(*[[4]] * 3)
+    recordings = record_episodes(tiny_env((3,), max_steps=5), spinning, STARTS.clone().fill_(0))
+    assert [(r.outcome, len(r.action)) for r in recordings] == [(Outcome.TIMEOUT, 5)] * 3
+
+
+def test_sampling_depends_on_the_seed_and_on_nothing_else() -> None:
+    def policy(td: TensorDictBase) -> TensorDictBase:
+        return td.set("action", torch.randint(0, 6, td.batch_size))
+
+    starts = tiny_plan().states[tiny_plan().start_rows[:3]]
+    torch.manual_seed(0)
+    before = torch.get_rng_state()
+    first, again, other = (record_episodes(tiny_env((3,)), policy, starts, seed=seed) for seed in (1, 1, 2))
+    assert torch.equal(torch.get_rng_state(), before)
+    played = [[r.action.tolist() for r in recordings] for recordings in (first, again, other)]
+    assert played[0] == played[1] != played[2]
+
+
+def test_an_env_of_another_size_is_refused() -> None:
+    with pytest.raises(ValueError, match="as many robots as starts, 3, got 2"):
+        record_episodes(tiny_env((2,)), scripted(*ACTIONS), STARTS)

@@ -1,0 +1,123 @@
+"""A video shows every step of every episode beside the map."""
+
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+import torch
+
+from splatrl.envs.tasks import Outcome
+from splatrl.evaluation.figures import BLUE, MISSED, REACHED
+from splatrl.evaluation.recording import Recording
+from splatrl.evaluation.topdown import TopDown
+from splatrl.evaluation.video import rollout_video
+from splatrl.renderers import ReferenceRenderer
+from tests.tiny import tiny_gaussians, tiny_motion, tiny_robot
+
+GROUND = TopDown(torch.full((39, 29, 3), 255, dtype=torch.uint8), (-1.45, 1.45, -1.95, 1.95))
+PLACE = torch.tensor([0.5, 1.0, 0.0])
+STRIP = slice(400, None)  # rows of the text
+
+
+def recording(shade: int, outcome: Outcome, steps: int = 3) -> Recording:
+    """A walk along +y whose pixels are a grey, brighter at each step, with a black left half."""
+    motion = tiny_motion()
+    state = torch.tensor([[2, row, 2] for row in range(steps + 1)])
+    pixels = (shade + 20 * torch.arange(steps + 1)).view(-1, 1, 1, 1).expand(-1, 12, 16, 3).clone().to(torch.uint8)
+    pixels[:, :, :8] = 0
+    return Recording(
+        planar=motion.planar(state),
+        body_to_world=motion.body_to_world(state),
+        pixels=pixels,
+        action=torch.full((steps,), 2),
+        episode_return=-0.2 * torch.arange(steps + 1),
+        outcome=outcome,
+    )
+
+
+RECORDINGS = [recording(60, Outcome.GOAL), recording(100, Outcome.COLLISION, steps=2)]
+
+
+def frames(path: Path) -> list[np.ndarray]:
+    with av.open(path) as container:
+        stream = container.streams.video[0]
+        assert stream.codec_context.pix_fmt == "yuv420p"
+        return [frame.to_ndarray(format="rgb24").astype(int) for frame in container.decode(stream)]
+
+
+def has(picture: np.ndarray, color: str) -> bool:
+    wanted = np.array([int(color[i : i + 2], 16) for i in (1, 3, 5)])
+    return bool((np.abs(picture - wanted).max(-1) < 30).sum() > 60)
+
+
+def test_each_step_is_a_frame_and_the_last_of_an_episode_stays(tmp_path: Path) -> None:
+    rollout_video(RECORDINGS, tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4", fps=10)
+    assert [path.name for path in tmp_path.iterdir()] == ["clip.mp4"]
+    shown = frames(tmp_path / "clip.mp4")
+    shades = [picture[8:392, 280:500].mean() for picture in shown]
+    expected = [60, 80, 100] + [120] * 8 + [100, 120] + [140] * 8
+    assert shades == pytest.approx(expected, abs=3)
+    height, width, _ = shown[0].shape
+    assert height % 2 == 0 and width % 2 == 0
+
+
+def test_the_policys_pixels_are_enlarged_without_blur(tmp_path: Path) -> None:
+    rollout_video(RECORDINGS, tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4")
+    row = frames(tmp_path / "clip.mp4")[0][200, 8:520].mean(-1)
+    assert row[:250] == pytest.approx(0, abs=6) and row[262:] == pytest.approx(60, abs=6)
+
+
+def test_with_a_renderer_the_view_is_large_and_the_policys_pixels_are_its_inset(tmp_path: Path) -> None:
+    one = recording(60, Outcome.GOAL, steps=1)
+    renderer = ReferenceRenderer(tiny_gaussians())
+    rollout_video([one], tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4", renderer=renderer)
+    shown = frames(tmp_path / "clip.mp4")[0]
+    small = renderer.pixels(tiny_robot().cameras(one.body_to_world[:1]))[0].numpy().astype(int)
+    blocks = shown[8:392, 8:520].reshape(12, 32, 16, 32, 3).mean((1, 3))
+    assert np.abs(blocks - small)[:7].mean() < 6 < np.abs(blocks - small[:, ::-1])[:7].mean()  # above the inset
+    inset = shown[262:384, 348:512].mean(-1)
+    assert inset[:, :78].max() < 8 and inset[:, 90:].min() > 50
+
+
+def test_the_outcome_is_told_at_the_end_of_each_episode_and_not_before(tmp_path: Path) -> None:
+    rollout_video(RECORDINGS, tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4", fps=10)
+    shown = frames(tmp_path / "clip.mp4")
+    assert [has(picture[STRIP], REACHED) for picture in shown] == [False] * 3 + [True] * 8 + [False] * 10
+    assert [has(picture[STRIP], MISSED) for picture in shown] == [False] * 13 + [True] * 8
+
+
+def test_the_robot_moves_on_the_map(tmp_path: Path) -> None:
+    rollout_video(RECORDINGS, tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4")
+    blue = np.array([int(BLUE[i : i + 2], 16) for i in (1, 3, 5)])
+    tops = []
+    for picture in frames(tmp_path / "clip.mp4")[:3]:
+        rows, columns = (np.abs(picture[:, 528:] - blue).max(-1) < 40).nonzero()
+        tops.append(rows.min())
+        assert abs(columns.mean() - 142.5) < 3  # x = 0 is the middle of the map
+    steps = -np.diff(tops)
+    assert steps == pytest.approx(0.5 * 384 / 3.9, abs=4)
+
+
+def test_without_x264_the_video_is_mpeg4(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(av, "codecs_available", {"mpeg4"})
+    rollout_video(RECORDINGS, tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4")
+    with av.open(tmp_path / "clip.mp4") as container:
+        assert container.streams.video[0].codec_context.name == "mpeg4"
+    assert len(frames(tmp_path / "clip.mp4")) == 7 + 2 * 4
+
+
+def test_actions_can_be_named_or_continuous(tmp_path: Path) -> None:
+    pictures = []
+    for names in (("+x", "-x", "+y"), ()):
+        rollout_video(RECORDINGS, tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4", action_names=names)
+        pictures.append(frames(tmp_path / "clip.mp4")[1])
+    changed = (np.abs(pictures[0] - pictures[1]).max(-1) > 60).nonzero()
+    assert changed[0].min() > 400 and len(changed[0]) > 10  # only the text
+
+
+def test_a_failure_leaves_what_was_there(tmp_path: Path) -> None:
+    (tmp_path / "clip.mp4").write_bytes(b"an older clip")
+    with pytest.raises(ValueError, match="at least one episode"):
+        rollout_video([], tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4")
+    assert (tmp_path / "clip.mp4").read_bytes() == b"an older clip"
