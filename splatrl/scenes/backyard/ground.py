@@ -1,0 +1,96 @@
+"""The ground: lawn, stepping stones, flower beds and the land beyond."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splatrl.scenes.backyard.layout import HALF_WIDTH
+from splatrl.scenes.backyard.materials import Color, Rng, shades, waves
+from splatrl.scenes.backyard.plants import grass, lawn_colors, shrub
+from splatrl.scenes.backyard.surfels import THICKNESS, Array, Rectangle, Surfels, join, lathe, painted, surfels
+
+NEAR = 1.8
+"""Half width of the part of the lawn that robots see from close by, metres."""
+STONES = ((-0.75, -2.45), (-0.72, -1.95), (-0.62, -1.45), (-0.55, -0.95), (-0.58, -0.45), (-0.66, 0.08), (-0.6, 0.6))
+"""Middles of the stepping stones that lead from the shed's door into the yard, metres."""
+
+
+def square(half: float) -> Rectangle:
+    """The square on the ground around the origin."""
+    return Rectangle((-half, -half, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), 2 * half, 2 * half)
+
+
+def turf(rng: Rng) -> Surfels:
+    """The lawn: a tight layer of ground, finer in the middle, and blades of grass."""
+    parts = []
+    for half, inner, step, blades, length in ((NEAR, 0.0, 0.055, 8800, 0.055), (HALF_WIDTH, NEAR, 0.12, 3600, 0.085)):
+        ground = square(half)
+        st, size = ground.cells(step)
+        outside = np.abs(ground.points(st)).max(1) > inner
+        points = ground.points(st[outside])
+        colors = lawn_colors(points, rng) * rng.uniform(0.7, 0.95, (len(points), 1))
+        parts.append(ground.surfels(st[outside], size, colors))
+        feet = np.append(rng.uniform(-half, half, (blades, 2)), np.zeros((blades, 1)), 1)
+        parts.append(grass(feet[(np.abs(feet).max(1) > inner) & ~on_stones(feet)], length, rng))
+    return join(parts)
+
+
+def on_stones(points: Array) -> NDArray[np.bool_]:
+    """Which places lie on a stepping stone, [N] bool."""
+    return (np.linalg.norm(points[:, None, :2] - np.array(STONES), axis=-1) < 0.17).any(1)
+
+
+def stones(rng: Rng) -> Surfels:
+    """Flat grey stones in the grass."""
+    parts = []
+    for x, y in STONES:
+        disc = lathe((x, y, 0.012), [(0.19, -0.012), (0.175, 0.0), (0.003, 0.004)], 0.028)
+        tone = 0.07 * waves(disc.means, rng, 0.12) + 0.05 * rng.normal(size=len(disc)) + 0.08 * rng.normal()
+        parts.append(painted(disc, shades((0.60, 0.58, 0.54), tone)))
+    return join(parts)
+
+
+def bed(
+    x: tuple[float, float], y: tuple[float, float], blossom_colors: tuple[Color, ...], count: int, rng: Rng
+) -> Surfels:
+    """A strip of soil with flowers in it."""
+    soil = Rectangle((x[0], y[0], 0.015), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), x[1] - x[0], y[1] - y[0])
+    st, size = soil.cells(0.06)
+    dirt = shades((0.30, 0.22, 0.16), 0.2 * rng.normal(size=len(st)))
+    parts = [soil.surfels(st, size, dirt, 0.01 * rng.random(len(st)))]
+    for index in range(count):
+        along, across = (index + rng.uniform(0.2, 0.8)) / count, rng.uniform(0.25, 0.75)
+        foot = (x[0] + along * (x[1] - x[0]), y[0] + across * (y[1] - y[0]))
+        if y[1] - y[0] > x[1] - x[0]:
+            foot = (x[0] + across * (x[1] - x[0]), y[0] + along * (y[1] - y[0]))
+        parts.append(flowers(foot, blossom_colors[index % len(blossom_colors)], rng))
+    return join(parts)
+
+
+def flowers(foot: tuple[float, float], color: Color, rng: Rng) -> Surfels:
+    """A clump of flowers: leaves below, blossoms on top."""
+    height = rng.uniform(0.16, 0.3)
+    green = shrub(
+        (*foot, 0.5 * height), (0.13, 0.13, 0.5 * height), 45, 0.05, ((0.22, 0.38, 0.15), (0.36, 0.52, 0.22)), rng
+    )
+    count = 22
+    spread = rng.normal(scale=(0.075, 0.075, 0.035), size=(count, 3)) + np.array([*foot, height + 0.03])
+    tone = shades(color, 0.1 * rng.normal(size=count))
+    heads = surfels(spread, np.eye(3), (0.018, 0.018, 0.012), tone, np.array([0.0, 0.0, 0.4]))
+    return join([green, heads])
+
+
+def country(rng: Rng, reach: float) -> Surfels:
+    """The land outside the yard: rings of ever larger surfels out to ``reach`` metres."""
+    rings: list[Surfels] = []
+    radius = HALF_WIDTH
+    while radius < reach:
+        step = 0.16 * radius
+        around = round(2 * np.pi * radius / step)
+        angles = (np.arange(around) + 0.5 * (len(rings) % 2)) * 2 * np.pi / around
+        points = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(around, -0.02)], -1)
+        points = points[np.abs(points).max(1) > HALF_WIDTH + 0.45 * step]
+        haze = min(1.0, radius / reach)
+        colors = (1 - haze) * lawn_colors(points, rng) + haze * np.array([0.55, 0.62, 0.52])
+        rings.append(surfels(points, np.eye(3), (0.72 * step, 0.72 * step, THICKNESS), colors))
+        radius += step
+    return join(rings)

@@ -1,0 +1,136 @@
+"""Where everything stands in the backyard, and the task that is set in it.
+
+World frame, metres, ground at z = 0. The yard is 6 m wide: a hedge in the east (+x), a wooden fence in the north
+(+y), a brick wall in the west and a shed in the south. What a robot inside ``BOUNDS`` can touch stands in the same
+place for every seed; only the trees move with it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+BOUNDS = ((-1.0, -1.0), (1.0, 1.0))
+"""Lowest and highest (x, y) of the robot's pose, inclusive, metres: 121 positions in steps of 0.2 m."""
+ROBOT_HEIGHT = 0.4
+"""Height of the robot's pose, which is its camera's too, metres. Its body is ``Box((0.4, 0.4, 0.1))``."""
+GOAL = (0.6, 0.4, 0.0)
+"""The goal pose: x and y in metres and yaw in degrees. It looks straight at the egg."""
+EGG = (1.25, 0.4, 0.41)
+"""Centre of the red egg on its stone, metres."""
+EGG_RADII = (0.12, 0.12, 0.16)
+"""Half extents of the egg, metres."""
+HALF_WIDTH = 3.0
+"""Distance from the centre to what encloses the yard, metres."""
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A solid thing as the axis-aligned box around it.
+
+    Attributes:
+        name: what it is.
+        low: lowest corner, metres, world frame.
+        high: highest corner, metres, world frame.
+    """
+
+    name: str
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A tree.
+
+    Attributes:
+        x: place of the trunk, metres; so is ``y``.
+        trunk_radius: metres.
+        crown_height: height of the crown's centre, metres.
+        crown_radius: metres.
+    """
+
+    x: float
+    y: float
+    trunk_radius: float
+    crown_height: float
+    crown_radius: float
+
+
+GARDEN_WALL = Solid("garden wall", (-0.135, -0.03, 0.0), (-0.065, 1.42, 0.62))
+TABLE_TOP = Solid("table", (0.08, -1.13, 0.38), (0.52, -0.87, 0.43))
+WOOD_PILE = Solid("wood pile", (-1.45, 0.03, 0.0), (-1.14, 0.57, 0.56))
+SHRUB_POT = Solid("shrub pot", (0.91, 0.91, 0.0), (1.19, 1.19, 0.4))
+EGG_STONE = Solid("egg stone", (1.14, 0.29, 0.0), (1.36, 0.51, 0.26))
+EGG_BOX = Solid(
+    "egg",
+    (EGG[0] - EGG_RADII[0], EGG[1] - EGG_RADII[1], EGG[2] - EGG_RADII[2]),
+    (EGG[0] + EGG_RADII[0], EGG[1] + EGG_RADII[1], EGG[2] + EGG_RADII[2]),
+)
+BRICK_WALL = Solid("brick wall", (-3.2, -3.2, 0.0), (-3.0, 3.2, 1.9))
+FENCE = Solid("fence", (-3.0, 3.0, 0.0), (3.0, 3.05, 1.7))
+HEDGE = Solid("hedge", (2.9, -3.2, 0.0), (3.6, 3.2, 1.55))
+SHED = Solid("shed", (-1.7, -4.6, 0.0), (0.9, -2.9, 1.95))
+GARAGE = Solid("garage", (0.9, -3.4, 0.0), (3.2, -3.0, 2.4))
+SOUTH_WALL = Solid("south wall", (-3.2, -3.2, 0.0), (-1.7, -3.0, 1.4))
+HOUSE = Solid("house", (-9.5, -3.0, 0.0), (-5.0, 5.0, 3.6))
+RAIN_BARREL = Solid("rain barrel", (1.2, -2.9, 0.0), (1.7, -2.4, 0.85))
+BENCH = Solid("bench", (-2.95, -1.9, 0.0), (-2.55, -0.5, 0.45))
+
+
+def trees(seed: int) -> tuple[Tree, ...]:
+    """Two trees in the yard's corners, then six beyond it; each stands a little elsewhere with each seed."""
+    shift = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, (8, 3))
+    yard = [(2.25, 2.2, 0.11, 2.3, 0.95), (-2.3, -2.2, 0.09, 2.1, 0.8)]
+    beyond = [
+        (5.6, 3.6, 0.2, 3.2, 1.7),
+        (6.0, -2.2, 0.2, 2.8, 1.5),
+        (0.8, 6.4, 0.2, 3.4, 1.6),
+        (-3.6, 6.8, 0.2, 3.0, 1.5),
+        (-1.0, -8.0, 0.2, 3.6, 1.7),
+        (4.6, -6.4, 0.2, 3.9, 1.7),
+    ]
+    reach = [0.15] * len(yard) + [0.5] * len(beyond)
+    return tuple(
+        Tree(x + far * dx, y + far * dy, trunk, height + 0.3 * far * dz, crown)
+        for (x, y, trunk, height, crown), (dx, dy, dz), far in zip(yard + beyond, shift, reach, strict=True)
+    )
+
+
+def table_legs() -> list[Solid]:
+    """The four legs of the table."""
+    (x0, y0, _), (x1, y1, z1) = TABLE_TOP.low, TABLE_TOP.high
+    return [
+        Solid("table leg", (x, y, 0.0), (x + 0.04, y + 0.04, z1 - 0.05))
+        for x in (x0 + 0.02, x1 - 0.06)
+        for y in (y0 + 0.02, y1 - 0.06)
+    ]
+
+
+def solids(seed: int) -> list[Solid]:
+    """Everything solid in the yard and around it, trunks included, the house left out."""
+    trunks = [
+        Solid(
+            "trunk",
+            (t.x - t.trunk_radius, t.y - t.trunk_radius, 0.0),
+            (t.x + t.trunk_radius, t.y + t.trunk_radius, 1.4),
+        )
+        for t in trees(seed)[:2]
+    ]
+    near = [GARDEN_WALL, TABLE_TOP, *table_legs(), WOOD_PILE, SHRUB_POT, EGG_STONE, EGG_BOX]
+    around = [BRICK_WALL, FENCE, HEDGE, SHED, GARAGE, SOUTH_WALL, RAIN_BARREL, BENCH]
+    return near + around + trunks
+
+
+def backyard_obstacles(
+    seed: int = 0,
+) -> list[tuple[str, tuple[float, float, float], tuple[float, float, float]]]:
+    """The ground truth for collision: what is solid in ``backyard(seed)``.
+
+    Args:
+        seed: the one that the scene was made with.
+
+    Returns:
+        Name, lowest and highest corner of the box around each thing, metres, world frame. A thing fills its box but
+        for round ones, which fill the ellipse or ellipsoid in it. The ground and the grass are not in the list.
+    """
+    return [(solid.name, solid.low, solid.high) for solid in solids(seed)]

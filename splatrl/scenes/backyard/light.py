@@ -1,0 +1,115 @@
+"""Sunlight, skylight and shadow, baked into the colours of surfels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splatrl.scenes.backyard.layout import Solid, Tree
+from splatrl.scenes.backyard.surfels import Array, Surfels
+
+SUN = np.array([-0.50, -0.47, 0.73])
+"""Unit vector to the sun, in the south-west: hedge and fence lie in the light, wall and shed in the shade."""
+SUN_COLOR = np.array([1.0, 0.93, 0.78]) * 1.62
+SKY_COLOR = np.array([0.62, 0.74, 0.95]) * 0.9
+GROUND_COLOR = np.array([0.50, 0.52, 0.34]) * 0.35
+"""Light that the lawn throws back at what faces it."""
+PENUMBRA = 0.035
+"""Spread of the directions to the sun, whose shadows are averaged."""
+RAYS = 5
+CONTACT = 0.16
+"""Metres over which the ground hides the sky from a thing's foot, and a thing hides it from the ground."""
+
+
+@dataclass(frozen=True)
+class Occluders:
+    """What throws shadows: boxes that let nothing through and crowns that let a part through.
+
+    Attributes:
+        low: [B, 3] corners of boxes, metres.
+        high: [B, 3].
+        centers: [C, 3] of crowns, metres.
+        radii: [C, 3] half extents, metres.
+    """
+
+    low: Array
+    high: Array
+    centers: Array
+    radii: Array
+
+
+def occluders(solids: list[Solid], trees: tuple[Tree, ...], shrink: float = 0.012) -> Occluders:
+    """Occluders a little smaller than the things, so that a surface does not shade itself."""
+    return Occluders(
+        low=np.array([s.low for s in solids]) + shrink,
+        high=np.array([s.high for s in solids]) - shrink,
+        centers=np.array([(t.x, t.y, t.crown_height) for t in trees]),
+        radii=np.array([(t.crown_radius, t.crown_radius, 0.8 * t.crown_radius) for t in trees]),
+    )
+
+
+def in_box(points: Array, direction: Array, blockers: Occluders) -> NDArray[np.bool_]:
+    """Whether a ray from each point enters a box, [N] bool (slab test); what lies in a box is not shaded by it."""
+    safe = np.where(np.abs(direction) < 1e-6, 1e-6, direction)
+    hit = np.zeros(len(points), bool)
+    for low, high in zip(blockers.low, blockers.high, strict=True):
+        first, second = (low - points) / safe, (high - points) / safe
+        enter, leave = np.minimum(first, second).max(1), np.maximum(first, second).min(1)
+        hit |= (leave > enter) & (enter > 0.0)
+    return hit
+
+
+def through_crowns(points: Array, direction: Array, blockers: Occluders) -> Array:
+    """Share of light that reaches each point past the crowns, [N]: less, the longer the way through leaves."""
+    share = np.ones(len(points))
+    for center, radii in zip(blockers.centers, blockers.radii, strict=True):
+        start, way = (points - center) / radii, direction / radii
+        a, b, c = way @ way, start @ way, (start * start).sum(1) - 1
+        root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+        length = np.maximum((root - b) / a, 0.0) - np.maximum((-b - root) / a, 0.0)
+        share *= np.exp(-1.1 * length / radii[0])
+    return share
+
+
+def sunlight(points: Array, blockers: Occluders) -> Array:
+    """Share of the sun's disc that each point sees, [N] in [0, 1]."""
+    total = np.zeros(len(points))
+    for ray in range(RAYS):
+        angle = 2 * np.pi * ray / RAYS
+        spread = PENUMBRA * np.array([np.cos(angle), np.sin(angle), 0.3 * np.cos(2 * angle)])
+        direction = (SUN + spread) / np.linalg.norm(SUN + spread)
+        total += np.where(in_box(points, direction, blockers), 0.0, through_crowns(points, direction, blockers))
+    return total / RAYS
+
+
+def openness(points: Array, normals: Array, blockers: Occluders) -> Array:
+    """Share of the sky that is left beside contacts, [N]: things' feet and the ground around them are darker."""
+    height = np.maximum(points[:, 2], 0.0)
+    flat = np.maximum(normals[:, 2], 0.0)
+    foot = 1 - 0.45 * (1 - flat) * np.exp(-height / CONTACT)
+    low, high = blockers.low[:, None], blockers.high[:, None]
+    gap = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=-1).min(0)
+    return foot * (1 - 0.5 * flat * np.exp(-gap / CONTACT) * np.exp(-height / CONTACT))
+
+
+def to_linear(srgb: Array) -> Array:
+    """sRGB in [0, 1] to linear light."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def to_srgb(linear: Array) -> Array:
+    """Linear light to sRGB in [0, 1]; highlights roll off rather than clip."""
+    rolled = np.where(linear < 0.6, linear, 0.6 + 0.4 * np.tanh((linear - 0.6) / 0.4))
+    return np.where(rolled <= 0.0031308, 12.92 * rolled, 1.055 * np.maximum(rolled, 1e-9) ** (1 / 2.4) - 0.055)
+
+
+def lit(part: Surfels, blockers: Occluders) -> Surfels:
+    """The surfels as they look in the light of the yard (Lambert's law, one bounce from the lawn)."""
+    straight = np.linalg.norm(part.normals, axis=1)
+    facing = np.clip(part.normals @ SUN + (1 - straight), 0.0, 1.0)
+    sun = facing * sunlight(part.means + 0.01 * part.normals, blockers)
+    up = 0.5 + 0.5 * part.normals[:, 2]
+    sky = (openness(part.means, part.normals, blockers) * up)[:, None] * SKY_COLOR
+    light = sun[:, None] * SUN_COLOR + sky + (1 - up)[:, None] * GROUND_COLOR
+    colors = to_srgb(to_linear(part.colors) * light)
+    return Surfels(part.means, part.axes, part.scales, colors, part.normals, part.opacities)

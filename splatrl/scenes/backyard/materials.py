@@ -1,0 +1,144 @@
+"""What surfaces are made of: noise, bricks, boards and plaster."""
+
+import numpy as np
+
+from splatrl.scenes.backyard.surfels import Array, Rectangle, Surfels, join
+
+Rng = np.random.Generator
+Color = tuple[float, float, float]
+
+
+def waves(points: Array, rng: Rng, wavelength: float, count: int = 10) -> Array:
+    """Smooth noise of zero mean and unit variance: plane waves of random directions and phases.
+
+    Args:
+        points: [N, 3] metres.
+        rng: drawn from once for each call.
+        wavelength: metres.
+        count: waves.
+
+    Returns:
+        [N].
+    """
+    directions = rng.normal(size=(count, 3))
+    directions *= (
+        2 * np.pi / wavelength * rng.uniform(0.6, 1.6, (count, 1)) / np.linalg.norm(directions, axis=1, keepdims=True)
+    )
+    return np.sin(points @ directions.T + rng.uniform(0, 2 * np.pi, count)).sum(1) * np.sqrt(2 / count)
+
+
+def shades(color: Color | Array, brightness: Array) -> Array:
+    """A colour made brighter or darker: [N] relative changes -> [N, 3]."""
+    return np.clip(np.asarray(color) * (1 + brightness)[:, None], 0.0, 1.0)
+
+
+def mixed(first: Color, second: Color, share: Array) -> Array:
+    """Colours between two: share [N] of the second, clipped to [0, 1] -> [N, 3]."""
+    part = np.clip(share, 0.0, 1.0)[:, None]
+    return (1 - part) * np.asarray(first) + part * np.asarray(second)
+
+
+def plaster(rectangle: Rectangle, rng: Rng, color: Color, step: float, stain: float = 0.06) -> Surfels:
+    """An even surface with stains."""
+    st, size = rectangle.cells(step)
+    points = rectangle.points(st)
+    brightness = stain * waves(points, rng, 12 * step) + 0.5 * stain * rng.normal(size=len(st))
+    return rectangle.surfels(st, size, shades(color, brightness))
+
+
+def brickwork(
+    rectangle: Rectangle,
+    rng: Rng,
+    brick: tuple[float, float],
+    splits: tuple[int, int],
+    palette: tuple[Color, Color],
+    mortar: Color = (0.70, 0.67, 0.62),
+) -> Surfels:
+    """Bricks in running bond, with lines of mortar drawn over their edges.
+
+    Args:
+        rectangle: the face.
+        rng: for colours.
+        brick: width and height with one joint each, metres.
+        splits: surfels in a brick, along and up.
+        palette: two colours between which bricks vary.
+        mortar: its colour.
+    """
+    bricks = bond(rectangle, brick)
+    joint = np.array([0.16 * brick[1], 0.16 * brick[1]])
+    s, t, width, height = (part[:, None] for part in bricks.T)
+    along, up = (part.ravel() for part in np.meshgrid(*((np.arange(n) + 0.5) / n - 0.5 for n in splits)))
+    share = np.repeat(rng.normal(0.5, 0.35, len(bricks)), len(along))
+    tone = np.repeat(0.13 * rng.normal(size=len(bricks)), len(along)) + 0.06 * rng.normal(size=len(share))
+    places = np.stack([s + width * along, t + height * up], -1).reshape(-1, 2)
+    sizes = np.repeat(bricks[:, 2:] / splits, len(along), axis=0)
+    parts = [rectangle.surfels(places, sizes, mixed(*palette, share) * (1 + tone)[:, None])]
+    beds, heads = bricks[:, :2] - bricks[:, 2:] * (0.0, 0.5), bricks[:, :2] - bricks[:, 2:] * (0.5, 0.0)
+    inner = heads[:, 0] > joint[0]
+    lines = (
+        (beds, bricks[:, 2:] * (1.0, 0.0) + joint * (0.0, 1.0)),
+        (heads, bricks[:, 2:] * (0.0, 0.8) + joint * (1.0, 0.0)),
+    )
+    for (line, size), kept in zip(lines, (np.full(len(beds), True), inner), strict=True):
+        tone = 0.06 * rng.normal(size=int(kept.sum()))
+        parts.append(rectangle.surfels(line[kept], size[kept], shades(mortar, tone), 0.006))
+    return join(parts)
+
+
+def bond(rectangle: Rectangle, brick: tuple[float, float]) -> Array:
+    """Running bond: each row of bricks is shifted by half of one, and ends with cut ones.
+
+    Returns:
+        [N, 4] middle along and up, width and height, metres on the rectangle.
+    """
+    rows = round(rectangle.height / brick[1])
+    tall = rectangle.height / rows
+    bricks = []
+    for row in range(rows):
+        edges = np.arange(-0.5 * (row % 2) * brick[0], rectangle.width + brick[0], brick[0])
+        low, high = np.clip(edges[:-1], 0, rectangle.width), np.clip(edges[1:], 0, rectangle.width)
+        middle = np.full(len(low), (row + 0.5) * tall)
+        bricks.append(np.stack([(low + high) / 2, middle, high - low, np.full(len(low), tall)], -1)[high - low > 0.01])
+    return np.concatenate(bricks)
+
+
+def boards(
+    rectangle: Rectangle,
+    rng: Rng,
+    color: Color,
+    board: float,
+    cell: tuple[float, float],
+    upright: bool = True,
+    contrast: float = 1.0,
+) -> Surfels:
+    """Wooden boards side by side, each with its own tone, grain along it and dark gaps between.
+
+    Args:
+        rectangle: the face.
+        rng: for tones and grain.
+        color: of the wood.
+        board: width of a board, metres.
+        cell: size of a surfel across and along the grain, metres.
+        upright: whether boards run up the rectangle rather than along it.
+        contrast: scales the differences between boards and in the grain.
+    """
+    if not upright:
+        rectangle = turned(rectangle)
+    count = max(1, round(rectangle.width / board))
+    wide = rectangle.width / count
+    st, size = rectangle.cells(wide / max(1, round(wide / cell[0])), cell[1])
+    index = np.minimum((st[:, 0] / wide).astype(int), count - 1)
+    across = st[:, 0] / wide - index
+    tone = 0.13 * rng.normal(size=count)[index]
+    grain = 0.1 * np.sin(st[:, 0] * 2 * np.pi / (0.31 * wide) + 7.0 * tone * st[:, 1] + 40 * tone)
+    grain += 0.06 * rng.normal(size=len(st))
+    gap = np.where((across < 0.5 * size[0] / wide + 1e-6) & (count > 1), -0.38, 0.0)
+    return rectangle.surfels(st, size, shades(color, contrast * (tone + grain) + gap))
+
+
+def turned(rectangle: Rectangle) -> Rectangle:
+    """The same rectangle, read from its lower right corner: up becomes right and left becomes up."""
+    corner = np.asarray(rectangle.corner) + rectangle.width * np.asarray(rectangle.right)
+    x, y, z = (float(v) for v in -np.asarray(rectangle.right))
+    a, b, c = (float(v) for v in corner)
+    return Rectangle((a, b, c), rectangle.up, (x, y, z), rectangle.height, rectangle.width)

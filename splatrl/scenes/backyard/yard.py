@@ -1,0 +1,72 @@
+"""Puts the backyard together: things, then light, then sky."""
+
+import numpy as np
+import torch
+
+from splatrl.geometry import rotations_to_quats
+from splatrl.scenes.backyard.enclosure import enclosure
+from splatrl.scenes.backyard.furniture import furniture
+from splatrl.scenes.backyard.ground import bed, country, stones, turf
+from splatrl.scenes.backyard.layout import HOUSE, solids, trees
+from splatrl.scenes.backyard.light import lit, occluders
+from splatrl.scenes.backyard.materials import Rng
+from splatrl.scenes.backyard.plants import tree
+from splatrl.scenes.backyard.sky import RADIUS, sky
+from splatrl.scenes.backyard.surfels import Surfels, join
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.spherical_harmonics import C0
+
+
+def backyard(seed: int = 0) -> Gaussians:
+    """A backyard of 6 × 6 m in the sun: lawn, hedge, fence, brick wall, shed, trees, things in the way, a red egg.
+
+    The task in it is the same for every seed; leaves, grain, clouds and the place of the trees are not. The same
+    seed gives the same bytes.
+
+    Args:
+        seed: from 0.
+
+    Returns:
+        About 50,000 Gaussians, spherical harmonics of degree 0, world frame, metres, ground at z = 0.
+    """
+    rng = np.random.default_rng([seed, 0])
+    things = [
+        turf(rng),
+        stones(rng),
+        *beds(rng),
+        furniture(rng),
+        enclosure(rng),
+        *orchard(seed, rng),
+        country(rng, RADIUS),
+    ]
+    blockers = occluders([*solids(seed), HOUSE], trees(seed))
+    return to_gaussians(join([lit(join(things), blockers), sky(rng)]))
+
+
+def beds(rng: Rng) -> list[Surfels]:
+    """Yellow and white flowers before the fence, violet ones before the brick wall."""
+    yellow, white, violet = (0.96, 0.79, 0.16), (0.95, 0.94, 0.90), (0.55, 0.35, 0.78)
+    north = bed((-2.6, 1.6), (2.6, 2.97), (yellow, yellow, white), 19, rng)
+    west = bed((-2.97, -2.65), (0.4, 2.4), (violet, violet, white), 10, rng)
+    return [north, west]
+
+
+def orchard(seed: int, rng: Rng) -> list[Surfels]:
+    """The two trees of the yard, an apple tree and a darker one, and those beyond it."""
+    apple, dark = ((0.28, 0.43, 0.14), (0.52, 0.64, 0.25)), ((0.16, 0.33, 0.14), (0.36, 0.52, 0.24))
+    far = ((0.24, 0.38, 0.17), (0.42, 0.54, 0.28))
+    kinds = [(2100, apple), (1700, dark)] + [(500, far)] * 6
+    return [tree(spec, count, palette, rng) for spec, (count, palette) in zip(trees(seed), kinds, strict=True)]
+
+
+def to_gaussians(part: Surfels) -> Gaussians:
+    """Surfels whose light is baked, as Gaussians."""
+    sh = torch.from_numpy((part.colors - 0.5) / C0).float().unsqueeze(1)
+    return Gaussians(
+        means=torch.from_numpy(part.means).float(),
+        quats=rotations_to_quats(torch.from_numpy(part.axes)).float(),
+        scales=torch.from_numpy(part.scales).float(),
+        opacities=torch.from_numpy(part.opacities).float(),
+        sh=sh,
+        batch_size=[len(part)],
+    )
