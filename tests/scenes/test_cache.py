@@ -1,0 +1,102 @@
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splatrl.scenes.cache import _warn_unwritable, cache_dir, cached_arrays
+
+ARRAYS = {"a": np.arange(6).reshape(2, 3), "b": np.array(0.5)}
+
+
+class Build:
+    """Counts how often it is asked."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self) -> dict[str, np.ndarray]:
+        self.calls += 1
+        return ARRAYS
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path / "deep" / "cache"))
+    return tmp_path / "deep" / "cache"
+
+
+def assert_arrays(arrays: dict[str, np.ndarray]) -> None:
+    assert arrays.keys() == ARRAYS.keys()
+    for name, values in ARRAYS.items():
+        assert np.array_equal(arrays[name], values) and arrays[name].dtype == values.dtype
+
+
+def test_arrays_are_built_once_and_kept_in_one_file(folder: Path) -> None:
+    build = Build()
+    assert_arrays(cached_arrays("x-1", build))
+    assert_arrays(cached_arrays("x-1", build))
+    assert build.calls == 1
+    assert [entry.name for entry in folder.iterdir()] == ["x-1.npz"]
+
+
+@pytest.mark.parametrize("size", [0, 10, 150, -20])
+def test_a_damaged_file_is_made_again_with_a_warning(folder: Path, size: int) -> None:
+    build = Build()
+    cached_arrays("x-1", build)
+    path = folder / "x-1.npz"
+    path.write_bytes(path.read_bytes()[:size])
+    with pytest.warns(UserWarning, match=r"x-1\.npz: a cache file that cannot be read, made again"):
+        assert_arrays(cached_arrays("x-1", build))
+    assert_arrays(cached_arrays("x-1", build))
+    assert build.calls == 2
+
+
+def test_a_file_with_pickled_objects_is_not_loaded(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    np.savez(folder / "x-1.npz", a=np.array([print], dtype=object))
+    with pytest.warns(UserWarning, match="Object arrays cannot be loaded"):
+        assert_arrays(cached_arrays("x-1", Build()))
+
+
+def test_a_folder_that_cannot_be_written_to_warns_once_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path / "file" / "cache"))
+    _warn_unwritable.cache_clear()
+    build = Build()
+    assert_arrays(cached_arrays("x-1", build))
+    assert_arrays(cached_arrays("x-1", build))
+    assert build.calls == 2
+    assert [str(w.message).startswith(f"{tmp_path / 'file' / 'cache'}: cannot keep caches") for w in recwarn] == [True]
+
+
+def test_a_write_that_fails_leaves_no_half_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    _warn_unwritable.cache_clear()
+    with pytest.warns(UserWarning, match="No space left on device"):
+        assert_arrays(cached_arrays("x-1", Build()))
+    assert list(folder.iterdir()) == []
+
+
+def test_an_error_of_the_builder_is_not_hidden(folder: Path) -> None:
+    def build() -> dict[str, np.ndarray]:
+        raise OSError("from the builder")
+
+    with pytest.raises(OSError, match="from the builder"):
+        cached_arrays("x-1", build)
+
+
+def test_the_folder_is_the_chosen_one_or_the_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
+    assert cache_dir() == tmp_path
+    monkeypatch.setenv("SPLATRL_CACHE", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    assert cache_dir() == tmp_path / "xdg" / "splatrl"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert cache_dir() == tmp_path / ".cache" / "splatrl"

@@ -1,0 +1,194 @@
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from splatrl.scenes.formats import read_gaussians, write_gaussians
+from tests.scenes.samples import assert_same, ply_bytes, ply_fields, sample_gaussians
+
+KINDS = ["ascii", "binary_little_endian", "binary_big_endian"]
+
+
+def written(path: Path, content: bytes) -> Path:
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_fields_are_found_by_name_whatever_their_order_and_encoding(tmp_path: Path, kind: str, degree: int) -> None:
+    gaussians = sample_gaussians(7, degree)
+    fields = {**ply_fields(gaussians), "nx": np.zeros(7, np.float32), "confidence": np.ones(7, np.float32)}
+    names = list(fields)
+    random.Random(degree).shuffle(names)
+    path = written(tmp_path / "a.ply", ply_bytes({name: fields[name] for name in names}, kind))
+    assert_same(read_gaussians(path), gaussians)
+
+
+def test_other_types_and_other_elements_do_not_matter(tmp_path: Path) -> None:
+    gaussians = sample_gaussians(3, 0)
+    fields = ply_fields(gaussians)
+    header = ["ply", "format binary_little_endian 1.0", "element camera 2", "property list uchar int ids"]
+    header += ["element vertex 3", *(f"property double {name}" for name in fields), "end_header", ""]
+    camera = bytes([1]) + (5).to_bytes(4, "little") + bytes([0])
+    rows = np.stack(list(fields.values()), 1).astype("<f8").tobytes()
+    path = written(tmp_path / "A.PLY", "\r\n".join(header).encode() + camera + rows)
+    assert_same(read_gaussians(path), gaussians)
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_what_is_written_reads_back(tmp_path: Path, degree: int) -> None:
+    gaussians = sample_gaussians(11, degree)
+    write_gaussians(tmp_path / "a.ply", gaussians)
+    assert_same(read_gaussians(str(tmp_path / "a.ply")), gaussians)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.ply"]
+
+
+def test_a_written_file_has_the_fields_of_inrias_code_in_their_order(tmp_path: Path) -> None:
+    write_gaussians(tmp_path / "a.ply", sample_gaussians(2, 1))
+    header = (tmp_path / "a.ply").read_bytes().split(b"end_header\n")[0].decode().splitlines()
+    names = [line.split()[-1] for line in header if line.startswith("property float")]
+    rest = [f"f_rest_{i}" for i in range(9)]
+    shape = [f"scale_{i}" for i in range(3)] + [f"rot_{i}" for i in range(4)]
+    assert names == ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, "opacity", *shape]
+    assert header[1] == "format binary_little_endian 1.0"
+
+
+def test_opacities_of_0_and_1_are_stored_finite_and_1_reads_back_as_1(tmp_path: Path) -> None:
+    gaussians = sample_gaussians(3, 0)
+    gaussians.opacities = torch.tensor([0.0, 1.0, 0.5])
+    write_gaussians(tmp_path / "a.ply", gaussians)
+    with pytest.warns(UserWarning, match="dropped 0 non-finite or degenerate and 1 fully transparent of 3"):
+        assert read_gaussians(tmp_path / "a.ply").opacities.tolist() == [1.0, 0.5]
+
+
+def test_values_that_cannot_be_stored_are_refused_and_leave_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    path.write_bytes(b"old")
+    gaussians = sample_gaussians(3, 0)
+    gaussians.scales = gaussians.scales * torch.tensor([1.0, 0.0, 1.0])
+    with pytest.raises(ValueError, match=r"a\.ply: scale_0, scale_1, scale_2: expected values that a file can store"):
+        write_gaussians(path, gaussians)
+    assert path.read_bytes() == b"old"
+    with pytest.raises(ValueError, match=r"expected a name that ends in \.ply, got '\.spz'"):
+        write_gaussians(tmp_path / "a.spz", sample_gaussians())
+
+
+@pytest.mark.parametrize("name", ["y", "f_dc_1", "opacity", "scale_2", "rot_0"])
+def test_a_missing_field_is_named(tmp_path: Path, name: str) -> None:
+    fields = ply_fields(sample_gaussians(3, 0))
+    del fields[name]
+    path = written(tmp_path / "a.ply", ply_bytes(fields))
+    with pytest.raises(ValueError, match=rf"a\.ply: expected the fields of Gaussians, got a PLY file without {name};"):
+        read_gaussians(path)
+
+
+@pytest.mark.parametrize("removed", ["f_rest_23", "f_rest_0"])
+def test_a_wrong_number_of_harmonics_is_refused(tmp_path: Path, removed: str) -> None:
+    fields = ply_fields(sample_gaussians(3, 2))
+    del fields[removed]
+    path = written(tmp_path / "a.ply", ply_bytes(fields))
+    with pytest.raises(ValueError, match=r"a\.ply: f_rest_\*: expected 0, 9, 24 or 45 .* got 23"):
+        read_gaussians(path)
+
+
+def test_harmonics_with_a_gap_in_their_numbers_are_refused(tmp_path: Path) -> None:
+    fields = ply_fields(sample_gaussians(3, 1))
+    fields["f_rest_9"] = fields.pop("f_rest_4")
+    with pytest.raises(ValueError, match="without f_rest_4;"):
+        read_gaussians(written(tmp_path / "a.ply", ply_bytes(fields)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("promised", [8, 10**11])
+def test_a_header_that_promises_more_than_the_file_holds_is_refused(tmp_path: Path, kind: str, promised: int) -> None:
+    fields = ply_fields(sample_gaussians(7, 0))
+    path = written(tmp_path / "a.ply", ply_bytes(fields, kind, count=promised))
+    with pytest.raises(ValueError, match=r"a\.ply: expected"):
+        read_gaussians(path)
+
+
+def test_a_header_that_promises_lists_without_end_is_refused(tmp_path: Path) -> None:
+    header = (
+        b"ply\nformat binary_little_endian 1.0\nelement face 99999999999\nproperty list uchar int v\nelement vertex 0\n"
+    )
+    names = ply_fields(sample_gaussians(1, 0))
+    header += b"".join(f"property float {name}\n".encode() for name in names) + b"end_header\n"
+    with pytest.raises(ValueError, match="expected 99999999999 bytes or more behind the header, got 0"):
+        read_gaussians(written(tmp_path / "a.ply", header))
+
+
+@pytest.mark.parametrize("extra", [-1, 1])
+def test_a_binary_file_of_another_length_is_refused(tmp_path: Path, extra: int) -> None:
+    content = ply_bytes(ply_fields(sample_gaussians(7, 0)))
+    content = content[:extra] if extra < 0 else content + b"\0" * extra
+    with pytest.raises(ValueError, match=rf"expected 392 bytes behind the header, got {392 + extra}"):
+        read_gaussians(written(tmp_path / "a.ply", content))
+
+
+@pytest.mark.parametrize(
+    "line", ["element vertex x", "property float", "property quad x", "format ascii 2.0", "element vertex 1", "splat"]
+)
+def test_a_line_that_no_ply_header_has_is_quoted(tmp_path: Path, line: str) -> None:
+    header = f"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\n{line}\nend_header\n0\n"
+    with pytest.raises(ValueError, match=rf"a\.ply: header: expected a line of a PLY header, got '{line}'"):
+        read_gaussians(written(tmp_path / "a.ply", header.encode()))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"PK\x03\x04 not a splat", "expected a PLY file with a header"),
+        (b"ply\nformat ascii 1.0\nelement vertex 3\n", "expected a PLY file with a header"),
+        (b"ply\nelement vertex 1\nend_header\n", "expected a format line"),
+        (b"ply\nformat ascii 1.0\nend_header\n", "expected an element vertex, got none"),
+        (b"ply\nformat ascii 1.0\nproperty float x\nend_header\n", "expected a line of a PLY header"),
+        (
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float x\nend_header\n",
+            "expected each property of vertex once, got x twice",
+        ),
+        (
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n",
+            "PLY file without y, z, f_dc_0",
+        ),
+    ],
+)
+def test_what_is_no_splat_says_what_is_missing(tmp_path: Path, content: bytes, message: str) -> None:
+    with pytest.raises(ValueError, match=rf"a\.ply: .*{message}"):
+        read_gaussians(written(tmp_path / "a.ply", content))
+
+
+def test_words_in_place_of_numbers_are_refused(tmp_path: Path) -> None:
+    content = ply_bytes(ply_fields(sample_gaussians(2, 0)), "ascii")
+    body = content.index(b"end_header\n") + len(b"end_header\n")
+    damaged = content[:body] + b"z" * (len(content) - body - 1) + b"\n"
+    with pytest.raises(ValueError, match=r"a\.ply: expected the rows that the header describes"):
+        read_gaussians(written(tmp_path / "a.ply", damaged))
+
+
+def test_a_non_finite_row_is_dropped(tmp_path: Path) -> None:
+    fields = ply_fields(sample_gaussians(4, 0))
+    fields["scale_1"] = np.array([0.0, 1000.0, -1000.0, np.nan], np.float32)
+    with pytest.warns(UserWarning, match=r"a\.ply: dropped 3 non-finite or degenerate"):
+        assert len(read_gaussians(written(tmp_path / "a.ply", ply_bytes(fields)))) == 1
+
+
+def test_a_missing_file_a_folder_an_empty_file_and_an_unknown_ending_are_told_apart(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"none\.ply: no such splat file"):
+        read_gaussians(tmp_path / "none.ply")
+    with pytest.raises(ValueError, match="expected a splat file, got a folder"):
+        read_gaussians(tmp_path)
+    with pytest.raises(ValueError, match=r"a\.ply: expected a splat file, got an empty one"):
+        read_gaussians(written(tmp_path / "a.ply", b""))
+    with pytest.raises(ValueError, match=r"expected a file that ends in \.ply, \.sog, \.splat, \.spz, got '\.obj'"):
+        read_gaussians(tmp_path / "a.obj")
+    with pytest.raises(ValueError, match="got 'no ending'"):
+        read_gaussians(tmp_path / "a")
+
+
+def test_a_trained_scene_reads(shared_scenes: Path) -> None:
+    with pytest.warns(UserWarning, match="dropped 0 non-finite or degenerate and 1 fully transparent of 11843"):
+        gaussians = read_gaussians(shared_scenes / "brighton" / "brighton.ply")
+    assert (len(gaussians), gaussians.sh_degree) == (11842, 1)

@@ -1,0 +1,175 @@
+import gzip
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from splatrl.scenes.formats import read_gaussians
+from tests.scenes.samples import assert_valid, random_spz, sample_gaussians, spz_bytes, spz_payload
+
+
+def written(path: Path, content: bytes) -> Path:
+    path.write_bytes(content)
+    return path
+
+
+def one(rotation: list[int], version: int, tmp_path: Path) -> torch.Tensor:
+    """The quaternion of one Gaussian with these rotation bytes."""
+    payload = spz_payload(
+        np.zeros((1, 3), np.int64), np.full(1, 255), np.full(3, 128), np.full(3, 160), np.array(rotation), np.zeros(0)
+    )
+    return read_gaussians(written(tmp_path / "a.spz", spz_bytes(payload, 1, version))).quats[0]
+
+
+def test_bytes_mean_what_the_format_says(tmp_path: Path) -> None:
+    payload = spz_payload(
+        positions=np.array([[-6144, 1, 8388607], [0, -1, -8388608]]),
+        alphas=np.array([255, 51]),
+        colors=np.array([[0, 255, 51], [204, 102, 153]]),
+        scales=np.array([[160, 0, 255], [144, 176, 16]]),
+        rotations=np.array([[0, 0, 0, 192], [0, 0, 0, 0]]),
+        sh=np.arange(18).reshape(2, 3, 3) * 8 + 64,
+    )
+    gaussians = read_gaussians(written(tmp_path / "a.spz", spz_bytes(payload, 2, degree=1)))
+    exact = torch.tensor([[-1.5, 2**-12, 2048 - 2**-12], [0.0, -(2**-12), -2048.0]])
+    torch.testing.assert_close(gaussians.means, exact, atol=0, rtol=0)
+    torch.testing.assert_close(gaussians.opacities, torch.tensor([1.0, 0.2]))
+    torch.testing.assert_close(gaussians.scales.log(), torch.tensor([[0, -10, 5.9375], [-1, 1, -9]]))
+    sh0 = torch.tensor([[-0.5, 0.5, -0.3], [0.3, -0.1, 0.1]]) / 0.15
+    torch.testing.assert_close(gaussians.sh[:, 0], sh0, atol=1e-6, rtol=1e-6)
+    sh1 = torch.arange(18).reshape(2, 3, 3) / 16 - 0.5  # harmonic, then channel
+    torch.testing.assert_close(gaussians.sh[:, 1:], sh1, atol=0, rtol=0)
+    torch.testing.assert_close(gaussians.quats, torch.tensor([[1.0, 0, 0, 0], [0, 1, 0, 0]]))
+
+
+def test_fractional_bits_scale_the_positions(tmp_path: Path) -> None:
+    payload, count = random_spz(3, 0)
+    at_12 = read_gaussians(written(tmp_path / "a.spz", spz_bytes(payload, count, fractional_bits=12))).means
+    at_9 = read_gaussians(written(tmp_path / "b.spz", spz_bytes(payload, count, fractional_bits=9))).means
+    torch.testing.assert_close(at_9, 8 * at_12, atol=0, rtol=0)
+
+
+@pytest.mark.parametrize("largest", range(4))
+def test_a_version_3_rotation_leaves_out_its_largest_component(tmp_path: Path, largest: int) -> None:
+    xyzw = np.insert(np.array([0.3, -0.2, 0.1]), largest, np.sqrt(1 - 0.14))
+    word = largest
+    for value in np.delete(xyzw, largest):
+        word = word << 10 | (value < 0) << 9 | round(abs(value) * np.sqrt(2) * 511)
+    quat = one(list(int(word).to_bytes(4, "little")), 3, tmp_path)
+    torch.testing.assert_close(quat, torch.tensor(np.roll(xyzw, 1), dtype=torch.float32), atol=1.5e-3, rtol=0)
+
+
+def test_a_version_2_rotation_has_its_real_part_left_out(tmp_path: Path) -> None:
+    xyz = np.array([0.3, -0.2, 0.1])
+    quat = one(np.round(xyz * 127.5 + 127.5).astype(int).tolist(), 2, tmp_path)
+    expected = torch.tensor([np.sqrt(1 - 0.14), *xyz], dtype=torch.float32)
+    torch.testing.assert_close(quat, expected, atol=8e-3, rtol=0)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_another_reader_reads_the_same(tmp_path: Path, version: int, degree: int) -> None:
+    gsply = pytest.importorskip("gsply", reason="needs the extra gsply")
+    payload, count = random_spz(version, degree, count=37)
+    path = written(tmp_path / "a.spz", spz_bytes(payload, count, version, degree))
+    ours, theirs = read_gaussians(path), gsply.read_spz(path)
+    assert_valid(ours)
+    np.testing.assert_allclose(ours.means, theirs.means, rtol=1e-6)
+    np.testing.assert_allclose(ours.scales.log(), theirs.scales, atol=1e-5)
+    np.testing.assert_allclose(ours.opacities, 1 / (1 + np.exp(-theirs.opacities)), atol=2e-6)
+    np.testing.assert_allclose(ours.sh[:, 0], theirs.sh0, atol=1e-6)
+    if degree > 0:
+        np.testing.assert_allclose(ours.sh[:, 1:], theirs.shN, atol=1e-6)
+    unit = theirs.quats / np.linalg.norm(theirs.quats, axis=1, keepdims=True)
+    np.testing.assert_allclose(ours.quats, unit, atol=1e-6)
+
+
+def test_what_another_writer_writes_reads_back_within_its_quantisation(tmp_path: Path) -> None:
+    gsply = pytest.importorskip("gsply", reason="needs the extra gsply")
+    gaussians = sample_gaussians(25, 3)
+    gaussians.sh = gaussians.sh.clamp(-0.9, 0.9)
+    data = gsply.GSData.from_arrays(
+        means=gaussians.means.numpy(),
+        scales=gaussians.scales.log().numpy(),
+        quats=gaussians.quats.numpy(),
+        opacities=gaussians.opacities.logit().numpy(),
+        sh0=gaussians.sh[:, 0].numpy(),
+        shN=gaussians.sh[:, 1:].numpy(),
+        format="ply",
+    )
+    gsply.write_spz(tmp_path / "a.spz", data)
+    read = read_gaussians(tmp_path / "a.spz")
+    torch.testing.assert_close(read.means, gaussians.means, atol=2**-13 * 1.01, rtol=0)
+    torch.testing.assert_close(read.scales.log(), gaussians.scales.log(), atol=1 / 31, rtol=0)
+    torch.testing.assert_close(read.opacities, gaussians.opacities, atol=1 / 500, rtol=0)
+    torch.testing.assert_close(read.sh, gaussians.sh, atol=0.014, rtol=0)
+    assert ((read.quats * gaussians.quats).sum(1).abs() > 1 - 1e-5).all()
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        ({"version": 1}, "version: expected 2 or 3, got 1"),
+        ({"version": 4}, "version: expected 2 or 3, got 4"),
+        ({"degree": 4}, "shDegree: expected 0 to 3, got 4"),
+        ({"fractional_bits": 25}, "fractionalBits: expected at most 24, got 25"),
+        ({"count": 0}, "numPoints: expected at least 1, got 0"),
+        ({"count": 10}, "expected 200 bytes behind the header, got 180: truncated"),
+        ({"count": 8}, "expected 160 bytes behind the header, got more"),
+        ({"degree": 1}, "expected 261 bytes behind the header, got 180: truncated"),
+        ({"count": 0xFFFFFFFF}, "numPoints: 4294967295 Gaussians need 85899345900 bytes, more than a file of"),
+    ],
+)
+def test_a_header_that_does_not_fit_is_refused_by_field(tmp_path: Path, header: dict[str, int], message: str) -> None:
+    payload, count = random_spz(3, 0)
+    path = written(tmp_path / "a.spz", spz_bytes(payload, **{"count": count, **header}))
+    with pytest.raises(ValueError, match=rf"a\.spz: {message}"):
+        read_gaussians(path)
+
+
+def test_extensions_behind_the_attributes_are_passed_over(tmp_path: Path) -> None:
+    payload, count = random_spz(3, 1)
+    plain = read_gaussians(written(tmp_path / "a.spz", spz_bytes(payload, count, degree=1)))
+    extended = spz_bytes(payload + b"a vendor's record", count, degree=1, flags=2)
+    torch.testing.assert_close(read_gaussians(written(tmp_path / "b.spz", extended)).sh, plain.sh, atol=0, rtol=0)
+
+
+@pytest.mark.parametrize("kept", [1, 9, 15, 60, -9, -1])
+def test_a_truncated_stream_is_refused(tmp_path: Path, kept: int) -> None:
+    payload, count = random_spz(2, 1)
+    with pytest.raises(ValueError, match=r"a\.spz: "):
+        read_gaussians(written(tmp_path / "a.spz", spz_bytes(payload, count, 2, 1)[:kept]))
+
+
+def test_a_flipped_bit_is_refused_by_the_checksum(tmp_path: Path) -> None:
+    payload, count = random_spz(3, 0)
+    content = bytearray(spz_bytes(payload, count))
+    content[60] ^= 1
+    with pytest.raises(ValueError, match=r"a\.spz: expected a gzip stream, got a damaged one"):
+        read_gaussians(written(tmp_path / "a.spz", bytes(content)))
+
+
+def test_a_stream_of_something_else_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="magic: expected b'NGSP', got b'some'"):
+        read_gaussians(written(tmp_path / "a.spz", gzip.compress(b"something else altogether")))
+    with pytest.raises(ValueError, match="version: expected gzipped SPZ 2 or 3, got 4"):
+        read_gaussians(written(tmp_path / "a.spz", b"NGSP" + (4).to_bytes(4, "little") + bytes(40)))
+
+
+def test_a_stream_that_unpacks_to_more_than_its_header_promises_is_not_unpacked(tmp_path: Path) -> None:
+    payload, count = random_spz(3, 0)
+    path = written(tmp_path / "a.spz", spz_bytes(payload + bytes(1 << 27), count))
+    tracemalloc.start()
+    with pytest.raises(ValueError, match="expected 180 bytes behind the header, got more"):
+        read_gaussians(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 22
+
+
+def test_the_captured_kitchen_reads(shared_scenes: Path) -> None:
+    gaussians = read_gaussians(shared_scenes / "kitchen" / "kitchen.spz")
+    assert (len(gaussians), gaussians.sh_degree) == (213_944, 0)
+    assert_valid(gaussians)

@@ -1,0 +1,211 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+from splatrl.scenes import Gaussians, Scene, load_scene, write_gaussians
+from splatrl.scenes.scene import robust_bounds
+from tests.scenes.samples import assert_same, sample_gaussians
+
+CONF = Path(__file__).parents[2] / "conf" / "scene"
+UPRIGHT = {"axes": ["x", "-z", "y"], "scale": 2.0}
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def splat(tmp_path: Path) -> Path:
+    write_gaussians(tmp_path / "garden.ply", sample_gaussians(9, 1))
+    return tmp_path / "garden.ply"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "yard").mkdir()
+    write_gaussians(tmp_path / "yard" / "point_cloud.ply", sample_gaussians(9, 1))
+    return tmp_path / "yard"
+
+
+def scene_of(gaussians: Gaussians) -> Scene:
+    return Scene("test", gaussians, robust_bounds(gaussians))
+
+
+def counting(calls: list[int], value: float = 1.0) -> dict[str, np.ndarray]:
+    calls.append(1)
+    return {"value": np.array([value])}
+
+
+def test_a_splat_file_is_a_scene_of_its_name_in_splat_coordinates(splat: Path) -> None:
+    scene = load_scene(splat)
+    assert scene.name == "garden"
+    assert_same(scene.gaussians, sample_gaussians(9, 1))
+    assert scene.bounds == robust_bounds(scene.gaussians)
+
+
+def test_a_frame_stands_the_gaussians_upright_and_in_metres(splat: Path) -> None:
+    x, y, z = sample_gaussians(9, 1).means.unbind(1)
+    upright = load_scene(str(splat), UPRIGHT)
+    torch.testing.assert_close(upright.gaussians.means, 2 * torch.stack([x, -z, y], 1))
+    matrix = torch.tensor([[2.0, 0, 0, 0], [0, 0, -2, 0], [0, 2, 0, 0], [0, 0, 0, 1]])
+    assert_same(load_scene(splat, matrix).gaussians, upright.gaussians)
+
+
+def test_a_folder_says_what_its_splat_is(folder: Path) -> None:
+    (folder / "scene.yaml").write_text(
+        "splat: point_cloud.ply\nname: our yard\nworld_from_splat:\n  axes: [x, -z, y]\n  scale: 2.0\n"
+        "bounds: [[-1, -2, 0], [1, 2, 3.5]]\n"
+    )
+    scene = load_scene(folder)
+    assert scene.name == "our yard"
+    assert scene.bounds == ((-1.0, -2.0, 0.0), (1.0, 2.0, 3.5))
+    assert_same(scene.gaussians, load_scene(folder / "point_cloud.ply", UPRIGHT).gaussians)
+
+
+def test_arguments_go_before_what_a_folder_says_key_by_key(folder: Path) -> None:
+    (folder / "scene.yaml").write_text("splat: point_cloud.ply\nworld_from_splat: {axes: [x, -z, y], scale: 7.0}\n")
+    scene = load_scene(folder, {"axes": None, "scale": 2.0}, bounds=[(0, 0, 0), (1, 1, 1)], name="mine")
+    assert scene.name == "mine"
+    assert scene.bounds == ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    assert_same(scene.gaussians, load_scene(folder / "point_cloud.ply", UPRIGHT).gaussians)
+
+
+def test_a_folder_without_a_frame_or_a_name_takes_the_defaults(folder: Path) -> None:
+    (folder / "scene.yaml").write_text("splat: point_cloud.ply\nworld_from_splat: null\nname:\n")
+    scene = load_scene(folder)
+    assert scene.name == "yard"
+    assert_same(scene.gaussians, sample_gaussians(9, 1))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("splat: point_cloud.ply\nup: z\nsplats: 1", "expected the keys splat, name, .* got up, splats"),
+        ("name: x", "splat: expected the name of a file in this folder, got None"),
+        ("splat: ../other.ply", "splat: expected the name of a file in this folder, got '../other.ply'"),
+        ("splat: 3", "splat: expected the name of a file"),
+        ("splat: point_cloud.ply\nname: [1]", "name: expected text"),
+        ("splat: point_cloud.ply\nworld_from_splat: upright", "world_from_splat: expected keys and values"),
+        ("- splat", "expected keys and values, got \\['splat'\\]"),
+        ("splat: [", "expected YAML, got"),
+        ("just text", "expected"),
+        ("", "splat: expected the name of a file in this folder, got None"),
+    ],
+)
+def test_a_scene_yaml_that_is_wrong_is_refused_by_key(folder: Path, content: str, message: str) -> None:
+    (folder / "scene.yaml").write_text(content)
+    with pytest.raises(ValueError, match=rf"scene\.yaml: {message}"):
+        load_scene(folder)
+
+
+def test_a_frame_with_other_keys_is_refused(folder: Path, splat: Path) -> None:
+    (folder / "scene.yaml").write_text("splat: point_cloud.ply\nworld_from_splat: {up: z}")
+    for path, frame in ((folder, None), (splat, {"up": "z"})):
+        message = "world_from_splat: expected the keys axes, scale, translation, matrix, got up"
+        with pytest.raises(ValueError, match=message):
+            load_scene(path, frame)
+
+
+def test_what_is_not_there_is_named(tmp_path: Path, folder: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"none\.ply: no such splat file"):
+        load_scene(tmp_path / "none.ply")
+    with pytest.raises(FileNotFoundError, match=r"yard: expected a scene folder with scene\.yaml"):
+        load_scene(folder)
+    (folder / "scene.yaml").write_text("splat: none.spz")
+    with pytest.raises(FileNotFoundError, match=r"none\.spz: no such splat file"):
+        load_scene(folder)
+
+
+@pytest.mark.parametrize(
+    "bounds", [[(0, 0, 0)], [(0, 0), (1, 1)], [(0, 0, 0), (1, 0, 1)], [(0, 0, 0), (1, 1, math.nan)], "ab"]
+)
+def test_bounds_that_bound_nothing_are_refused(splat: Path, bounds: object) -> None:
+    with pytest.raises(ValueError, match="bounds: expected"):
+        load_scene(splat, bounds=bounds)  # type: ignore[arg-type]
+
+
+def test_bounds_leave_out_floaters_and_what_is_hardly_there() -> None:
+    gaussians = sample_gaussians(1000, 0)
+    gaussians.means = torch.rand(1000, 3, generator=torch.Generator().manual_seed(0))
+    gaussians.opacities = torch.ones(1000)
+    gaussians.means[:3] = 1000.0
+    gaussians.means[3:300, 2] = -50.0
+    gaussians.opacities[3:300] = 0.4
+    lower, upper = robust_bounds(gaussians)
+    assert all(-0.05 < low < 0.05 for low in lower)
+    assert all(0.95 < high < 1.05 for high in upper)
+    gaussians.opacities[:] = 0.4
+    assert robust_bounds(gaussians)[0][2] == -50.0
+
+
+def test_the_backyard_is_built_in_and_its_seed_makes_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("splatrl.scenes.scene.backyard", lambda seed: sample_gaussians(seed=seed))
+    assert_same(load_scene().gaussians, sample_gaussians(seed=0))
+    scene = load_scene("backyard", seed=1)
+    assert_same(scene.gaussians, sample_gaussians(seed=1))
+    assert scene.name == "backyard"
+    assert scene.bounds == ((-3.0, -3.0, 0.0), (3.0, 3.0, 3.0))
+
+
+def test_what_is_cached_is_built_again_exactly_when_something_that_it_is_made_of_changes() -> None:
+    gaussians = sample_gaussians(9)
+    calls: list[int] = []
+    settings = {"resolution": 0.05, "crop": ((0, 0, 0), (1, 1, 1))}
+    for scene in (scene_of(gaussians), scene_of(gaussians.clone())):
+        assert scene.cached("voxels", settings, lambda: counting(calls, 3.5))["value"].tolist() == [3.5]
+    as_yaml = OmegaConf.create({"crop": [[0, 0, 0], [1, 1, 1]], "resolution": 0.05})
+    scene_of(gaussians).cached("voxels", dict(as_yaml), lambda: counting(calls))
+    assert len(calls) == 1
+    scene_of(gaussians).cached("voxels", {**settings, "resolution": 0.1}, lambda: counting(calls))
+    scene_of(gaussians).cached("points", settings, lambda: counting(calls))
+    assert len(calls) == 3
+
+
+@pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "sh"])
+def test_another_value_of_any_field_is_another_scene_to_the_cache(name: str) -> None:
+    changed = sample_gaussians(9)
+    values = getattr(changed, name).clone()
+    values.view(-1)[-1] += 1e-6
+    setattr(changed, name, values)
+    assert scene_of(changed).digest != scene_of(sample_gaussians(9)).digest
+
+
+def test_another_shape_of_the_same_bytes_is_another_scene_to_the_cache() -> None:
+    gaussians = sample_gaussians(4, 1)
+    gaussians.sh = torch.zeros(4, 4, 3)
+    fewer = sample_gaussians(4, 1)
+    fewer.sh = torch.zeros(4, 1, 3)
+    assert scene_of(gaussians).digest != scene_of(fewer).digest
+
+
+@pytest.mark.parametrize("path", sorted(CONF.glob("*.yaml")), ids=lambda path: path.stem)
+def test_a_node_of_the_configuration_loads_a_scene(path: Path, splat: Path) -> None:
+    node = OmegaConf.load(path).scene
+    if OmegaConf.is_missing(node, "path"):
+        node.path = str(splat)
+    scene = instantiate(node)
+    assert isinstance(scene, Scene)
+    if path.stem == "kitchen":
+        assert_same(scene.gaussians, load_scene(splat, {"axes": ["x", "-z", "y"]}).gaussians)
+    if path.stem == "file":
+        node.world_from_splat = {"axes": ["x", "-z", "y"], "scale": 2}
+        node.bounds = [[0, 0, 0], [1, 1, 1]]
+        scene = instantiate(node)
+        assert_same(scene.gaussians, load_scene(splat, UPRIGHT).gaussians)
+        assert scene.bounds == ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+
+
+def test_the_captured_kitchen_stands_on_its_floor(shared_scenes: Path) -> None:
+    scene = load_scene(shared_scenes / "kitchen" / "kitchen.spz", {"axes": ["x", "-z", "y"]})
+    extents = [high - low for low, high in zip(*scene.bounds, strict=True)]
+    assert extents == pytest.approx([3.6, 2.1, 2.3], abs=0.15)
+    opaque = scene.gaussians.means[scene.gaussians.opacities > 0.5]
+    on_the_floor = (opaque[:, 2].abs() < 0.03).float().mean()
+    assert on_the_floor > 0.2  # nothing else is as large and level
