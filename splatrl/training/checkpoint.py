@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+import zipfile
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -38,9 +39,13 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str,
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected a checkpoint, found none")
     try:
+        with zipfile.ZipFile(path) as archive:  # its checksums find damage that PyTorch would take for numbers
+            damaged = archive.testzip()
+        if damaged is not None:
+            raise ValueError(f"the checksum of {damaged} differs")
         state = torch.load(path, map_location=device, weights_only=True)
-    except (RuntimeError, UnpicklingError, EOFError, ValueError) as error:
-        raise ValueError(f"{path}: expected a checkpoint of tensors and plain values: {error}") from error
+    except (zipfile.BadZipFile, RuntimeError, UnpicklingError, EOFError, OSError, ValueError) as error:
+        raise ValueError(f"{path}: expected a whole checkpoint of tensors and plain values: {error}") from error
     if not isinstance(state, dict):
         raise ValueError(f"{path}: expected a checkpoint, found a {type(state).__name__}")
     return state
