@@ -1,0 +1,96 @@
+"""Checkpoints survive crashes, and damage is told."""
+
+import io
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from splatrl.training import load_checkpoint, save_checkpoint
+
+STATE: dict[str, Any] = {"frames": 7, "model": {"weight": torch.arange(6.0).view(2, 3)}, "history": [{"success": 0.5}]}
+
+
+def saved(value: Any = STATE) -> bytes:
+    buffer = io.BytesIO()
+    torch.save(value, buffer)
+    return buffer.getvalue()
+
+
+def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
+    path = tmp_path / "last.pt"
+    save_checkpoint(path, STATE)
+    loaded = load_checkpoint(path)
+    assert torch.equal(loaded["model"].pop("weight"), torch.arange(6.0).view(2, 3))
+    assert loaded == {"frames": 7, "model": {}, "history": [{"success": 0.5}]}
+    assert os.listdir(tmp_path) == ["last.pt"]
+
+
+def test_a_torn_write_leaves_the_old_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "last.pt"
+    save_checkpoint(path, {"frames": 1})
+
+    begun = saved()[:100]
+
+    def torn(state: Any, file: io.BufferedWriter) -> None:
+        file.write(begun)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(torch, "save", torn)
+    with pytest.raises(KeyboardInterrupt):
+        save_checkpoint(path, {"frames": 2})
+    assert load_checkpoint(path) == {"frames": 1}
+    assert os.listdir(tmp_path) == ["last.pt"]
+
+
+def test_the_new_checkpoint_takes_the_old_ones_place_only_when_it_is_on_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "last.pt"
+    save_checkpoint(path, {"frames": 1})
+    events: list[str] = []
+    real = {"fsync": os.fsync, "replace": os.replace}
+    for name, call in real.items():
+        monkeypatch.setattr(os, name, lambda *a, name=name, call=call: (events.append(name), call(*a)))
+    save_checkpoint(path, {"frames": 2})
+    assert events == ["fsync", "replace"]
+    assert load_checkpoint(path) == {"frames": 2}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"garbage", b"PK\x03\x04", saved()[: len(saved()) // 2], saved({"run": os.system}), saved([1, 2])],
+    ids=["empty", "garbage", "signature", "half", "code", "list"],
+)
+def test_a_file_that_is_no_checkpoint_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "last.pt"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=rf"{path}: expected a"):
+        load_checkpoint(path)
+
+
+def test_damage_to_a_number_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "last.pt"
+    content = bytearray(saved())
+    place = content.index(torch.tensor([4.0, 5.0]).numpy().tobytes())
+    content[place] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=rf"{path}: expected a whole checkpoint .* checksum"):
+        load_checkpoint(path)
+
+
+def test_a_checkpoint_cut_at_any_place_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "last.pt"
+    content = saved()
+    for length in range(0, len(content), 7):
+        path.write_bytes(content[:length])
+        with pytest.raises(ValueError, match=rf"{path}: expected a whole checkpoint"):
+            load_checkpoint(path)
+
+
+@pytest.mark.parametrize("name", ["nothing.pt", "."])
+def test_a_checkpoint_that_is_not_there_is_told(tmp_path: Path, name: str) -> None:
+    with pytest.raises(FileNotFoundError, match="expected a checkpoint, found none"):
+        load_checkpoint(tmp_path / name)

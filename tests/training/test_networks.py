@@ -1,0 +1,86 @@
+"""The actor and critic."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from splatrl.training import PixelTrunk, actor_critic
+
+HEIGHT, WIDTH, ACTIONS, FEATURES = 14, 20, 5, 24
+
+
+def images(*batch: int, seed: int = 0) -> TensorDict:
+    generator = torch.Generator().manual_seed(seed)
+    pixels = torch.randint(0, 256, (*batch, HEIGHT, WIDTH, 3), generator=generator, dtype=torch.uint8)
+    return TensorDict({"pixels": pixels}, batch)
+
+
+@pytest.fixture
+def model() -> torch.nn.Module:
+    torch.manual_seed(0)
+    return actor_critic((HEIGHT, WIDTH, 3), ACTIONS, pool=1, channels=(4, 7), features=FEATURES)
+
+
+@pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
+def test_it_writes_action_and_value_for_any_batch(model: torch.nn.Module, batch: tuple[int, ...]) -> None:
+    td = model(images(*batch))
+    shapes = {key: value.shape for key, value in td.items()}
+    assert shapes == {
+        "pixels": (*batch, HEIGHT, WIDTH, 3),
+        "hidden": (*batch, FEATURES),
+        "logits": (*batch, ACTIONS),
+        "action": batch,
+        "action_log_prob": batch,
+        "state_value": (*batch, 1),
+    }
+    assert td["action"].dtype == torch.int64 and set(td["action"].unique().tolist()) <= set(range(ACTIONS))
+    chosen = td["logits"].log_softmax(-1).gather(-1, td["action"].unsqueeze(-1)).squeeze(-1)
+    torch.testing.assert_close(td["action_log_prob"], chosen)
+
+
+def test_an_image_is_seen_alike_alone_and_in_a_batch(model: torch.nn.Module) -> None:
+    together = model(images(2, 3))
+    for i, j in ((0, 0), (1, 2)):
+        alone = model(images(2, 3)[i, j])
+        for key in ("hidden", "logits", "state_value"):
+            torch.testing.assert_close(alone[key], together[key][i, j], atol=1e-5, rtol=1e-5)
+
+
+def test_another_image_is_seen_otherwise(model: torch.nn.Module) -> None:
+    views = model(images(2))
+    assert not torch.allclose(views["hidden"][0], views["hidden"][1], atol=1e-3)
+
+
+def test_the_first_policy_is_nearly_uniform(model: torch.nn.Module) -> None:
+    logits = model(images(50))["logits"]
+    assert logits.std() > 0 and (logits.softmax(-1) - 1 / ACTIONS).abs().max() < 0.02
+
+
+def test_actions_are_sampled_unless_the_mode_is_asked_for(model: torch.nn.Module) -> None:
+    same = images(1).expand(400)
+    assert len(model(same.clone())["action"].unique()) == ACTIONS
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        td = model(same.clone())
+    assert (td["action"] == td["logits"].argmax(-1)).all()
+
+
+def test_the_heads_read_what_the_trunk_wrote(model: torch.nn.Module) -> None:
+    whole = model(images(4))
+    value = model.get_value_operator()(images(4))
+    head = model.get_value_head()(whole.select("hidden"))
+    assert torch.equal(value["state_value"], whole["state_value"]) and torch.equal(
+        value["state_value"], head["state_value"]
+    )
+    logits = model.get_policy_head()(whole.select("hidden"))["logits"]
+    assert torch.equal(logits, whole["logits"])
+
+
+def test_pooling_takes_the_mean_of_its_cells() -> None:
+    torch.manual_seed(0)
+    trunk = PixelTrunk(HEIGHT * 2, WIDTH * 2, pool=2, channels=(4, 7), features=FEATURES)
+    small = images(3)["pixels"]
+    large = small.repeat_interleave(2, 1).repeat_interleave(2, 2)
+    plain = PixelTrunk(HEIGHT, WIDTH, pool=1, channels=(4, 7), features=FEATURES)
+    plain.load_state_dict(trunk.state_dict())
+    torch.testing.assert_close(trunk(large), plain(small), atol=1e-5, rtol=1e-5)

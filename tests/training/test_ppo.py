@@ -1,0 +1,181 @@
+"""PPO: its gradient, its advantages, that it resumes to the byte, and that it learns."""
+
+import copy
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from tensordict.nn import ProbabilisticTensorDictSequential
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+
+from splatrl.envs import SplatEnv
+from splatrl.training import PPO, LossSettings, OptimSettings, actor_critic, load_checkpoint, save_checkpoint
+from tests.tiny import tiny_env
+
+LOSS = LossSettings(
+    gamma=0.9,
+    gae_lambda=0.95,
+    clip_epsilon=0.2,
+    ppo_epochs=2,
+    mini_batch_size=32,
+    critic_coeff=0.5,
+    entropy_coeff=0.01,
+    reward_scale=0.1,
+)
+OPTIM = OptimSettings(lr=1e-3, eps=1e-5, max_grad_norm=0.5, anneal_lr=False)
+
+
+def learner(env: SplatEnv, seed: int = 0, frames_per_batch: int = 64, total_frames: int = 10**6, **change: Any) -> PPO:
+    """PPO with a small network that depends on ``seed``; ``change`` goes to loss and optimiser."""
+    torch.manual_seed(seed)
+    loss = replace(LOSS, **{key: value for key, value in change.items() if hasattr(LOSS, key)})
+    optim = replace(OPTIM, **{key: value for key, value in change.items() if hasattr(OPTIM, key)})
+    model = actor_critic(env.observation_spec["pixels"].shape[1:], 6, pool=1, channels=(8, 16), features=32)
+    return PPO(env, model, loss, optim, frames_per_batch, total_frames)
+
+
+def parameters(ppo: PPO) -> torch.Tensor:
+    return torch.cat([p.detach().flatten() for p in ppo.model.parameters()])
+
+
+def test_one_pass_through_the_trunk_gives_the_gradient_of_two() -> None:
+    ppo = learner(tiny_env([4], max_steps=5), max_grad_norm=math.inf)
+    batch = ppo._collect()
+    batch["advantage"], batch["value_target"] = ppo._advantages(batch)
+    frames = batch.reshape(-1)
+    twice = copy.deepcopy(ppo.model)
+    loss = ClipPPOLoss(
+        ProbabilisticTensorDictSequential(twice.module[0], *twice.get_policy_head().module),
+        twice.get_value_operator(),
+        clip_epsilon=LOSS.clip_epsilon,
+        entropy_coeff=LOSS.entropy_coeff,
+        critic_coeff=LOSS.critic_coeff,
+        normalize_advantage=True,
+    )(frames.clone())
+    (loss["loss_objective"] + loss["loss_critic"] + loss["loss_entropy"]).backward()
+    expected = torch.cat([p.grad.flatten() for p in twice.parameters()])
+    ppo.optimizer = torch.optim.SGD(ppo.model.parameters(), lr=1.0)
+    before = parameters(ppo)
+    ppo._update(frames)
+    assert expected.abs().max() > 1e-3
+    torch.testing.assert_close(before - parameters(ppo), expected, atol=2e-6, rtol=1e-3)
+
+
+def test_gradients_are_clipped_to_the_norm() -> None:
+    ppo = learner(tiny_env([4], max_steps=5), max_grad_norm=1e-3)
+    batch = ppo._collect()
+    batch["advantage"], batch["value_target"] = ppo._advantages(batch)
+    ppo.optimizer = torch.optim.SGD(ppo.model.parameters(), lr=1.0)
+    before = parameters(ppo)
+    ppo._update(batch.reshape(-1))
+    assert (parameters(ppo) - before).norm().item() == pytest.approx(1e-3, rel=1e-2)
+
+
+def test_advantages_are_those_of_torchrls_estimator() -> None:
+    ppo = learner(tiny_env([6], max_steps=4), frames_per_batch=6 * 13)
+    batch = ppo._collect()
+    middle = batch["next"][:, :-1]
+    assert middle["truncated"].any() and middle["terminated"].any()  # else this shows too little
+    assert not batch["next", "done"][:, -1].all()
+    advantage, target = ppo._advantages(batch)
+    scaled = batch.exclude("state_value").clone()
+    scaled["next", "reward"] *= LOSS.reward_scale
+    estimator = GAE(
+        gamma=LOSS.gamma, lmbda=LOSS.gae_lambda, value_network=ppo.model.get_value_operator(), average_gae=False
+    )
+    with torch.no_grad():
+        expected = estimator(scaled)
+    torch.testing.assert_close(advantage, expected["advantage"], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(target, expected["value_target"], atol=1e-5, rtol=1e-5)
+
+
+def test_a_batch_begins_where_the_last_one_stopped() -> None:
+    ppo = learner(tiny_env([16], max_steps=4))
+    first, second = ppo._collect(), ppo._collect()
+    assert first.shape == second.shape == (16, 4)
+    ended = first["next", "done"][:, -1]
+    assert ended.any() and not ended.all()
+    assert torch.equal(second["step_count"][:, 0], torch.where(ended, 0, first["next", "step_count"][:, -1]))
+    goes_on = ~ended.squeeze(1)
+    assert torch.equal(second["pixels"][goes_on, 0], first["next", "pixels"][goes_on, -1])
+
+
+def test_collecting_samples_the_actions() -> None:
+    batch = learner(tiny_env([8]), frames_per_batch=512)._collect()
+    counts = batch["action"].flatten().bincount(minlength=6)
+    assert counts.min() > 512 / 6 / 2  # the first policy is nearly uniform
+
+
+def test_the_report_counts_the_episodes_of_the_batch() -> None:
+    report = learner(tiny_env([4], max_steps=1)).iterate()
+    assert (report["frames"], report["episodes"], report["length"]) == (64, 64, 1.0)
+    batch = learner(tiny_env([4], max_steps=5, first=1), frames_per_batch=256)._collect()
+    report = learner(tiny_env([4], max_steps=5, first=1), frames_per_batch=256).iterate()  # the same batch
+    ended = batch["next"][batch["next", "done"].squeeze(-1)]
+    assert report["episodes"] == len(ended)
+    assert report["success"] == pytest.approx((ended["reward"] > 40).float().mean().item())
+    assert report["collision"] == pytest.approx((ended["touched_fraction"] < 1).float().mean().item())
+    assert report["return"] == pytest.approx(ended["episode_return"].mean().item())
+    assert report["success"] > 0 and report["collision"] > 0  # else this shows too little
+
+
+def test_the_rate_falls_linearly_to_the_end() -> None:
+    ppo = learner(tiny_env([4]), total_frames=64 * 4, anneal_lr=True)
+    rates = []
+    for _ in range(4):
+        ppo.iterate()
+        rates.append(ppo.optimizer.param_groups[0]["lr"])
+    assert rates == pytest.approx([1e-3, 0.75e-3, 0.5e-3, 0.25e-3])
+
+
+def test_a_resumed_training_is_the_same_to_the_byte(tmp_path: Path) -> None:
+    def fresh(seed: int) -> PPO:
+        env = tiny_env([4], seed=seed, max_steps=10, first=1, threshold=0.01, window=5)
+        return learner(env, seed, total_frames=64 * 8, anneal_lr=True)
+
+    whole = fresh(0)
+    reports = [whole.iterate() for _ in range(4)]
+    half = fresh(0)
+    for _ in range(2):
+        half.iterate()
+    save_checkpoint(tmp_path / "last.pt", half.state_dict())
+    resumed = fresh(1)
+    resumed.iterate()
+    resumed.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
+    assert resumed.env.curriculum.level > 0
+    again = [resumed.iterate() for _ in range(2)]
+    assert str(again) == str(reports[2:])  # NaN equals NaN in writing
+    assert torch.equal(parameters(resumed), parameters(whole))
+    rng = torch.get_rng_state()
+    resumed_next = resumed._collect()
+    torch.set_rng_state(rng)
+    whole_next = whole._collect()
+    assert set(resumed_next.keys(True, True)) == set(whole_next.keys(True, True))
+    for key in whole_next.keys(True, True):
+        assert torch.equal(resumed_next[key], whole_next[key]), key
+
+
+def test_it_learns_to_reach_the_goal() -> None:
+    ppo = learner(
+        tiny_env([16], max_steps=20, first=2, threshold=1.0, window=10**6),  # always at level 0
+        frames_per_batch=512,
+        total_frames=512 * 12,
+        ppo_epochs=6,
+        mini_batch_size=128,
+        lr=2e-3,
+        anneal_lr=True,
+    )
+    success = [ppo.iterate()["success"] for _ in range(12)]
+    assert sum(success[:2]) / 2 < 0.45  # other seeds: 0.24 to 0.34
+    assert sum(success[-3:]) / 3 > 0.7  # other seeds: 0.86 to 0.93
+
+
+def test_a_batch_that_the_robots_do_not_divide_is_refused() -> None:
+    with pytest.raises(
+        ValueError, match=r"collector\.frames_per_batch: expected a multiple of env\.num_envs = 3, got 64"
+    ):
+        learner(tiny_env([3]))
