@@ -50,6 +50,7 @@ enum Channel { RED, GREEN, BLUE, ALPHA, DEPTH, TRANSMITTANCE, CHANNELS };
 struct Scratch {
     Splat* splats;           // [groups · GROUP]
     uint32_t* identity;      // [groups · GROUP] original index of each splat
+    double* depths;          // [groups · GROUP] of each splat
     uint64_t* keys;          // [groups · GROUP] depth in the high, splat in the low half
     uint64_t* sorted;        // the same size
     Pair* pairs;             // [pair_capacity]

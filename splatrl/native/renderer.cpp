@@ -49,6 +49,7 @@ struct Renderer::Workspace {
     size_t blocks = 0;
     Buffer<Splat> splats;
     Buffer<uint32_t> identity, lists, list_ends;
+    Buffer<double> depths;
     Buffer<uint64_t> keys, sorted;
     Buffer<Pair> pairs;
     Buffer<uint8_t> finished;
@@ -58,6 +59,7 @@ struct Renderer::Workspace {
     explicit Workspace(size_t capacity)
         : splats(make_buffer<Splat>(capacity)),
           identity(make_buffer<uint32_t>(capacity)),
+          depths(make_buffer<double>(capacity)),
           keys(make_buffer<uint64_t>(capacity)),
           sorted(make_buffer<uint64_t>(capacity)) {}
 
@@ -72,7 +74,7 @@ struct Renderer::Workspace {
             frame = make_buffer<float>(needed * CHANNELS * BLOCK * BLOCK);
             blocks = needed;
         }
-        scratch = {splats.get(), identity.get(),  keys.get(),     sorted.get(), pairs.get(),
+        scratch = {splats.get(), identity.get(), depths.get(), keys.get(),     sorted.get(), pairs.get(),
                    lists.get(),  list_ends.get(), finished.get(), frame.get(),  capacity};
         return scratch;
     }

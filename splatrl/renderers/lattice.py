@@ -65,6 +65,10 @@ class LatticeRenderer:
         """How many views are remembered."""
         return sum(len(album.slots) for album in self._albums.values())
 
+    def bytes_held(self) -> int:
+        """Memory that the remembered images take."""
+        return sum(album.bytes_held() for album in self._albums.values())
+
     def render(self, cameras: Cameras) -> RenderOutput:
         """Colour, depth and alpha of each camera; nothing is remembered."""
         return self.renderer.render(cameras)
@@ -87,8 +91,7 @@ class LatticeRenderer:
             sources = torch.cat([rendered, _take(album.images, [album.slots[view] for view in known])])
         positions = {view: position for position, view in enumerate([*fresh, *known])}
         if fresh:
-            others = sum(other.bytes_held() for other in self._albums.values() if other is not album)
-            album.add(fresh, rendered, self.max_bytes - others)
+            album.add(fresh, rendered, self.max_bytes - (self.bytes_held() - album.bytes_held()))
         return _take(sources, [positions[view] for view in views])
 
 

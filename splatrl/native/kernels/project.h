@@ -87,6 +87,15 @@ LANE_INLINE void blocks_between(float low, float high, int size, uint16_t& first
     last = uint16_t(int(to) / BLOCK);
 }
 
+// Depths in double precision: the order of two Gaussians must not hang on a rounding.
+LANE_INLINE void exact_depths(const float* means, const Camera& camera, double* depths) {
+    const float *forward = camera.rotation + 6, *position = camera.position;
+    for (int lane = 0; lane < GROUP; ++lane)
+        depths[lane] = double(forward[0]) * (double(means[lane]) - double(position[0])) +
+                       double(forward[1]) * (double(means[GROUP + lane]) - double(position[1])) +
+                       double(forward[2]) * (double(means[2 * GROUP + lane]) - double(position[2]));
+}
+
 template <bool ANTIALIASED>
 LANE_INLINE uint32_t project_group(const SceneView& scene, const Camera& camera, uint32_t group, const Scratch& scratch,
                                    uint32_t count) {
@@ -97,10 +106,10 @@ LANE_INLINE uint32_t project_group(const SceneView& scene, const Camera& camera,
     for (int i = 0; i < 9; ++i) axes[i] = load(geometry + (AXES + i) * GROUP);
     const Footprint<Lanes> print =
         project<ANTIALIASED>(camera, offset, axes, load(geometry + LOG2_OPACITY * GROUP));
-    const Lanes zero = lanes(0.5f);
+    const Lanes first_center = lanes(0.5f);
     uint32_t visible = ~bits_above(lanes(NEAR_DEPTH), print.depth) & 0xffff;
     visible &= bits_above(print.log2_opacity, lanes(LOG2_INVISIBLE));
-    visible &= ~bits_above(zero, print.x + print.extent_x) & ~bits_above(zero, print.y + print.extent_y);
+    visible &= ~bits_above(first_center, print.x + print.extent_x) & ~bits_above(first_center, print.y + print.extent_y);
     visible &= ~bits_above(print.x - print.extent_x, lanes(float(camera.width) - 0.5f));
     visible &= ~bits_above(print.y - print.extent_y, lanes(float(camera.height) - 0.5f));
     if (visible == 0) return count;
@@ -111,6 +120,8 @@ LANE_INLINE uint32_t project_group(const SceneView& scene, const Camera& camera,
     const Lanes columns[12] = {print.x,  print.y, print.l11, print.l12,   print.l22,      print.log2_opacity,
                                rgb[0], rgb[1],  rgb[2],    print.depth, print.extent_x, print.extent_y};
     for (int column = 0; column < 12; ++column) store(table[column], columns[column]);
+    alignas(64) double depths[GROUP];
+    exact_depths(geometry, camera, depths);
     for (; visible != 0; visible &= visible - 1) {
         const int lane = __builtin_ctz(visible);
         Splat& splat = scratch.splats[count];
@@ -119,8 +130,10 @@ LANE_INLINE uint32_t project_group(const SceneView& scene, const Camera& camera,
         blocks_between(splat.x - table[10][lane], splat.x + table[10][lane], camera.width, splat.left, splat.right);
         blocks_between(splat.y - table[11][lane], splat.y + table[11][lane], camera.height, splat.top, splat.bottom);
         if (splat.left > splat.right || splat.top > splat.bottom) continue;
+        const float rounded = float(depths[lane]);
         uint32_t depth_bits;
-        std::memcpy(&depth_bits, &splat.depth, 4);
+        std::memcpy(&depth_bits, &rounded, sizeof(rounded));
+        scratch.depths[count] = depths[lane];
         scratch.keys[count] = uint64_t(depth_bits) << 32 | count;
         scratch.identity[count] = scene.original_index[group * GROUP + lane];
         ++count;

@@ -10,7 +10,7 @@ static uint32_t frame(const SceneView& scene, const Camera& camera, bool antiali
                       const Scratch& scratch) {
     const uint32_t count =
         antialiased ? project_scene<true>(scene, camera, scratch) : project_scene<false>(scene, camera, scratch);
-    const uint64_t* keys = sort_by_depth(scratch.keys, scratch.sorted, count, scratch.identity);
+    const uint64_t* keys = sort_by_depth(scratch, count);
     if (with_depth)
         blend_frame<true>(camera, keys, count, scratch);
     else

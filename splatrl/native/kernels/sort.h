@@ -7,22 +7,57 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Put runs of equal depth into the order of their original index. Such runs are rare and short.
-static void order_ties(uint64_t* keys, uint32_t count, const uint32_t* identity) {
-    for (uint32_t i = 1; i < count; ++i) {
-        const uint64_t key = keys[i];
-        uint32_t j = i;
-        while (j > 0 && keys[j - 1] >> 32 == key >> 32 && identity[uint32_t(keys[j - 1])] > identity[uint32_t(key)]) {
-            keys[j] = keys[j - 1];
-            --j;
+// Whether splat `a` is blended before splat `b`: by depth in double precision, then in the order of the scene.
+LANE_INLINE bool before(const Scratch& scratch, uint64_t a, uint64_t b) {
+    const double depth_a = scratch.depths[uint32_t(a)], depth_b = scratch.depths[uint32_t(b)];
+    if (depth_a != depth_b) return depth_a < depth_b;
+    return scratch.identity[uint32_t(a)] < scratch.identity[uint32_t(b)];
+}
+
+static void sift_down(const Scratch& scratch, uint64_t* heap, uint32_t root, uint32_t count) {
+    const uint64_t key = heap[root];
+    for (uint32_t child = 2 * root + 1; child < count; child = 2 * root + 1) {
+        if (child + 1 < count && before(scratch, heap[child], heap[child + 1])) ++child;
+        if (!before(scratch, key, heap[child])) break;
+        heap[root] = heap[child];
+        root = child;
+    }
+    heap[root] = key;
+}
+
+// Order keys whose depths are the same number of single precision: insertion for the usual few, a heap for walls.
+static void order_run(const Scratch& scratch, uint64_t* run, uint32_t count) {
+    if (count > 24) {
+        for (uint32_t root = count / 2; root-- > 0;) sift_down(scratch, run, root, count);
+        for (uint32_t last = count - 1; last > 0; --last) {
+            const uint64_t farthest = run[0];
+            run[0] = run[last];
+            run[last] = farthest;
+            sift_down(scratch, run, 0, last);
         }
-        keys[j] = key;
+        return;
+    }
+    for (uint32_t i = 1; i < count; ++i) {
+        const uint64_t key = run[i];
+        uint32_t j = i;
+        for (; j > 0 && before(scratch, key, run[j - 1]); --j) run[j] = run[j - 1];
+        run[j] = key;
+    }
+}
+
+// Single precision leaves many ties where Gaussians lie on a grid, as in quantised files.
+static void order_ties(const Scratch& scratch, uint64_t* keys, uint32_t count) {
+    for (uint32_t first = 0, next = 1; next <= count; ++next) {
+        if (next < count && keys[next] >> 32 == keys[first] >> 32) continue;
+        if (next - first > 1) order_run(scratch, keys + first, next - first);
+        first = next;
     }
 }
 
 // Radix sort of the depths, least significant digit first, over no more bits than they differ in.
-// Returns the sorted keys: `keys` or `spare`.
-static uint64_t* sort_by_depth(uint64_t* keys, uint64_t* spare, uint32_t count, const uint32_t* identity) {
+// Returns the sorted keys, in one of the two arrays of `scratch`.
+static const uint64_t* sort_by_depth(const Scratch& scratch, uint32_t count) {
+    uint64_t *keys = scratch.keys, *spare = scratch.sorted;
     constexpr int MAX_DIGIT = 11;
     uint32_t low = ~0u, high = 0;
     for (uint32_t i = 0; i < count; ++i) {
@@ -50,7 +85,7 @@ static uint64_t* sort_by_depth(uint64_t* keys, uint64_t* spare, uint32_t count, 
         keys = spare;
         spare = swapped;
     }
-    order_ties(keys, count, identity);
+    order_ties(scratch, keys, count);
     return keys;
 }
 

@@ -1,0 +1,80 @@
+"""Scenes, cameras and measures that the renderer tests share."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.spherical_harmonics import C0
+
+LIKENESS = 60.0
+"""Decibels: the least agreement of a fast renderer with the reference."""
+
+
+def gaussians(
+    means: list[list[float]],
+    colors: list[list[float]] | None = None,
+    scale: float | list[float] = 0.05,
+    opacity: float | list[float] = 0.8,
+) -> Gaussians:
+    """A few Gaussians of degree 0, axis-aligned, in float64."""
+    count = len(means)
+    rgb = torch.tensor(colors or [[1.0, 1.0, 1.0]] * count, dtype=torch.float64)
+    return Gaussians(
+        means=torch.tensor(means, dtype=torch.float64),
+        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(count, 1),
+        scales=torch.tensor(scale, dtype=torch.float64).expand(count, 3).clone(),
+        opacities=torch.tensor(opacity, dtype=torch.float64).expand(count).clone(),
+        sh=((rgb - 0.5) / C0).unsqueeze(1),
+        batch_size=[count],
+    )
+
+
+def random_gaussians(seed: int, count: int = 300, degree: int = 0) -> Gaussians:
+    """A cloud of radius about 1.5 m around the origin: dust, discs and needles, float32."""
+    g = torch.Generator().manual_seed(seed)
+    return Gaussians(
+        means=0.8 * torch.randn(count, 3, generator=g),
+        quats=torch.nn.functional.normalize(torch.randn(count, 4, generator=g), dim=1),
+        scales=torch.exp(torch.empty(count, 3).uniform_(math.log(0.002), math.log(0.4), generator=g)),
+        opacities=torch.rand(count, generator=g),
+        sh=0.5 * torch.randn(count, (degree + 1) ** 2, 3, generator=g),
+        batch_size=[count],
+    )
+
+
+def random_cameras(seed: int, batch: int = 3, width: int = 37, height: int = 22) -> Cameras:
+    """Cameras around and inside the cloud, with principal points off the centre and pixels that are not square."""
+    g = torch.Generator().manual_seed(seed)
+    positions = torch.nn.functional.normalize(torch.randn(batch, 3, generator=g), dim=1)
+    positions = positions * torch.empty(batch, 1).uniform_(0.3, 3.0, generator=g)
+    K = intrinsics(1.2, width, height).repeat(batch, 1, 1)
+    K[:, :2, :2] *= torch.empty(batch, 2, 1).uniform_(0.6, 1.5, generator=g)
+    K[:, :2, 2] += torch.empty(batch, 2).uniform_(-0.3, 0.3, generator=g) * torch.tensor([width, height])
+    return Cameras(look_at(positions, 0.3 * torch.randn(batch, 3, generator=g)), K, width, height)
+
+
+def ahead(width: int = 41, height: int = 31, focal: float = 40.0) -> Cameras:
+    """One camera at the origin that looks along world x; the middle pixel is centred on its axis."""
+    K = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+    return Cameras(look_at([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]).unsqueeze(0), K, width, height)
+
+
+def double(scene: Gaussians) -> Gaussians:
+    """The same values in float64."""
+    return Gaussians(
+        means=scene.means.double(),
+        quats=scene.quats.double(),
+        scales=scene.scales.double(),
+        opacities=scene.opacities.double(),
+        sh=scene.sh.double(),
+        batch_size=scene.batch_size,
+    )
+
+
+def psnr(image: Tensor, reference: Tensor) -> float:
+    """Peak signal to noise ratio of images in [0, 1], decibels, of the worst image of the batch: [B, H, W, C]."""
+    errors = (image.double() - reference.double()).square().flatten(1).mean(1)
+    return float(-10 * errors.clamp_min(1e-20).log10().max())

@@ -1,0 +1,108 @@
+import pytest
+import torch
+from torch import Tensor
+
+from splatrl.cameras import Cameras
+from splatrl.renderers import LatticeRenderer, NativeRenderer, RenderOutput
+from tests.renderers.cases import random_cameras, random_gaussians
+
+
+class Counting:
+    """A renderer that counts the frames that it was asked for."""
+
+    def __init__(self) -> None:
+        self.renderer = NativeRenderer(random_gaussians(0, 100), threads=1)
+        self.frames = 0
+
+    def render(self, cameras: Cameras) -> RenderOutput:
+        return self.renderer.render(cameras)
+
+    def pixels(self, cameras: Cameras) -> Tensor:
+        self.frames += len(cameras)
+        return self.renderer.pixels(cameras)
+
+
+def test_pixels_are_those_of_the_renderer_and_each_view_is_rendered_once() -> None:
+    inner, cameras = Counting(), random_cameras(1, 20)
+    lattice, expected = LatticeRenderer(inner), inner.renderer.pixels(cameras)
+    g = torch.Generator().manual_seed(2)
+    for _ in range(30):
+        rows = torch.randint(0, 20, (7,), generator=g)
+        assert torch.equal(lattice.pixels(cameras[rows]), expected[rows])
+    assert inner.frames == len(lattice) == 20
+
+
+def test_duplicates_within_a_batch_are_rendered_once() -> None:
+    inner, cameras = Counting(), random_cameras(1, 3)
+    rows = torch.tensor([2, 0, 2, 2, 1, 0])
+    assert torch.equal(LatticeRenderer(inner).pixels(cameras[rows]), inner.renderer.pixels(cameras[rows]))
+    assert inner.frames == 3
+
+
+def test_a_full_memory_still_gives_the_right_bytes_and_grows_no_further() -> None:
+    inner, cameras = Counting(), random_cameras(1, 12)
+    image_bytes = 37 * 22 * 3
+    lattice, expected = LatticeRenderer(inner, max_bytes=5 * image_bytes + 1), inner.renderer.pixels(cameras)
+    for start in (0, 4, 8, 0, 2):
+        rows = torch.arange(start, min(start + 6, 12))
+        assert torch.equal(lattice.pixels(cameras[rows]), expected[rows])
+    assert len(lattice) == 5
+    assert lattice.bytes_held() <= 5 * image_bytes
+    before = inner.frames
+    lattice.pixels(cameras)
+    assert inner.frames == before + 7
+
+
+def test_no_memory_at_all_is_the_renderer_itself() -> None:
+    inner, cameras = Counting(), random_cameras(1, 4)
+    lattice = LatticeRenderer(inner, max_bytes=0)
+    for _ in range(2):
+        assert torch.equal(lattice.pixels(cameras), inner.renderer.pixels(cameras))
+    assert len(lattice) == 0 and inner.frames == 8
+
+
+def test_another_lens_or_image_size_is_another_view() -> None:
+    inner, cameras = Counting(), random_cameras(1, 2, 16, 12)
+    lattice = LatticeRenderer(inner)
+    wider = Cameras(cameras.camera_to_world, cameras.K, 17, 12)
+    longer = Cameras(cameras.camera_to_world, cameras.K * torch.tensor([[1.1], [1.1], [1.0]]), 16, 12)
+    for view in (cameras, wider, longer, wider, cameras):
+        assert torch.equal(lattice.pixels(view), inner.renderer.pixels(view))
+    assert inner.frames == 6
+
+
+def test_all_image_sizes_share_one_bound() -> None:
+    inner = Counting()
+    lattice = LatticeRenderer(inner, max_bytes=3000)
+    for width in (8, 9, 10):
+        lattice.pixels(random_cameras(1, 4, width, 12))
+    assert lattice.bytes_held() <= 3000
+    assert 0 < len(lattice) < 12
+
+
+def test_what_the_caller_does_to_the_images_is_not_remembered() -> None:
+    lattice, cameras = LatticeRenderer(Counting()), random_cameras(1, 3)
+    first = lattice.pixels(cameras)
+    expected = first.clone()
+    first.zero_()
+    second = lattice.pixels(cameras)
+    second.zero_()
+    assert torch.equal(lattice.pixels(cameras), expected)
+
+
+def test_render_passes_through() -> None:
+    inner, cameras = Counting(), random_cameras(1, 3)
+    views = LatticeRenderer(inner).render(cameras)
+    assert all(torch.equal(a, b) for a, b in zip(views, inner.render(cameras), strict=True))
+
+
+def test_an_empty_batch_gives_no_images() -> None:
+    lattice, cameras = LatticeRenderer(Counting()), random_cameras(1, 3)
+    assert lattice.pixels(cameras[:0]).shape == (0, 22, 37, 3)
+    lattice.pixels(cameras)
+    assert lattice.pixels(cameras[:0]).shape == (0, 22, 37, 3)
+
+
+def test_a_negative_bound_is_refused() -> None:
+    with pytest.raises(ValueError, match="max_bytes"):
+        LatticeRenderer(Counting(), max_bytes=-1)

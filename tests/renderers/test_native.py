@@ -1,0 +1,205 @@
+import math
+from pathlib import Path
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.native import _core
+from splatrl.renderers import NativeRenderer, ReferenceRenderer, RenderOutput
+from splatrl.renderers.base import to_pixels
+from splatrl.scenes import Gaussians, read_gaussians, similarity
+from tests.renderers.cases import LIKENESS, ahead, double, gaussians, psnr, random_cameras, random_gaussians
+
+
+def assert_alike(fast: RenderOutput, reference: RenderOutput) -> None:
+    assert psnr(fast.rgb, reference.rgb) >= LIKENESS
+    assert psnr(fast.alpha, reference.alpha) >= LIKENESS
+    covered = reference.alpha > 0.05  # the mean over next to nothing is not stable
+    errors = ((fast.depth - reference.depth).abs() / reference.depth)[covered]
+    assert errors.numel() == 0 or errors.mean() < 1e-4
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    count=st.integers(1, 700),
+    degree=st.integers(0, 3),
+    antialiased=st.booleans(),
+    size=st.tuples(st.integers(1, 40), st.integers(1, 40)),
+    background=st.tuples(*[st.floats(0, 1)] * 3),
+)
+def test_any_scene_and_camera_look_as_the_reference_says(
+    seed: int,
+    count: int,
+    degree: int,
+    antialiased: bool,
+    size: tuple[int, int],
+    background: tuple[float, float, float],
+) -> None:
+    scene, cameras = random_gaussians(seed, count, degree), random_cameras(seed + 1, 2, *size)
+    fast = NativeRenderer(scene, antialiased, background).render(cameras)
+    assert_alike(fast, ReferenceRenderer(double(scene), antialiased, background).render(cameras))
+
+
+@pytest.mark.parametrize("isa", _core.supported_isas())
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_every_instruction_set_shows_what_the_reference_does(
+    isa: str, antialiased: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPLATRL_ISA", isa)
+    assert _core.isa() == isa
+    scene, cameras = random_gaussians(1, 900, 3), random_cameras(2, 4, 70, 45)
+    fast = NativeRenderer(scene, antialiased).render(cameras)
+    assert_alike(fast, ReferenceRenderer(double(scene), antialiased).render(cameras))
+
+
+def test_an_unknown_instruction_set_is_refused_with_the_choices(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPLATRL_ISA", "mmx")
+    with pytest.raises(ValueError, match=r"SPLATRL_ISA: expected one of baseline.* got mmx"):
+        NativeRenderer(gaussians([[1.0, 0.0, 0.0]]))
+
+
+def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order_and_with_any_threads() -> None:
+    scene, cameras = random_gaussians(3, 2000, 2), random_cameras(4, 11, 50, 33)
+    renderer = NativeRenderer(scene, threads=1)
+    together, views = renderer.pixels(cameras), renderer.render(cameras)
+    order = torch.randperm(11, generator=torch.Generator().manual_seed(0))
+    for threads in (1, 2, 5):
+        others = NativeRenderer(scene, threads=threads)
+        assert torch.equal(others.pixels(cameras[order]), together[order])
+        assert all(torch.equal(a, b[order]) for a, b in zip(others.render(cameras[order]), views, strict=True))
+    for row in range(11):
+        assert torch.equal(renderer.pixels(cameras[row : row + 1]), together[row : row + 1])
+
+
+def test_a_frame_does_not_depend_on_the_sizes_that_were_rendered_before() -> None:
+    scene, cameras = random_gaussians(3, 500), random_cameras(4, 2, 50, 33)
+    renderer = NativeRenderer(scene)
+    before = renderer.pixels(cameras)
+    for width, height in ((5, 9), (130, 140), (1, 1)):
+        renderer.pixels(random_cameras(4, 2, width, height))
+    assert torch.equal(renderer.pixels(cameras), before)
+
+
+def test_pixels_are_the_rounded_colours_of_render() -> None:
+    renderer = NativeRenderer(random_gaussians(5, 800, 1), background=(0.3, 0.6, 0.9))
+    cameras = random_cameras(6, 3, 61, 35)
+    assert torch.equal(renderer.pixels(cameras), to_pixels(renderer.render(cameras).rgb))
+
+
+def test_more_gaussians_on_a_block_than_one_slab_holds_are_all_blended() -> None:
+    count = 3000  # each covers all 35 · 25 blocks: more pairs than are dealt at once
+    g = torch.Generator().manual_seed(0)
+    means = torch.cat([1 + torch.rand(count, 1, generator=g), 0.1 * torch.randn(count, 2, generator=g)], 1)
+    scene = gaussians(means.tolist(), torch.rand(count, 3, generator=g).tolist(), 3.0, opacity=0.005)
+    cameras = ahead(140, 100, 60.0)
+    assert_alike(NativeRenderer(scene).render(cameras), ReferenceRenderer(scene).render(cameras))
+
+
+def test_gaussians_of_equal_depth_are_blended_in_the_order_of_the_scene() -> None:
+    g = torch.Generator().manual_seed(1)
+    offsets = 0.3 * torch.randn(600, 2, generator=g)
+    means = torch.cat([torch.full((600, 1), 2.0), offsets], 1)
+    scene = gaussians(means.tolist(), torch.rand(600, 3, generator=g).tolist(), scale=0.2, opacity=0.3)
+    cameras = ahead()
+    assert psnr(NativeRenderer(scene).render(cameras).rgb, ReferenceRenderer(scene).render(cameras).rgb) > LIKENESS
+
+
+@pytest.mark.parametrize(
+    ("name", "scene"),
+    [
+        ("dust", gaussians([[1.0, 0.0, 0.0]], scale=1e-6)),
+        ("dust at the lens", gaussians([[0.011, 0.0, 0.0]], scale=1e-4)),
+        ("a planet", gaussians([[1.0, 0.0, 0.0]], scale=1e3)),
+        ("a planet beside the camera", gaussians([[0.02, 300.0, 0.0]], scale=1e3)),
+        ("a needle along the sight", gaussians([[3.0, 0.1, 0.0]], scale=[10.0, 1e-4, 1e-4])),
+        ("a needle across the sight", gaussians([[3.0, 0.0, 0.1]], scale=[1e-4, 10.0, 1e-4])),
+        ("a tilted needle", gaussians([[2.0, 0.0, 0.0]], scale=[1e-5, 5.0, 1e-3]).transformed(similarity())),
+        ("a wall of opacity one", gaussians([[1.0, 0.0, 0.0]], scale=2.0, opacity=1.0)),
+        ("next to invisible", gaussians([[1.0, 0.0, 0.0]], scale=2.0, opacity=1.001 / 255)),
+        ("invisible", gaussians([[1.0, 0.0, 0.0]], scale=2.0, opacity=0.0)),
+    ],
+)
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_extreme_gaussians_look_as_the_reference_says(name: str, scene: Gaussians, antialiased: bool) -> None:
+    cameras = Cameras(
+        torch.stack([look_at([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]), look_at([0.0, 0.1, 0.1], [1.0, 0.3, 0.4])]),
+        intrinsics(1.4, 45, 30),
+        45,
+        30,
+    )
+    fast = NativeRenderer(scene, antialiased).render(cameras)
+    reference = ReferenceRenderer(scene, antialiased).render(cameras)
+    assert all(value.isfinite().all() for value in fast), name
+    assert psnr(fast.rgb, reference.rgb) >= LIKENESS, name
+
+
+def test_a_camera_that_sees_nothing_shows_the_background() -> None:
+    renderer = NativeRenderer(gaussians([[-2.0, 0.0, 0.0]]), background=(0.0, 0.5, 1.0))
+    view = renderer.render(ahead(9, 6))
+    assert torch.equal(view.rgb, torch.tensor([0.0, 0.5, 1.0]).expand(1, 6, 9, 3))
+    assert not view.alpha.any() and not view.depth.any()
+    assert renderer.visible(ahead(9, 6)).tolist() == [0]
+    assert renderer.pixels(ahead(9, 6))[0, 0, 0].tolist() == [0, 128, 255]
+
+
+def test_an_empty_batch_gives_no_images() -> None:
+    cameras = random_cameras(0)[:0]
+    renderer = NativeRenderer(gaussians([[1.0, 0.0, 0.0]]))
+    assert renderer.pixels(cameras).shape == (0, 22, 37, 3)
+    assert renderer.render(cameras).depth.shape == (0, 22, 37)
+
+
+def test_large_gaussians_beside_the_image_are_not_culled_by_their_centre() -> None:
+    scene = gaussians([[1.0, 3.0, 0.0], [0.5, 0.0, -4.0]], scale=1.5)
+    view = NativeRenderer(scene).render(ahead())
+    assert view.alpha.max() > 0.1
+    assert_alike(view, ReferenceRenderer(scene).render(ahead()))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_camera_that_is_not_finite_is_refused_by_its_row(bad: float) -> None:
+    renderer = NativeRenderer(gaussians([[1.0, 0.0, 0.0]]))
+    cameras = random_cameras(0, 4)
+    poses, K = cameras.camera_to_world.clone(), cameras.K.clone()
+    poses[2, 0, 3] = bad
+    K[1, 0, 0] = bad
+    with pytest.raises(ValueError, match=r"camera_to_world\[2\]: expected finite"):
+        renderer.pixels(Cameras(poses, cameras.K, 37, 22))
+    with pytest.raises(ValueError, match=r"K\[1\]: expected finite"):
+        renderer.render(Cameras(cameras.camera_to_world, K, 37, 22))
+
+
+def test_a_focal_length_that_is_not_positive_is_refused_by_its_row() -> None:
+    cameras = random_cameras(0, 3)
+    K = cameras.K.clone()
+    K[2, 1, 1] = 0.0
+    with pytest.raises(ValueError, match=r"K\[2\]"):
+        NativeRenderer(gaussians([[1.0, 0.0, 0.0]])).pixels(Cameras(cameras.camera_to_world, K, 37, 22))
+
+
+def test_wrong_settings_are_refused_by_name() -> None:
+    scene = random_gaussians(0, 3)
+    with pytest.raises(ValueError, match="threads: expected at least 1"):
+        NativeRenderer(scene, threads=0)
+    with pytest.raises(ValueError, match="background"):
+        NativeRenderer(scene, background=(0.0, 0.0, 1.5))
+    scene.scales[1, 2] = math.nan
+    with pytest.raises(ValueError, match=r"gaussians\.axes"):
+        NativeRenderer(scene)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_views_of_a_real_kitchen_look_as_the_reference_says(shared_scenes: Path, antialiased: bool) -> None:
+    kitchen = read_gaussians(shared_scenes / "kitchen" / "kitchen.spz").transformed(similarity(["x", "-z", "y"]))
+    positions = torch.tensor([[0.0, 0.0, 1.05], [0.7, -0.3, 1.05], [-0.6, 0.4, 0.9]])
+    targets = positions + torch.tensor([[1.0, 0.2, 0.0], [-0.5, 1.0, -0.1], [0.1, -1.0, -0.4]])
+    cameras = Cameras(look_at(positions, targets), intrinsics(math.pi / 2, 56, 40), 56, 40)
+    fast = NativeRenderer(kitchen, antialiased).render(cameras)
+    assert fast.alpha.mean() > 0.3
+    reference = ReferenceRenderer(double(kitchen), antialiased).render(cameras)
+    assert psnr(fast.rgb, reference.rgb) >= 75
+    assert_alike(fast, reference)

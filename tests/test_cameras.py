@@ -1,0 +1,72 @@
+import math
+
+import pytest
+import torch
+
+from splatrl.cameras import Cameras, intrinsics, look_at
+
+
+def test_the_edge_of_the_image_is_half_the_field_of_view_away() -> None:
+    K = intrinsics(1.2, 64, 48)
+    ray = torch.linalg.solve(K, torch.tensor([64.0, 24.0, 1.0]))
+    assert math.atan2(ray[0], ray[2]) == pytest.approx(0.6, rel=1e-5)
+    assert K[0, 0] == K[1, 1] and K[0, 2] == 32 and K[1, 2] == 24
+
+
+@pytest.mark.parametrize("fov", [0.0, -1.0, math.pi, math.nan])
+def test_a_field_of_view_that_no_pinhole_has_is_refused(fov: float) -> None:
+    with pytest.raises(ValueError, match="fov: expected radians"):
+        intrinsics(fov, 8, 8)
+
+
+def test_look_at_points_z_forward_x_right_and_y_down() -> None:
+    camera_to_world = look_at([1.0, 2.0, 3.0], [1.0, 7.0, 3.0])
+    right, down, forward, position = camera_to_world[:3].T
+    assert forward.tolist() == pytest.approx([0, 1, 0])
+    assert right.tolist() == pytest.approx([1, 0, 0])
+    assert down.tolist() == pytest.approx([0, 0, -1])
+    assert position.tolist() == [1, 2, 3]
+
+
+@pytest.mark.parametrize("target", [[0.0, 0.0, 5.0], [0.0, 0.0, -5.0], [3.0, -4.0, 2.0]])
+def test_look_at_is_a_rotation_even_straight_up_and_down(target: list[float]) -> None:
+    rotation = look_at([0.0, 0.0, 0.0], target)[:3, :3]
+    torch.testing.assert_close(rotation @ rotation.T, torch.eye(3), atol=1e-6, rtol=0)
+    assert rotation.det() == pytest.approx(1, abs=1e-5)
+
+
+def test_look_at_broadcasts_many_positions_over_one_target() -> None:
+    positions = torch.tensor([[1.0, 0.0, 0.0], [0.0, 2.0, 0.5], [-1.0, -1.0, 3.0]])
+    poses = look_at(positions, [0.0, 0.0, 0.0])
+    assert poses.shape == (3, 4, 4)
+    torch.testing.assert_close(poses[:, :3, 2], -torch.nn.functional.normalize(positions, dim=1))
+
+
+def test_one_lens_is_shared_by_the_batch() -> None:
+    cameras = Cameras(torch.eye(4).repeat(3, 1, 1), intrinsics(1.0, 8, 6), 8, 6)
+    assert cameras.K.shape == (3, 3, 3)
+    assert len(cameras) == 3
+
+
+def test_rows_are_taken_by_slice_mask_and_index() -> None:
+    poses = torch.eye(4).repeat(4, 1, 1)
+    poses[:, 0, 3] = torch.arange(4.0)
+    cameras = Cameras(poses, intrinsics(1.0, 8, 6), 8, 6)
+    for rows, expected in (
+        (slice(1, 3), [1, 2]),
+        (torch.tensor([True, False, False, True]), [0, 3]),
+        (torch.tensor([2, 2, 0]), [2, 2, 0]),
+    ):
+        taken = cameras[rows]
+        assert taken.camera_to_world[:, 0, 3].tolist() == expected
+        assert (len(taken.K), taken.width, taken.height) == (len(expected), 8, 6)
+
+
+def test_wrong_shapes_are_refused_by_name() -> None:
+    poses, K = torch.eye(4).repeat(3, 1, 1), intrinsics(1.0, 8, 6)
+    with pytest.raises(ValueError, match=r"camera_to_world: expected shape \[B, 4, 4\], got \[4, 4\]"):
+        Cameras(torch.eye(4), K, 8, 6)
+    with pytest.raises(ValueError, match=r"K: expected shape \[3, 3, 3\]"):
+        Cameras(poses, K.repeat(2, 1, 1), 8, 6)
+    with pytest.raises(ValueError, match="at least 1 pixel, got 8"):
+        Cameras(poses, K, 8, 0)

@@ -1,0 +1,96 @@
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+
+from splatrl.geometry import (
+    CAMERA_TO_BODY,
+    axis_rotations,
+    invert_rigid,
+    multiply_quats,
+    quats_to_rotations,
+    rigid,
+    rotations_to_quats,
+)
+
+seeds = st.integers(0, 2**31)
+
+
+def random_quats(seed: int, *shape: int) -> Tensor:
+    g = torch.Generator().manual_seed(seed)
+    return torch.nn.functional.normalize(torch.randn(*shape, 4, generator=g, dtype=torch.float64), dim=-1)
+
+
+@given(seeds)
+def test_a_rotation_survives_the_way_through_its_quaternion(seed: int) -> None:
+    rotations = quats_to_rotations(random_quats(seed, 3, 5))
+    quats = rotations_to_quats(rotations)
+    assert quats.shape == (3, 5, 4)
+    assert (quats[..., 0] >= 0).all()
+    torch.testing.assert_close(quats_to_rotations(quats), rotations, atol=1e-12, rtol=0)
+
+
+@pytest.mark.parametrize("quat", [[1.0, 0, 0, 0], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0], [1e-9, 1, -1, 1]])
+def test_half_turns_keep_their_quaternion(quat: list[float]) -> None:
+    expected = torch.nn.functional.normalize(torch.tensor(quat, dtype=torch.float64), dim=0)
+    torch.testing.assert_close(rotations_to_quats(quats_to_rotations(expected)), expected)
+
+
+@given(seeds)
+def test_a_quaternion_of_any_length_is_a_rotation(seed: int) -> None:
+    rotations = quats_to_rotations(7.5 * random_quats(seed, 4))
+    identity = torch.eye(3, dtype=torch.float64).expand(4, 3, 3)
+    torch.testing.assert_close(rotations @ rotations.mT, identity, atol=1e-12, rtol=0)
+    torch.testing.assert_close(rotations.det(), torch.ones(4, dtype=torch.float64))
+
+
+def test_a_quaternion_about_z_turns_x_towards_y() -> None:
+    quat = torch.tensor([math.cos(math.pi / 6), 0.0, 0.0, math.sin(math.pi / 6)])  # 60 degrees
+    turned = quats_to_rotations(quat) @ torch.tensor([1.0, 0.0, 0.0])
+    torch.testing.assert_close(turned, torch.tensor([0.5, math.sqrt(3) / 2, 0.0]))
+
+
+@given(seeds)
+def test_the_product_of_quaternions_is_the_product_of_rotations(seed: int) -> None:
+    a, b = random_quats(seed, 6), random_quats(seed + 1, 6)
+    expected = quats_to_rotations(a) @ quats_to_rotations(b)
+    torch.testing.assert_close(quats_to_rotations(multiply_quats(a, b)), expected)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_axis_rotations_are_right_handed_and_leave_their_axis(axis: int) -> None:
+    rotation = axis_rotations(axis, torch.tensor([math.pi / 2]))[0]
+    basis = torch.eye(3)
+    torch.testing.assert_close(rotation @ basis[axis], basis[axis])
+    torch.testing.assert_close(rotation @ basis[(axis + 1) % 3], basis[(axis + 2) % 3], atol=1e-7, rtol=0)
+
+
+def test_axis_rotations_keep_the_shape_and_type_of_the_angles() -> None:
+    rotations = axis_rotations(1, torch.zeros(2, 5, dtype=torch.float64))
+    assert rotations.shape == (2, 5, 3, 3) and rotations.dtype == torch.float64
+
+
+@given(seeds)
+def test_the_inverse_undoes_a_rigid_transform(seed: int) -> None:
+    g = torch.Generator().manual_seed(seed)
+    transform = rigid(quats_to_rotations(random_quats(seed, 2, 3)), torch.randn(2, 3, 3, generator=g).double())
+    identity = torch.eye(4, dtype=torch.float64).expand(2, 3, 4, 4)
+    torch.testing.assert_close(invert_rigid(transform) @ transform, identity, atol=1e-12, rtol=0)
+
+
+def test_rigid_broadcasts_one_rotation_over_many_translations() -> None:
+    translations = torch.arange(6.0).reshape(2, 3)
+    transforms = rigid(torch.eye(3), translations)
+    assert torch.equal(transforms[:, :3, 3], translations)
+    assert torch.equal(transforms[:, 3], torch.tensor([[0.0, 0.0, 0.0, 1.0]] * 2))
+
+
+def test_a_camera_on_a_body_looks_forward_with_its_right_to_the_bodys_right() -> None:
+    camera_right, camera_down, camera_forward = CAMERA_TO_BODY[:3, :3].T
+    assert camera_forward.tolist() == [1, 0, 0]  # the body's x
+    assert camera_right.tolist() == [0, -1, 0]  # the body's y is left
+    assert camera_down.tolist() == [0, 0, -1]
+    assert CAMERA_TO_BODY.det() == 1
