@@ -29,7 +29,7 @@ def hedge(rng: Rng) -> Surfels:
     for face in faces(deep.low, deep.high, "-x+z+x"):
         st, size = face.cells(0.16)
         parts.append(face.surfels(st, size, shades((0.10, 0.17, 0.07), 0.2 * rng.normal(size=len(st)))))
-    for face, count in ((side, 3700), (top, 600), (far, 300)):
+    for face, count in ((side, 3400), (top, 600), (far, 300)):
         st = rng.uniform((0.0, 0.0), (face.width, face.height), (count, 2))
         depth = rng.random(count) ** 1.5
         bulge = 0.03 * np.sin(3.1 * st[:, 0]) * np.sin(2.3 * st[:, 1] + 1.0)
@@ -115,7 +115,7 @@ def house(rng: Rng) -> Surfels:
     tilted = (-reach / slope, 0.0, rise / slope)
     gutter = Rectangle((corner[0], corner[1], corner[2] - 0.22), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), length, 0.24)
     parts.append(plaster(gutter, rng, (0.86, 0.84, 0.80), 0.12))
-    parts.append(roof(Rectangle(corner, (0.0, 1.0, 0.0), tilted, length, slope), rng, (0.55, 0.30, 0.22), (0.24, 0.22)))
+    parts.append(roof(Rectangle(corner, (0.0, 1.0, 0.0), tilted, length, slope), rng, (0.55, 0.30, 0.22), (0.3, 0.3)))
     return join(parts)
 
 

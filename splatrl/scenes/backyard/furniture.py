@@ -12,7 +12,6 @@ from splatrl.scenes.backyard.layout import (
     SHRUB_POT,
     TABLE_TOP,
     WOOD_PILE,
-    Solid,
     table_legs,
 )
 from splatrl.scenes.backyard.materials import Color, Rng, boards, brickwork, plaster, shades, waves
@@ -30,9 +29,9 @@ def garden_wall(rng: Rng) -> Surfels:
     long, short = faces(low, under, "+x-x"), faces(low, under, "+y-y")
     sides = [brickwork(face, rng, (0.145, 0.0575), (4, 2), SAND) for face in long]
     ends = [boards(face, rng, SAND[1], 0.0575, (0.019, 0.0175), upright=False) for face in short]
-    cap_low = (low[0] - 0.01, low[1] - 0.01, under[2])
-    cap_high = (high[0] + 0.01, high[1] + 0.01, high[2])
-    cap = [plaster(face, rng, (0.70, 0.69, 0.66), 0.021) for face in faces(cap_low, cap_high)]
+    cap_low = (low[0] - 0.005, low[1] - 0.005, under[2])
+    cap_high = (high[0] + 0.005, high[1] + 0.005, high[2])
+    cap = [plaster(face, rng, (0.70, 0.69, 0.66), 0.0155) for face in faces(cap_low, cap_high)]
     return join(sides + ends + cap)
 
 
@@ -96,7 +95,7 @@ def wood_pile(rng: Rng) -> Surfels:
     parts = [boards(face, rng, dark, 0.08, (0.03, 0.05)) for face in faces(*inside, "+x-x")]
     for face in faces(*inside, "+y-y+z"):
         parts.append(boards(face, rng, (0.40, 0.30, 0.21), 0.075, (0.025, 0.05), upright=False, contrast=1.6))
-    columns = 6
+    columns = 5
     radius = (y1 - y0) / (2 * columns)
     rows = round((z1 - 2 * radius) / (1.74 * radius)) + 1
     for row in range(rows):
@@ -154,13 +153,8 @@ def rain_barrel(rng: Rng) -> Surfels:
 
 def bench(rng: Rng) -> Surfels:
     """A pine bench along the brick wall."""
-    (x0, y0, _), (x1, y1, z1) = BENCH.low, BENCH.high
     parts = []
-    for solid in (
-        Solid("seat", (x0, y0, z1 - 0.06), (x1, y1, z1)),
-        Solid("foot", (x0, y0 + 0.1, 0.0), (x1, y0 + 0.2, z1 - 0.06)),
-        Solid("foot", (x0, y1 - 0.2, 0.0), (x1, y1 - 0.1, z1 - 0.06)),
-    ):
+    for solid in BENCH:
         parts += [boards(face, rng, PINE, 0.1, (0.05, 0.06), upright=False) for face in faces(solid.low, solid.high)]
     return join(parts)
 

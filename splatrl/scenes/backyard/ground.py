@@ -20,30 +20,33 @@ def square(half: float) -> Rectangle:
 
 
 def turf(rng: Rng) -> Surfels:
-    """The lawn: a tight layer of ground, finer in the middle, and blades of grass."""
+    """The lawn: a tight layer of ground, finer in the middle, and blades of grass.
+
+    The ground is tight by the overlap of small surfels: large ones so near a camera would be smeared over the image.
+    """
     parts = []
-    for half, inner, step, blades, length in ((NEAR, 0.0, 0.055, 8800, 0.055), (HALF_WIDTH, NEAR, 0.12, 3600, 0.085)):
+    for half, inner, step, blades, length in ((NEAR, 0.0, 0.057, 8000, 0.055), (HALF_WIDTH, NEAR, 0.12, 3600, 0.085)):
         ground = square(half)
         st, size = ground.cells(step)
-        outside = np.abs(ground.points(st)).max(1) > inner
-        points = ground.points(st[outside])
-        colors = lawn_colors(points, rng) * rng.uniform(0.7, 0.95, (len(points), 1))
-        parts.append(ground.surfels(st[outside], size, colors))
+        points = ground.points(st)
+        kept = (np.abs(points).max(1) > inner) & ~on_stones(points, 0.12)
+        colors = lawn_colors(points[kept], rng) * rng.uniform(0.7, 0.95, (int(kept.sum()), 1))
+        parts.append(ground.surfels(st[kept], 1.2 * np.asarray(size), colors))
         feet = np.append(rng.uniform(-half, half, (blades, 2)), np.zeros((blades, 1)), 1)
-        parts.append(grass(feet[(np.abs(feet).max(1) > inner) & ~on_stones(feet)], length, rng))
+        parts.append(grass(feet[(np.abs(feet).max(1) > inner) & ~on_stones(feet, 0.17)], length, rng))
     return join(parts)
 
 
-def on_stones(points: Array) -> NDArray[np.bool_]:
-    """Which places lie on a stepping stone, [N] bool."""
-    return (np.linalg.norm(points[:, None, :2] - np.array(STONES), axis=-1) < 0.17).any(1)
+def on_stones(points: Array, radius: float) -> NDArray[np.bool_]:
+    """Which places lie within a radius of the middle of a stepping stone, [N] bool."""
+    return (np.linalg.norm(points[:, None, :2] - np.array(STONES), axis=-1) < radius).any(1)
 
 
 def stones(rng: Rng) -> Surfels:
     """Flat grey stones in the grass."""
     parts = []
     for x, y in STONES:
-        disc = lathe((x, y, 0.012), [(0.19, -0.012), (0.175, 0.0), (0.003, 0.004)], 0.028)
+        disc = lathe((x, y, 0.016), [(0.195, -0.016), (0.18, 0.0), (0.003, 0.004)], 0.032)
         tone = 0.07 * waves(disc.means, rng, 0.12) + 0.05 * rng.normal(size=len(disc)) + 0.08 * rng.normal()
         parts.append(painted(disc, shades((0.60, 0.58, 0.54), tone)))
     return join(parts)

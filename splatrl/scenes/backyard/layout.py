@@ -56,10 +56,12 @@ class Tree:
     crown_radius: float
 
 
-GARDEN_WALL = Solid("garden wall", (-0.135, -0.03, 0.0), (-0.065, 1.42, 0.62))
+GARDEN_WALL = Solid("garden wall", (-0.13, -0.01, 0.0), (-0.07, 1.42, 0.62))
 TABLE_TOP = Solid("table", (0.08, -1.13, 0.38), (0.52, -0.87, 0.43))
-WOOD_PILE = Solid("wood pile", (-1.45, 0.03, 0.0), (-1.14, 0.57, 0.56))
+WOOD_PILE = Solid("wood pile", (-1.45, 0.08, 0.0), (-1.14, 0.52, 0.57))
 SHRUB_POT = Solid("shrub pot", (0.91, 0.91, 0.0), (1.19, 1.19, 0.4))
+SHRUB = Solid("shrub", (0.88, 0.88, 0.4), (1.22, 1.22, 0.76))
+TABLE_POTS = Solid("pots on the table", (0.09, -1.12, 0.43), (0.51, -0.88, 0.72))
 EGG_STONE = Solid("egg stone", (1.14, 0.29, 0.0), (1.36, 0.51, 0.26))
 EGG_BOX = Solid(
     "egg",
@@ -74,7 +76,11 @@ GARAGE = Solid("garage", (0.9, -3.4, 0.0), (3.2, -3.0, 2.4))
 SOUTH_WALL = Solid("south wall", (-3.2, -3.2, 0.0), (-1.7, -3.0, 1.4))
 HOUSE = Solid("house", (-9.5, -3.0, 0.0), (-5.0, 5.0, 3.6))
 RAIN_BARREL = Solid("rain barrel", (1.2, -2.9, 0.0), (1.7, -2.4, 0.85))
-BENCH = Solid("bench", (-2.95, -1.9, 0.0), (-2.55, -0.5, 0.45))
+BENCH = (
+    Solid("bench seat", (-2.95, -1.9, 0.39), (-2.55, -0.5, 0.45)),
+    Solid("bench foot", (-2.95, -1.8, 0.0), (-2.55, -1.7, 0.39)),
+    Solid("bench foot", (-2.95, -0.7, 0.0), (-2.55, -0.6, 0.39)),
+)
 
 
 def trees(seed: int) -> tuple[Tree, ...]:
@@ -116,8 +122,8 @@ def solids(seed: int) -> list[Solid]:
         )
         for t in trees(seed)[:2]
     ]
-    near = [GARDEN_WALL, TABLE_TOP, *table_legs(), WOOD_PILE, SHRUB_POT, EGG_STONE, EGG_BOX]
-    around = [BRICK_WALL, FENCE, HEDGE, SHED, GARAGE, SOUTH_WALL, RAIN_BARREL, BENCH]
+    near = [GARDEN_WALL, TABLE_TOP, *table_legs(), WOOD_PILE, SHRUB_POT, SHRUB, TABLE_POTS, EGG_STONE, EGG_BOX]
+    around = [BRICK_WALL, FENCE, HEDGE, SHED, GARAGE, SOUTH_WALL, RAIN_BARREL, *BENCH]
     return near + around + trunks
 
 

@@ -65,7 +65,7 @@ def brickwork(
         mortar: its colour.
     """
     bricks = bond(rectangle, brick)
-    joint = np.array([0.16 * brick[1], 0.16 * brick[1]])
+    joint = 0.16 * brick[1]
     s, t, width, height = (part[:, None] for part in bricks.T)
     along, up = (part.ravel() for part in np.meshgrid(*((np.arange(n) + 0.5) / n - 0.5 for n in splits)))
     share = np.repeat(rng.normal(0.5, 0.35, len(bricks)), len(along))
@@ -73,15 +73,15 @@ def brickwork(
     places = np.stack([s + width * along, t + height * up], -1).reshape(-1, 2)
     sizes = np.repeat(bricks[:, 2:] / splits, len(along), axis=0)
     parts = [rectangle.surfels(places, sizes, mixed(*palette, share) * (1 + tone)[:, None])]
-    beds, heads = bricks[:, :2] - bricks[:, 2:] * (0.0, 0.5), bricks[:, :2] - bricks[:, 2:] * (0.5, 0.0)
-    inner = heads[:, 0] > joint[0]
-    lines = (
-        (beds, bricks[:, 2:] * (1.0, 0.0) + joint * (0.0, 1.0)),
-        (heads, bricks[:, 2:] * (0.0, 0.8) + joint * (1.0, 0.0)),
-    )
-    for (line, size), kept in zip(lines, (np.full(len(beds), True), inner), strict=True):
-        tone = 0.06 * rng.normal(size=int(kept.sum()))
-        parts.append(rectangle.surfels(line[kept], size[kept], shades(mortar, tone), 0.006))
+    pieces = (np.arange(splits[0]) + 0.5) / splits[0] - 0.5
+    beds = np.stack(np.broadcast_arrays(s + width * pieces, t - 0.5 * height), -1).reshape(-1, 2)
+    bed_sizes = np.repeat(bricks[:, 2:], splits[0], axis=0) * (1 / splits[0], 0.0) + (0.0, joint)
+    inner = bricks[:, 0] - 0.5 * bricks[:, 2] > joint
+    heads = bricks[inner, :2] - bricks[inner, 2:] * (0.5, 0.0)
+    head_sizes = bricks[inner, 2:] * (0.0, 0.8) + (joint, 0.0)
+    for places, sizes in ((beds, bed_sizes), (heads, head_sizes)):
+        colors = shades(mortar, 0.06 * rng.normal(size=len(places)))
+        parts.append(rectangle.surfels(places, sizes, colors, 0.06 * brick[0]))
     return join(parts)
 
 

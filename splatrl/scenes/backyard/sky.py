@@ -22,5 +22,7 @@ def sky(rng: Rng) -> Surfels:
     cover = waves(stretched, rng, 0.9) + 0.6 * waves(stretched, rng, 0.4) + 0.35 * waves(stretched, rng, 0.2)
     cloud = np.clip((cover - 0.55) / 1.1, 0.0, 1.0)[:, None] * np.clip(height * 6, 0.0, 1.0)[:, None]
     colors = (1 - 0.9 * cloud) * colors + 0.9 * cloud * np.array([0.97, 0.97, 0.98])
-    width = 0.72 * RADIUS * np.sqrt(2.12 * np.pi / COUNT)
-    return surfels(RADIUS * directions, frames(-directions, np.array([0.1, 0.2, 1.0])), (width, width, 0.2), colors)
+    width = 0.85 * RADIUS * np.sqrt(2.12 * np.pi / COUNT)
+    return surfels(
+        RADIUS * directions, frames(-directions, np.array([0.1, 0.2, 1.0])), (width, width, 0.2), colors, opacity=0.995
+    )

@@ -55,7 +55,7 @@ def orchard(seed: int, rng: Rng) -> list[Surfels]:
     """The two trees of the yard, an apple tree and a darker one, and those beyond it."""
     apple, dark = ((0.28, 0.43, 0.14), (0.52, 0.64, 0.25)), ((0.16, 0.33, 0.14), (0.36, 0.52, 0.24))
     far = ((0.24, 0.38, 0.17), (0.42, 0.54, 0.28))
-    kinds = [(2100, apple), (1700, dark)] + [(500, far)] * 6
+    kinds = [(2100, apple), (1700, dark)] + [(420, far)] * 6
     return [tree(spec, count, palette, rng) for spec, (count, palette) in zip(trees(seed), kinds, strict=True)]
 
 

@@ -1,0 +1,207 @@
+import itertools
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from splatrl.bodies import Box, Sphere
+from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.collision import FclChecker, Occupancy
+from splatrl.curriculum.planner import Plan, plan
+from splatrl.envs.dynamics import LatticeMotion
+from splatrl.envs.tasks import Grid
+from splatrl.geometry import rigid
+from splatrl.renderers import NativeRenderer
+from splatrl.scenes.backyard import BOUNDS, EGG, GOAL, ROBOT_HEIGHT, backyard, backyard_obstacles
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.spherical_harmonics import C0
+
+SEEDS = (0, 7)
+ROBOT = Box((0.4, 0.4, 0.1))
+ABOVE_GRASS = 0.15
+ROUND = ("shrub", "pots on the table", "egg", "egg stone", "shrub pot", "rain barrel", "trunk")
+
+
+@pytest.fixture(scope="module", params=SEEDS)
+def seed(request: pytest.FixtureRequest) -> int:
+    return int(request.param)
+
+
+@pytest.fixture(scope="module")
+def yard(seed: int) -> Gaussians:
+    return backyard(seed)
+
+
+@pytest.fixture(scope="module")
+def occupancy(yard: Gaussians) -> Occupancy:
+    return Occupancy.from_gaussians(yard, resolution=0.05)
+
+
+@pytest.fixture(scope="module")
+def task() -> Grid:
+    lower, upper = BOUNDS
+    return Grid(LatticeMotion(ROBOT_HEIGHT, 0.2, 22.5, lower, upper), GOAL)
+
+
+@pytest.fixture(scope="module")
+def planned(occupancy: Occupancy, task: Grid) -> Plan:
+    return plan(task.motion, FclChecker(occupancy, ROBOT), task.reached)
+
+
+@pytest.fixture(scope="module")
+def free_positions(planned: Plan, task: Grid) -> Tensor:
+    """Positions that are free at some heading: [P, 3] metres."""
+    some = planned.free.view(11, 11, 16).any(2)
+    x, y = task.motion.planar(planned.states)[:, :2].float().view(11, 11, 16, 2)[:, :, 0][some].unbind(-1)
+    return torch.stack([x, y, torch.full_like(x, ROBOT_HEIGHT)], -1)
+
+
+def ego(position: tuple[float, float], yaw: float, width: int = 64, height: int = 64) -> Cameras:
+    """The robot's view: 90 degrees, level."""
+    eye = torch.tensor([*position, ROBOT_HEIGHT])
+    ahead = eye + torch.tensor([math.cos(yaw), math.sin(yaw), 0.0])
+    return Cameras(look_at(eye, ahead)[None], intrinsics(math.pi / 2, width, height), width, height)
+
+
+def red(rgb: Tensor) -> Tensor:
+    """Which pixels show the egg: [..., 3] -> [...] bool."""
+    return (rgb[..., 0] > 0.4) & (rgb[..., 1:].amax(-1) < 0.35 * rgb[..., 0])
+
+
+def random_points(count: int, low: tuple[float, ...], high: tuple[float, ...], salt: int) -> Tensor:
+    """Points in a box: [count, 3] metres."""
+    generator = torch.Generator().manual_seed(salt)
+    corner, opposite = torch.tensor(low), torch.tensor(high)
+    return corner + (opposite - corner) * torch.rand(count, 3, generator=generator)
+
+
+def at(points: Tensor) -> Tensor:
+    """Poses without rotation: [N, 3] -> [N, 4, 4]."""
+    return rigid(torch.eye(3).expand(len(points), 3, 3), points)
+
+
+def test_a_seed_always_gives_the_same_bytes_and_another_seed_others() -> None:
+    first, second, other = backyard(3), backyard(3), backyard(4)
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        assert getattr(first, name).numpy().tobytes() == getattr(second, name).numpy().tobytes()
+    assert first.means.numpy().tobytes() != other.means.numpy().tobytes()
+
+
+def test_it_is_a_valid_scene_of_moderate_size(yard: Gaussians) -> None:
+    assert 20_000 <= len(yard.means) <= 60_000
+    assert yard.sh_degree == 0
+    assert all(getattr(yard, name).isfinite().all() for name in ("means", "quats", "scales", "opacities", "sh"))
+    assert torch.allclose(yard.quats.norm(dim=1), torch.ones(len(yard.means)), atol=1e-5)
+    assert (yard.scales > 0).all() and (yard.opacities > 0.5).all() and (yard.opacities <= 1).all()
+    colors = yard.sh[:, 0] * C0 + 0.5
+    assert colors.min() > -1e-6 and colors.max() < 1 + 1e-6
+
+
+def test_no_view_of_a_robot_has_a_hole(yard: Gaussians) -> None:
+    renderer = NativeRenderer(yard)
+    for position, yaw in itertools.product([(-1.0, -1.0), (0.5, -0.3), (0.4, 1.0)], [0.2, 1.5, 3.0, 4.4]):
+        alpha = renderer.render(ego(position, yaw, width=40, height=30)).alpha
+        assert alpha.min() > 0.97, (position, yaw)
+
+
+def test_a_part_of_the_positions_is_blocked_at_every_heading(planned: Plan) -> None:
+    blocked = ~planned.free.view(121, 16).any(1)
+    assert 0.18 <= blocked.float().mean() <= 0.30
+
+
+def test_every_free_pose_has_a_way_to_the_goal_and_the_longest_is_a_detour(planned: Plan) -> None:
+    assert (planned.distance[planned.free] >= 0).all()
+    assert 22 <= planned.distance.max() <= 28
+
+
+def test_the_goal_pose_and_all_poses_next_to_it_are_free(planned: Plan, task: Grid) -> None:
+    reached = task.reached(planned.states)
+    assert reached.sum() == 27
+    assert planned.free[reached].all()
+
+
+def test_no_move_hangs_by_a_hair(occupancy: Occupancy, task: Grid) -> None:
+    states = task.motion.states()
+    square_on = task.motion.body_to_world(states[states[:, 2] % 4 == 0])
+    hits = [FclChecker(occupancy, Box((size, size, 0.1))).collides(square_on) for size in (0.38, 0.4, 0.42)]
+    assert torch.equal(hits[0], hits[1]) and torch.equal(hits[1], hits[2])
+
+
+def test_the_goal_pose_sees_the_egg_large_and_in_the_middle(yard: Gaussians) -> None:
+    x, y, yaw_deg = GOAL
+    seen = red(NativeRenderer(yard).render(ego((x, y), math.radians(yaw_deg))).rgb[0])
+    assert seen.float().mean() >= 0.02
+    row, column = seen.nonzero().float().mean(0) + 0.5
+    assert abs(row - 32) < 3 and abs(column - 32) < 3
+
+
+def test_the_egg_is_hidden_from_a_fifth_of_the_free_positions(yard: Gaussians, free_positions: Tensor) -> None:
+    width, height = 20, 16
+    poses = look_at(free_positions, torch.tensor(EGG))
+    output = NativeRenderer(yard).render(Cameras(poses, intrinsics(0.4, width, height), width, height))
+    hidden = ~red(output.rgb).flatten(1).any(1)
+    distance = (free_positions - torch.tensor(EGG)).norm(dim=1)
+    middle = output.depth[:, height // 2, width // 2]
+    assert hidden.float().mean() >= 0.20
+    assert (middle[hidden] < 0.9 * distance[hidden]).all()
+    assert (~hidden).float().mean() >= 0.3
+
+
+def test_no_two_views_look_alike(yard: Gaussians) -> None:
+    renderer = NativeRenderer(yard)
+    places = [(-0.8, -0.8), (-0.6, 0.6), (0.6, -0.4), (0.4, 0.8)]
+    views = torch.cat(
+        [renderer.render(ego(place, turn * math.pi / 2, 16, 14)).rgb for place in places for turn in range(4)]
+    ).flatten(1)
+    differences = torch.cdist(views, views) / math.sqrt(views.shape[1])
+    assert (differences + torch.eye(len(views))).min() > 0.08
+
+
+def test_what_is_near_the_robot_stands_in_the_same_place_for_every_seed() -> None:
+    def near(seed: int) -> list[tuple[str, tuple[float, float, float], tuple[float, float, float]]]:
+        return [obstacle for obstacle in backyard_obstacles(seed) if obstacle[0] != "trunk"]
+
+    assert near(0) == near(7)
+    assert backyard_obstacles(0) != backyard_obstacles(7)
+
+
+def test_a_cube_in_free_space_touches_nothing(seed: int, occupancy: Occupancy) -> None:
+    half, margin = 0.1, 0.05
+    low, high = (-1.4, -1.4, ABOVE_GRASS + half + margin), (1.4, 1.4, 1.2)
+    centers = random_points(4000, low, high, salt=1)
+    clear = torch.ones(len(centers), dtype=torch.bool)
+    for _, corner, opposite in backyard_obstacles(seed):
+        reach = half + margin
+        inside = (centers > torch.tensor(corner) - reach) & (centers < torch.tensor(opposite) + reach)
+        clear &= ~inside.all(1)
+    assert clear.sum() > 1000
+    assert not FclChecker(occupancy, Box((0.2, 0.2, 0.2))).collides(at(centers[clear])).any()
+
+
+def test_the_faces_of_every_obstacle_are_solid(seed: int, occupancy: Occupancy) -> None:
+    touch = FclChecker(occupancy, Sphere(0.05))
+    for name, low, high in backyard_obstacles(seed):
+        corner, opposite = torch.tensor(low).clamp(-3.1, 3.1), torch.tensor(high).clamp(-3.1, 3.1)
+        height = max(0.5 * float(corner[2] + opposite[2]), ABOVE_GRASS + 0.05)
+        for axis, end in itertools.product((0, 1), (corner, opposite)):
+            point = 0.5 * (corner + opposite)
+            if abs(float(end[axis])) > 2.95:
+                continue  # the far side of what encloses the yard
+            point[axis], point[2] = end[axis], height
+            assert touch.collides(at(point[None])).all(), (name, axis, point.tolist())
+
+
+def test_nothing_slips_through_an_obstacle(seed: int, occupancy: Occupancy) -> None:
+    needle = FclChecker(occupancy, Sphere(0.005))
+    for name, low, high in backyard_obstacles(seed):
+        if name in ROUND or name in ("table leg", "bench"):
+            continue
+        inset_low = (*(v + 0.03 for v in low[:2]), max(low[2] + 0.01, ABOVE_GRASS))
+        inset_high = (*(v - 0.03 for v in high[:2]), high[2] - 0.03)
+        points = random_points(300, inset_low, inset_high, salt=2)
+        points = points[(points[:, :2].abs() < 2.95).all(1) | (points[:, :2].abs().amax(1) > 2.95)]
+        axis = 0 if high[0] - low[0] < high[1] - low[1] else 1
+        start, end = points.clone(), points.clone()
+        start[:, axis], end[:, axis] = low[axis] - 0.15, high[axis] + 0.15
+        assert needle.sweeps(at(start), at(end)).all(), name
