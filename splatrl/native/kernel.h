@@ -31,12 +31,19 @@ struct SceneView {
     int degree;
 };
 
-// What blending reads of a visible Gaussian.
+// A visible Gaussian, as blending reads it: twelve words.
 struct alignas(16) Splat {
     float x, y, l11, l12, l22, log2_opacity;
-    float rgb[3];
+    float red, green, blue;
     float depth;
-    uint16_t left, top, right, bottom;  // blocks, inclusive
+    float depth_rest;          // what single precision leaves of the depth: it decides between equal depths
+    uint32_t original_index;   // in the scene: it decides between what is still equal
+};
+
+// The blocks that a splat can show on.
+struct Patch {
+    uint32_t first;          // its top left block
+    uint16_t across, down;   // at least 1
 };
 
 struct Pair {
@@ -46,14 +53,15 @@ struct Pair {
 // Accumulated per block: [CHANNELS][BLOCK · BLOCK] floats.
 enum Channel { RED, GREEN, BLUE, ALPHA, DEPTH, TRANSMITTANCE, CHANNELS };
 
+constexpr uint32_t SPARE = 4;  // written without being counted
+
 // Memory that a worker keeps from frame to frame.
 struct Scratch {
-    Splat* splats;           // [groups · GROUP]
-    uint32_t* identity;      // [groups · GROUP] original index of each splat
-    double* depths;          // [groups · GROUP] of each splat
-    uint64_t* keys;          // [groups · GROUP] depth in the high, splat in the low half
+    Splat* splats;           // [groups · GROUP + 1]
+    Patch* patches;          // [groups · GROUP + 1] of each splat
+    uint64_t* keys;          // [groups · GROUP + 1] depth in the high, splat in the low half
     uint64_t* sorted;        // the same size
-    Pair* pairs;             // [pair_capacity]
+    Pair* pairs;             // [pair_capacity + SPARE]
     uint32_t* lists;         // [pair_capacity] splats, block by block, nearest first
     uint32_t* list_ends;     // [blocks + 1]
     uint8_t* finished;       // [blocks]

@@ -83,14 +83,22 @@ LANE_INLINE Lanes operator-(const Lanes& a) {
 LANE_INLINE Lanes min(const Lanes& a, float b) {
     Lanes out;
     const FloatPart bound = splat_part(b);
+#if defined(__AVX512F__)
+    out.part[0] = (FloatPart)_mm512_maskz_min_ps(0xffff, (__m512)a.part[0], (__m512)bound);
+#else
     FOR_PARTS out.part[p] = a.part[p] < bound ? a.part[p] : bound;
+#endif
     return out;
 }
 
 LANE_INLINE Lanes max(const Lanes& a, float b) {
     Lanes out;
     const FloatPart bound = splat_part(b);
+#if defined(__AVX512F__)
+    out.part[0] = (FloatPart)_mm512_maskz_max_ps(0xffff, (__m512)a.part[0], (__m512)bound);
+#else
     FOR_PARTS out.part[p] = a.part[p] > bound ? a.part[p] : bound;
+#endif
     return out;
 }
 
@@ -136,7 +144,45 @@ LANE_INLINE Lanes sqrt(const Lanes& a) {
     return out;
 }
 
-// 2^a for a in [-126, 126], relative error 2e-7: 2^(a - round(a)) by a polynomial, then the exponent.
+// The largest integer <= a, for a in [0, 2^31).
+LANE_INLINE Lanes floor(const Lanes& a) {
+    Lanes out;
+    FOR_PARTS out.part[p] = __builtin_convertvector(__builtin_convertvector(a.part[p], IntPart), FloatPart);
+    return out;
+}
+
+typedef float Quad __attribute__((vector_size(16)));
+typedef int32_t QuadIndex __attribute__((vector_size(16)));
+
+LANE_INLINE Quad pick(const Quad& a, const Quad& b, const QuadIndex& from) {
+#if defined(__clang__)
+    Quad out;
+    for (int i = 0; i < 4; ++i) out[i] = from[i] < 4 ? a[from[i]] : b[from[i] - 4];
+    return out;
+#else
+    return __builtin_shuffle(a, b, from);
+#endif
+}
+
+// rows[lane][column] = columns[column][lane], four by four.
+template <int COLUMNS>
+LANE_INLINE void transpose(const Lanes (&columns)[COLUMNS], float (*rows)[COLUMNS]) {
+    static_assert(COLUMNS % 4 == 0, "whole quads");
+    for (int column = 0; column < COLUMNS; column += 4)
+        for (int lane = 0; lane < LANES; lane += 4) {
+            Quad in[4];
+            for (int i = 0; i < 4; ++i)
+                std::memcpy(&in[i], reinterpret_cast<const float*>(&columns[column + i]) + lane, sizeof(Quad));
+            const Quad low_ab = pick(in[0], in[1], QuadIndex{0, 4, 1, 5}), low_cd = pick(in[2], in[3], QuadIndex{0, 4, 1, 5});
+            const Quad high_ab = pick(in[0], in[1], QuadIndex{2, 6, 3, 7}), high_cd = pick(in[2], in[3], QuadIndex{2, 6, 3, 7});
+            const Quad out[4] = {pick(low_ab, low_cd, QuadIndex{0, 1, 4, 5}), pick(low_ab, low_cd, QuadIndex{2, 3, 6, 7}),
+                                 pick(high_ab, high_cd, QuadIndex{0, 1, 4, 5}),
+                                 pick(high_ab, high_cd, QuadIndex{2, 3, 6, 7})};
+            for (int i = 0; i < 4; ++i) std::memcpy(&rows[lane + i][column], &out[i], sizeof(Quad));
+        }
+}
+
+// 2^a for a in [-126, 126], anything beyond, relative error 2e-7: 2^(a - round(a)) by a polynomial, then the exponent.
 LANE_INLINE Lanes exp2(const Lanes& a) {
     constexpr float ROUND = 12582912.0f;  // 1.5 · 2^23: adding it rounds to an integer in the lowest bits
     Lanes out;

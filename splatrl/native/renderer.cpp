@@ -48,8 +48,8 @@ T* offset(T* images, size_t items) {
 struct Renderer::Workspace {
     size_t blocks = 0;
     Buffer<Splat> splats;
-    Buffer<uint32_t> identity, lists, list_ends;
-    Buffer<double> depths;
+    Buffer<Patch> patches;
+    Buffer<uint32_t> lists, list_ends;
     Buffer<uint64_t> keys, sorted;
     Buffer<Pair> pairs;
     Buffer<uint8_t> finished;
@@ -57,24 +57,23 @@ struct Renderer::Workspace {
     Scratch scratch{};
 
     explicit Workspace(size_t capacity)
-        : splats(make_buffer<Splat>(capacity)),
-          identity(make_buffer<uint32_t>(capacity)),
-          depths(make_buffer<double>(capacity)),
-          keys(make_buffer<uint64_t>(capacity)),
-          sorted(make_buffer<uint64_t>(capacity)) {}
+        : splats(make_buffer<Splat>(capacity + 1)),
+          patches(make_buffer<Patch>(capacity + 1)),
+          keys(make_buffer<uint64_t>(capacity + 1)),
+          sorted(make_buffer<uint64_t>(capacity + 1)) {}
 
     const Scratch& prepare(int width, int height) {
         const size_t needed = size_t((width + BLOCK - 1) / BLOCK) * size_t((height + BLOCK - 1) / BLOCK);
         const uint32_t capacity = std::max(PAIRS, uint32_t(needed));
         if (needed > blocks) {
-            pairs = make_buffer<Pair>(capacity + 1);
-            lists = make_buffer<uint32_t>(capacity + 1);
+            pairs = make_buffer<Pair>(capacity + SPARE);
+            lists = make_buffer<uint32_t>(capacity);
             list_ends = make_buffer<uint32_t>(needed + 1);
             finished = make_buffer<uint8_t>(needed);
             frame = make_buffer<float>(needed * CHANNELS * BLOCK * BLOCK);
             blocks = needed;
         }
-        scratch = {splats.get(), identity.get(), depths.get(), keys.get(),     sorted.get(), pairs.get(),
+        scratch = {splats.get(), patches.get(),   keys.get(),     sorted.get(), pairs.get(),
                    lists.get(),  list_ends.get(), finished.get(), frame.get(),  capacity};
         return scratch;
     }

@@ -126,8 +126,7 @@ template <class F>
 SPLAT_INLINE F alpha_at(F dx, F dy, float l11, float l12, float l22, float log2_opacity) {
     const F u = dx * l11 + dy * l12, v = dy * l22;
     const F exponent = log2_opacity - u * u - v * v;
-    // Below -8 nothing shows: the clamp only keeps exp2 inside its domain.
-    return select_if_at_least(exponent, LOG2_INVISIBLE, min(exp2(max(exponent, -8.5f)), MAX_ALPHA));
+    return select_if_at_least(exponent, LOG2_INVISIBLE, min(exp2(exponent), MAX_ALPHA));
 }
 
 // Blend one splat over a pixel, front to back. Returns its share of the pixel: 0 from where the transmittance would

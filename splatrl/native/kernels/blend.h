@@ -31,22 +31,36 @@ LANE_INLINE void close_margins(const Scratch& scratch, const Camera& camera, int
 }
 
 // Write the pairs of a slab: splats from `next` on, until they are all dealt or the pairs are full.
-LANE_INLINE uint32_t emit_pairs(const Scratch& scratch, const uint64_t* keys, uint32_t count, uint32_t across,
+// Nearly all patches are at most 2×2 blocks: those are written without a branch, and counted where they exist.
+LANE_INLINE uint32_t emit_pairs(const Scratch& scratch, const uint64_t* keys, uint32_t count, uint32_t row,
                                 uint32_t& next) {
-    uint32_t pairs = 0;
+    const uint8_t* finished = scratch.finished;
+    Pair* pairs = scratch.pairs;
+    uint32_t written = 0;
     for (; next < count; ++next) {
-        const uint32_t index = uint32_t(keys[next]);
-        const Splat& splat = scratch.splats[index];
-        const uint32_t touched =
-            uint32_t(splat.right - splat.left + 1) * uint32_t(splat.bottom - splat.top + 1);
-        if (pairs + touched > scratch.pair_capacity) break;
-        for (uint32_t row = splat.top; row <= splat.bottom; ++row)
-            for (uint32_t block = row * across + splat.left; block <= row * across + splat.right; ++block) {
-                scratch.pairs[pairs] = {block, index};
-                pairs += scratch.finished[block] == 0;
+        const uint32_t splat = uint32_t(keys[next]);
+        const Patch patch = scratch.patches[splat];
+        const uint32_t first = patch.first, across = patch.across, down = patch.down;
+        if (written + across * down > scratch.pair_capacity) break;
+        if (across <= 2 && down <= 2) {
+            const uint32_t right = across - 1, below = (down - 1) * row;
+            pairs[written] = {first, splat};
+            written += !finished[first];
+            pairs[written] = {first + right, splat};
+            written += right & !finished[first + right];
+            pairs[written] = {first + below, splat};
+            written += (down - 1) & !finished[first + below];
+            pairs[written] = {first + below + right, splat};
+            written += right & (down - 1) & !finished[first + below + right];
+            continue;
+        }
+        for (uint32_t line = first; line < first + down * row; line += row)
+            for (uint32_t block = line; block < line + across; ++block) {
+                pairs[written] = {block, splat};
+                written += !finished[block];
             }
     }
-    return pairs;
+    return written;
 }
 
 // Deal the pairs to the lists of their blocks, keeping their order.
@@ -77,9 +91,9 @@ LANE_INLINE bool blend_block(const Scratch& scratch, const uint32_t* item, const
         const Lanes opacity =
             alpha_at(x - splat.x, y - splat.y, splat.l11, splat.l12, splat.l22, splat.log2_opacity);
         const Lanes share = blend_share(opacity, transmittance);
-        red = red + share * splat.rgb[0];
-        green = green + share * splat.rgb[1];
-        blue = blue + share * splat.rgb[2];
+        red = red + share * splat.red;
+        green = green + share * splat.green;
+        blue = blue + share * splat.blue;
         alpha = alpha + share;
         if (WITH_DEPTH) depth = depth + share * splat.depth;
         if (counter % 4 == 0 && bits_above(transmittance, lanes(MIN_TRANSMITTANCE)) == 0) break;

@@ -78,22 +78,50 @@ LANE_INLINE void shade(const SceneView& scene, uint32_t group, const Vector<Lane
     for (int channel = 0; channel < 3; ++channel) rgb[channel] = max(rgb[channel], 0.0f);
 }
 
-// The blocks whose pixel centres an interval of pixels touches; the interval touches the image.
-LANE_INLINE void blocks_between(float low, float high, int size, uint16_t& first, uint16_t& last) {
-    const float from = low - 0.5f > 0.0f ? low - 0.5f : 0.0f;
-    const float to = high - 0.5f < float(size - 1) ? high - 0.5f : float(size - 1);
-    const int column = int(from) + (float(int(from)) < from);
-    first = uint16_t(column / BLOCK);
-    last = uint16_t(int(to) / BLOCK);
+// The first and last block whose pixel centres the interval middle ± extent touches, where it touches the image.
+// The first is rounded down from just below the first centre: a block too many costs time, never a pixel.
+LANE_INLINE void blocks_between(const Lanes& middle, const Lanes& extent, int size, Lanes& first, Lanes& last) {
+    first = floor((max(middle - extent - 0.5f, 0.0f) + 0.999f) * (1.0f / BLOCK));
+    last = floor(min(middle + extent - 0.5f, float(size - 1)) * (1.0f / BLOCK));
 }
 
-// Depths in double precision: the order of two Gaussians must not hang on a rounding.
-LANE_INLINE void exact_depths(const float* means, const Camera& camera, double* depths) {
+// Depths in double precision, split into two floats: the order of two Gaussians must not hang on a rounding.
+LANE_INLINE void exact_depths(const float* means, const Camera& camera, float* depths, float* rests) {
     const float *forward = camera.rotation + 6, *position = camera.position;
-    for (int lane = 0; lane < GROUP; ++lane)
-        depths[lane] = double(forward[0]) * (double(means[lane]) - double(position[0])) +
-                       double(forward[1]) * (double(means[GROUP + lane]) - double(position[1])) +
-                       double(forward[2]) * (double(means[2 * GROUP + lane]) - double(position[2]));
+    for (int lane = 0; lane < GROUP; ++lane) {
+        const double depth = double(forward[0]) * (double(means[lane]) - double(position[0])) +
+                             double(forward[1]) * (double(means[GROUP + lane]) - double(position[1])) +
+                             double(forward[2]) * (double(means[2 * GROUP + lane]) - double(position[2]));
+        depths[lane] = float(depth);
+        rests[lane] = float(depth - double(depths[lane]));
+    }
+}
+
+LANE_INLINE uint32_t visible_lanes(const Footprint<Lanes>& print, const Camera& camera) {
+    const Lanes first_center = lanes(0.5f);
+    const Lanes last_column = lanes(float(camera.width) - 0.5f), last_row = lanes(float(camera.height) - 0.5f);
+    const uint32_t hidden = bits_above(lanes(NEAR_DEPTH), print.depth) |
+                            bits_above(first_center, print.x + print.extent_x) |
+                            bits_above(first_center, print.y + print.extent_y) |
+                            bits_above(print.x - print.extent_x, last_column) |
+                            bits_above(print.y - print.extent_y, last_row);
+    return bits_above(print.log2_opacity, lanes(LOG2_INVISIBLE)) & ~hidden;
+}
+
+// Append the visible lanes to the splats. Each lane is written, and the next one writes over it unless it is visible.
+LANE_INLINE uint32_t append(const Lanes (&fields)[12], const float* first, const float* across, const float* down,
+                            uint32_t visible, const Scratch& scratch, uint32_t count) {
+    alignas(64) float rows[GROUP][12];
+    transpose(fields, rows);
+    for (int lane = 0; lane < GROUP; ++lane) {
+        std::memcpy(&scratch.splats[count], rows[lane], sizeof(Splat));
+        scratch.patches[count] = {uint32_t(first[lane]), uint16_t(across[lane]), uint16_t(down[lane])};
+        uint32_t depth_bits;
+        std::memcpy(&depth_bits, &rows[lane][9], sizeof(depth_bits));
+        scratch.keys[count] = uint64_t(depth_bits) << 32 | count;
+        count += visible >> lane & 1;
+    }
+    return count;
 }
 
 template <bool ANTIALIASED>
@@ -104,41 +132,26 @@ LANE_INLINE uint32_t project_group(const SceneView& scene, const Camera& camera,
                                load(geometry + 2 * GROUP) - camera.position[2]};
     Lanes axes[9];
     for (int i = 0; i < 9; ++i) axes[i] = load(geometry + (AXES + i) * GROUP);
-    const Footprint<Lanes> print =
-        project<ANTIALIASED>(camera, offset, axes, load(geometry + LOG2_OPACITY * GROUP));
-    const Lanes first_center = lanes(0.5f);
-    uint32_t visible = ~bits_above(lanes(NEAR_DEPTH), print.depth) & 0xffff;
-    visible &= bits_above(print.log2_opacity, lanes(LOG2_INVISIBLE));
-    visible &= ~bits_above(first_center, print.x + print.extent_x) & ~bits_above(first_center, print.y + print.extent_y);
-    visible &= ~bits_above(print.x - print.extent_x, lanes(float(camera.width) - 0.5f));
-    visible &= ~bits_above(print.y - print.extent_y, lanes(float(camera.height) - 0.5f));
+    const Footprint<Lanes> print = project<ANTIALIASED>(camera, offset, axes, load(geometry + LOG2_OPACITY * GROUP));
+    const uint32_t visible = visible_lanes(print, camera);
     if (visible == 0) return count;
 
     Lanes rgb[3];
     shade(scene, group, offset, rgb);
-    alignas(64) float table[12][GROUP];
-    const Lanes columns[12] = {print.x,  print.y, print.l11, print.l12,   print.l22,      print.log2_opacity,
-                               rgb[0], rgb[1],  rgb[2],    print.depth, print.extent_x, print.extent_y};
-    for (int column = 0; column < 12; ++column) store(table[column], columns[column]);
-    alignas(64) double depths[GROUP];
-    exact_depths(geometry, camera, depths);
-    for (; visible != 0; visible &= visible - 1) {
-        const int lane = __builtin_ctz(visible);
-        Splat& splat = scratch.splats[count];
-        float* fields = &splat.x;
-        for (int column = 0; column < 10; ++column) fields[column] = table[column][lane];
-        blocks_between(splat.x - table[10][lane], splat.x + table[10][lane], camera.width, splat.left, splat.right);
-        blocks_between(splat.y - table[11][lane], splat.y + table[11][lane], camera.height, splat.top, splat.bottom);
-        if (splat.left > splat.right || splat.top > splat.bottom) continue;
-        const float rounded = float(depths[lane]);
-        uint32_t depth_bits;
-        std::memcpy(&depth_bits, &rounded, sizeof(rounded));
-        scratch.depths[count] = depths[lane];
-        scratch.keys[count] = uint64_t(depth_bits) << 32 | count;
-        scratch.identity[count] = scene.original_index[group * GROUP + lane];
-        ++count;
-    }
-    return count;
+    alignas(64) float depths[GROUP], rests[GROUP];
+    exact_depths(geometry, camera, depths, rests);
+    Lanes left, right, top, bottom;
+    blocks_between(print.x, print.extent_x, camera.width, left, right);
+    blocks_between(print.y, print.extent_y, camera.height, top, bottom);
+    alignas(64) float first[GROUP], across[GROUP], down[GROUP];
+    const int row = (camera.width + BLOCK - 1) / BLOCK;
+    store(first, top * float(row) + left);
+    store(across, max(right - left + 1.0f, 1.0f));
+    store(down, max(bottom - top + 1.0f, 1.0f));
+    const Lanes fields[12] = {print.x, print.y, print.l11, print.l12,    print.l22,   print.log2_opacity,
+                              rgb[0],  rgb[1],  rgb[2],    load(depths), load(rests),
+                              load(reinterpret_cast<const float*>(scene.original_index + group * GROUP))};
+    return append(fields, first, across, down, visible, scratch, count);
 }
 
 template <bool ANTIALIASED>

@@ -9,9 +9,10 @@ namespace SPLATRL_ISA {
 
 // Whether splat `a` is blended before splat `b`: by depth in double precision, then in the order of the scene.
 LANE_INLINE bool before(const Scratch& scratch, uint64_t a, uint64_t b) {
-    const double depth_a = scratch.depths[uint32_t(a)], depth_b = scratch.depths[uint32_t(b)];
-    if (depth_a != depth_b) return depth_a < depth_b;
-    return scratch.identity[uint32_t(a)] < scratch.identity[uint32_t(b)];
+    if (a >> 32 != b >> 32) return a < b;
+    const Splat &first = scratch.splats[uint32_t(a)], &second = scratch.splats[uint32_t(b)];
+    if (first.depth_rest != second.depth_rest) return first.depth_rest < second.depth_rest;
+    return first.original_index < second.original_index;
 }
 
 static void sift_down(const Scratch& scratch, uint64_t* heap, uint32_t root, uint32_t count) {
@@ -45,20 +46,22 @@ static void order_run(const Scratch& scratch, uint64_t* run, uint32_t count) {
     }
 }
 
-// Single precision leaves many ties where Gaussians lie on a grid, as in quantised files.
-static void order_ties(const Scratch& scratch, uint64_t* keys, uint32_t count) {
+// Order runs of keys that agree in the bits that were sorted by. Single precision alone leaves many where Gaussians
+// lie on a grid, as in quantised files.
+static void order_ties(const Scratch& scratch, uint64_t* keys, uint32_t count, uint32_t low, int unsorted) {
+    const auto digits = [low, unsorted](uint64_t key) { return (uint32_t(key >> 32) - low) >> unsorted; };
     for (uint32_t first = 0, next = 1; next <= count; ++next) {
-        if (next < count && keys[next] >> 32 == keys[first] >> 32) continue;
+        if (next < count && digits(keys[next]) == digits(keys[first])) continue;
         if (next - first > 1) order_run(scratch, keys + first, next - first);
         first = next;
     }
 }
 
-// Radix sort of the depths, least significant digit first, over no more bits than they differ in.
-// Returns the sorted keys, in one of the two arrays of `scratch`.
+// Radix sort by the leading bits in which the depths differ, least significant digit first, then the ties.
+// Returns the sorted keys, in `scratch.keys`.
 static const uint64_t* sort_by_depth(const Scratch& scratch, uint32_t count) {
-    uint64_t *keys = scratch.keys, *spare = scratch.sorted;
-    constexpr int MAX_DIGIT = 11;
+    constexpr int DIGIT = 11, VALUES = 1 << DIGIT;
+    uint64_t *keys = scratch.keys, *sorted = scratch.sorted;
     uint32_t low = ~0u, high = 0;
     for (uint32_t i = 0; i < count; ++i) {
         const uint32_t depth = uint32_t(keys[i] >> 32);
@@ -66,26 +69,25 @@ static const uint64_t* sort_by_depth(const Scratch& scratch, uint32_t count) {
         high = depth > high ? depth : high;
     }
     const int bits = count > 1 && high > low ? 32 - __builtin_clz(high - low) : 0;
-    const int passes = (bits + MAX_DIGIT - 1) / MAX_DIGIT;
-    const int digit = passes > 0 ? (bits + passes - 1) / passes : 0;
-    for (int pass = 0; pass < passes; ++pass) {
-        uint32_t starts[1 << MAX_DIGIT] = {};
-        const int shift = pass * digit;
-        const uint32_t mask = (1u << digit) - 1;
-        for (uint32_t i = 0; i < count; ++i) ++starts[(uint32_t(keys[i] >> 32) - low) >> shift & mask];
-        uint32_t sum = 0;
-        for (uint32_t value = 0; value <= mask; ++value) {
-            const uint32_t here = starts[value];
-            starts[value] = sum;
-            sum += here;
-        }
-        for (uint32_t i = 0; i < count; ++i)
-            spare[starts[(uint32_t(keys[i] >> 32) - low) >> shift & mask]++] = keys[i];
-        uint64_t* swapped = keys;
-        keys = spare;
-        spare = swapped;
+    const int unsorted = bits > 2 * DIGIT ? bits - 2 * DIGIT : 0;
+    uint32_t starts[2][VALUES] = {};
+    for (uint32_t i = 0; i < count; ++i) {
+        const uint32_t value = (uint32_t(keys[i] >> 32) - low) >> unsorted;
+        ++starts[0][value % VALUES];
+        ++starts[1][value / VALUES];
     }
-    order_ties(scratch, keys, count);
+    uint32_t sums[2] = {};
+    for (int value = 0; value < VALUES; ++value)
+        for (int pass = 0; pass < 2; ++pass) {
+            const uint32_t here = starts[pass][value];
+            starts[pass][value] = sums[pass];
+            sums[pass] += here;
+        }
+    for (uint32_t i = 0; i < count; ++i)
+        sorted[starts[0][((uint32_t(keys[i] >> 32) - low) >> unsorted) % VALUES]++] = keys[i];
+    for (uint32_t i = 0; i < count; ++i)
+        keys[starts[1][((uint32_t(sorted[i] >> 32) - low) >> unsorted) / VALUES]++] = sorted[i];
+    order_ties(scratch, keys, count, low, unsorted);
     return keys;
 }
 
