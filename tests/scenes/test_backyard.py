@@ -1,6 +1,7 @@
 import itertools
 import math
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -14,6 +15,10 @@ from splatrl.envs.tasks import Grid
 from splatrl.geometry import rigid
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes.backyard import BOUNDS, EGG, GOAL, ROBOT_HEIGHT, backyard, backyard_obstacles
+from splatrl.scenes.backyard.enclosure import enclosure
+from splatrl.scenes.backyard.furniture import egg, furniture
+from splatrl.scenes.backyard.layout import EGG_STONE, Solid, trees
+from splatrl.scenes.backyard.light import SUN, occluders, sunlight
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
 
@@ -205,3 +210,30 @@ def test_nothing_slips_through_an_obstacle(seed: int, occupancy: Occupancy) -> N
         start, end = points.clone(), points.clone()
         start[:, axis], end[:, axis] = low[axis] - 0.15, high[axis] + 0.15
         assert needle.sweeps(at(start), at(end)).all(), name
+
+
+def test_surfels_have_right_handed_axes_and_the_egg_faces_outward() -> None:
+    rng = np.random.default_rng(0)
+    for part in (furniture(rng), enclosure(rng)):
+        assert np.allclose(part.axes @ part.axes.swapaxes(1, 2), np.eye(3), atol=1e-9)
+        assert np.allclose(np.linalg.det(part.axes), 1.0)
+    shell = egg(rng)
+    outward = shell.means - np.array(EGG)
+    on_egg = shell.means[:, 2] > EGG_STONE.high[2] + 0.01
+    assert ((outward * shell.normals).sum(1)[on_egg] > 0).all()
+
+
+def test_a_box_throws_its_shadow_away_from_the_sun_and_not_on_itself() -> None:
+    box = Solid("box", (-0.5, -0.5, 0.0), (0.5, 0.5, 1.0))
+    far_crowns = tuple(tree for tree in trees(0) if tree.x > 5)
+    behind, before, on_top = (-0.9 * SUN * (1, 1, 0), 1.8 * SUN * (1, 1, 0), np.array([0.1, 0.2, 1.0]))
+    share = sunlight(np.stack([behind / np.hypot(*SUN[:2]), before, on_top]), occluders([box], far_crowns))
+    assert share[0] == 0.0
+    assert (share[1:] > 0.9).all()
+
+
+def test_a_crown_lets_a_part_of_the_light_through() -> None:
+    tree = trees(0)[0]
+    foot = np.array([tree.x, tree.y, tree.crown_height]) - 2.0 * SUN
+    nowhere = Solid("nowhere", (90.0, 90.0, 0.0), (91.0, 91.0, 1.0))
+    assert 0.02 < sunlight(foot[None], occluders([nowhere], (tree,)))[0] < 0.5

@@ -1,5 +1,7 @@
 """What encloses the yard, and what looks over it: hedge, fence, brick wall, shed, garage and a house."""
 
+from dataclasses import fields
+
 import numpy as np
 
 from splatrl.scenes.backyard.furniture import roof
@@ -17,6 +19,14 @@ def panel(face: Rectangle, at: tuple[float, float], size: tuple[float, float], l
     """A part of a face, a little in front of it: lower left corner and size in metres on the face."""
     x, y, z = (float(v) for v in face.points(np.array([at]), lift)[0])
     return Rectangle((x, y, z), face.right, face.up, *size)
+
+
+def cut(part: Surfels, hole: Rectangle) -> Surfels:
+    """A face without what lies behind a panel, which would show through where the face is seen at a slant."""
+    away = part.means - np.asarray(hole.corner)
+    along, up = away @ np.asarray(hole.right), away @ np.asarray(hole.up)
+    kept = ~((along > 0) & (along < hole.width) & (up > 0) & (up < hole.height))
+    return Surfels(*(getattr(part, field.name)[kept] for field in fields(Surfels)))
 
 
 def hedge(rng: Rng) -> Surfels:
@@ -69,11 +79,12 @@ def shed(rng: Rng) -> Surfels:
     """A white wooden shed with a blue door and a window under a dark roof."""
     white = (0.88, 0.88, 0.85)
     front, *sides = faces(SHED.low, SHED.high, "+y+x-x-y")
-    parts = [boards(front, rng, white, 0.13, (0.065, 0.09), upright=False, contrast=0.3)]
+    door, window = panel(front, (1.25, 0.02), (0.75, 1.6)), ((0.3, 0.75), (0.6, 0.6))
+    planks = boards(front, rng, white, 0.13, (0.065, 0.09), upright=False, contrast=0.3)
+    parts = [cut(cut(planks, door), panel(front, *window))]
     parts += [boards(face, rng, white, 0.13, (0.13, 0.25), upright=False, contrast=0.3) for face in sides]
-    door = panel(front, (1.25, 0.02), (0.75, 1.6))
     parts.append(boards(door, rng, BLUE, 0.125, (0.042, 0.08), contrast=0.5))
-    parts += framed(front, (0.3, 0.75), (0.6, 0.6), rng)
+    parts += framed(front, *window, rng)
     depth = SHED.high[1] - SHED.low[1] + 0.3
     rise = 0.45
     slope = float(np.hypot(depth, rise))
@@ -105,9 +116,12 @@ def framed(
 def house(rng: Rng) -> Surfels:
     """The neighbours' house behind the brick wall: plaster, windows and a tiled roof."""
     front, *sides = faces(HOUSE.low, HOUSE.high, "+x+y-y")
-    parts = [plaster(face, rng, (0.93, 0.87, 0.72), 0.28, 0.03) for face in (front, *sides)]
+    wall, *parts = [plaster(face, rng, (0.93, 0.87, 0.72), 0.28, 0.03) for face in (front, *sides)]
     for along in (0.9, 3.2, 5.6):
-        parts += framed(front, (along, 2.1), (1.2, 1.1), rng, 0.16)
+        window = ((along, 2.1), (1.2, 1.1))
+        wall = cut(wall, panel(front, *window))
+        parts += framed(front, *window, rng, 0.16)
+    parts.append(wall)
     length, rise = front.width + 0.6, 2.2
     reach = 0.5 * (HOUSE.high[0] - HOUSE.low[0]) + 0.3
     slope = float(np.hypot(reach, rise))

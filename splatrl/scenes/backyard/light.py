@@ -52,9 +52,10 @@ def in_box(points: Array, direction: Array, blockers: Occluders) -> NDArray[np.b
     """Whether a ray from each point enters a box, [N] bool (slab test); what lies in a box is not shaded by it."""
     safe = np.where(np.abs(direction) < 1e-6, 1e-6, direction)
     hit = np.zeros(len(points), bool)
-    for low, high in zip(blockers.low, blockers.high, strict=True):
-        first, second = (low - points) / safe, (high - points) / safe
-        enter, leave = np.minimum(first, second).max(1), np.maximum(first, second).min(1)
+    scaled = np.ascontiguousarray((points / safe).T)  # [3, N]: the reductions below run along memory
+    for low, high in zip(blockers.low / safe, blockers.high / safe, strict=True):
+        first, second = low[:, None] - scaled, high[:, None] - scaled
+        enter, leave = np.minimum(first, second).max(0), np.maximum(first, second).min(0)
         hit |= (leave > enter) & (enter > 0.0)
     return hit
 
