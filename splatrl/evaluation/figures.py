@@ -217,7 +217,7 @@ def _map(ground: TopDown, solid: Tensor | None, colourful: bool) -> tuple[Figure
         y = top - (np.arange(-1, solid.shape[0] + 1) + 0.5) * pixel
         axes.contourf(x, y, mask, levels=[0.5, 2], colors=["none"], hatches=["//////"], zorder=2)
         axes.contour(x, y, mask, levels=[0.5], colors=[INK], linewidths=1.0, zorder=2)
-    axes.set(xlabel="x (m)", ylabel="y (m)", xlim=(left, right), ylim=(bottom, top), aspect="equal")
+    axes.set(xlabel="x (m)", ylabel="y (m)", xlim=(left, right), ylim=(bottom, top))
     return figure, axes
 
 
@@ -234,7 +234,7 @@ def _goal(axes: Axes, goal: Tensor, length: float) -> list[Patch | Line2D]:
 
 def _finish(figure: Figure, handles: list[Patch | Line2D], solid: Tensor | None, path: Path) -> None:
     if solid is not None and solid.any():
-        handles.append(Patch(facecolor="none", edgecolor=INK, hatch="//////", label="solid"))
+        handles.append(Patch(facecolor="none", edgecolor=INK, hatch="//////", label="solid at body height"))
     top = (FOOT - 0.5) / figure.get_figheight()
     figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, top), ncols=3, frameon=False, fontsize=9)
     _save(figure, path)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras, look_at
 from splatrl.collision.occupancy import Occupancy
-from splatrl.renderers import ReferenceRenderer
+from splatrl.renderers import NativeRenderer
 from splatrl.renderers.base import Renderer
 from splatrl.scenes.gaussians import Gaussians
 
@@ -43,7 +43,7 @@ def top_down(
     upper: Sequence[float],
     below: float,
     size: int = 720,
-    make_renderer: Callable[[Gaussians], Renderer] = ReferenceRenderer,
+    make_renderer: Callable[[Gaussians], Renderer] = NativeRenderer,
 ) -> TopDown:
     """Render a window of a scene from straight above, as good as orthographically.
 

@@ -101,6 +101,8 @@ def test_every_start_is_an_arrow_from_its_position_along_its_heading(drawn: list
         way = outlines[:, 3] - chosen[:, :2].numpy()  # the tip
         heading = torch.stack([chosen[:, 2].cos(), chosen[:, 2].sin()], -1).numpy()
         assert way / np.linalg.norm(way, axis=1, keepdims=True) == pytest.approx(heading, abs=1e-5)
+        head = outlines[:, 2] - outlines[:, 4]
+        assert (head * heading).sum(1) == pytest.approx(0, abs=1e-6) and np.linalg.norm(head, axis=1).min() > 0.02
     assert "72 of 96 start poses (75.0%)" in drawn[0].axes[0].get_title()
 
 
@@ -173,7 +175,7 @@ def test_what_is_solid_is_outlined_where_it_stands(drawn: list[Figure]) -> None:
     hatched = next(c for c in drawn[0].axes[0].collections if getattr(c, "hatches", [None])[0])
     outline = hatched.get_paths()[0].vertices
     assert [*outline.min(0), *outline.max(0)] == pytest.approx([0.25, 0.5, 0.75, 1.0], abs=0.002)
-    assert "solid" in labels(drawn[0])
+    assert "solid at body height" in labels(drawn[0])
 
 
 def test_a_written_map_has_green_where_the_goal_is_reached_and_red_where_not(tmp_path: Path) -> None:

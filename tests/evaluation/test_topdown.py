@@ -58,7 +58,8 @@ def test_what_is_above_the_cut_is_not_shown() -> None:
 
 
 @pytest.mark.parametrize(
-    ("mean", "scale"), [((30.0, 3.0, 0.5), 10.0), ((0.5, 3.0, -20.0), 2.0), ((0.5, 3.0, 0.9), 8.0)]
+    ("mean", "scale"),
+    [((30.0, 3.0, 0.5), 10.0), ((6.5, 3.0, 0.5), 2.9), ((0.5, 3.0, -20.0), 2.0), ((0.5, 3.0, 0.9), 8.0)],
 )
 def test_a_sky_dome_does_not_cover_the_floor(mean: tuple[float, float, float], scale: float) -> None:
     scene = blobs([((0.5, 3.0, 0.0), 0.3, GREEN), (mean, scale, BLUE)])
