@@ -53,16 +53,16 @@ struct Pair {
 // Accumulated per block: [CHANNELS][BLOCK · BLOCK] floats.
 enum Channel { RED, GREEN, BLUE, ALPHA, DEPTH, TRANSMITTANCE, CHANNELS };
 
-constexpr uint32_t SPARE = 4;  // written without being counted
+constexpr uint32_t SPARE = 16;  // items at the end of an array that may be touched without being counted
 
 // Memory that a worker keeps from frame to frame.
 struct Scratch {
-    Splat* splats;           // [groups · GROUP + 1]
-    Patch* patches;          // [groups · GROUP + 1] of each splat
-    uint64_t* keys;          // [groups · GROUP + 1] depth in the high, splat in the low half
+    Splat* splats;           // [groups · GROUP + SPARE]
+    Patch* patches;          // [groups · GROUP + SPARE] of each splat
+    uint64_t* keys;          // [groups · GROUP + SPARE] depth in the high, splat in the low half
     uint64_t* sorted;        // the same size
     Pair* pairs;             // [pair_capacity + SPARE]
-    uint32_t* lists;         // [pair_capacity] splats, block by block, nearest first
+    uint32_t* lists;         // [pair_capacity + SPARE] splats, block by block, nearest first
     uint32_t* list_ends;     // [blocks + 1]
     uint8_t* finished;       // [blocks]
     float* frame;            // [blocks, CHANNELS, 16]

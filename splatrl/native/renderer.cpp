@@ -57,17 +57,17 @@ struct Renderer::Workspace {
     Scratch scratch{};
 
     explicit Workspace(size_t capacity)
-        : splats(make_buffer<Splat>(capacity + 1)),
-          patches(make_buffer<Patch>(capacity + 1)),
-          keys(make_buffer<uint64_t>(capacity + 1)),
-          sorted(make_buffer<uint64_t>(capacity + 1)) {}
+        : splats(make_buffer<Splat>(capacity + SPARE)),
+          patches(make_buffer<Patch>(capacity + SPARE)),
+          keys(make_buffer<uint64_t>(capacity + SPARE)),
+          sorted(make_buffer<uint64_t>(capacity + SPARE)) {}
 
     const Scratch& prepare(int width, int height) {
         const size_t needed = size_t((width + BLOCK - 1) / BLOCK) * size_t((height + BLOCK - 1) / BLOCK);
         const uint32_t capacity = std::max(PAIRS, uint32_t(needed));
         if (needed > blocks) {
             pairs = make_buffer<Pair>(capacity + SPARE);
-            lists = make_buffer<uint32_t>(capacity);
+            lists = make_buffer<uint32_t>(capacity + SPARE);
             list_ends = make_buffer<uint32_t>(needed + 1);
             finished = make_buffer<uint8_t>(needed);
             frame = make_buffer<float>(needed * CHANNELS * BLOCK * BLOCK);

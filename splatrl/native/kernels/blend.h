@@ -8,6 +8,11 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
+// Items whose splats are fetched ahead: enough for the second-level cache to answer. What is fetched past the end of a
+// list is never used.
+constexpr uint32_t AHEAD = 12;
+static_assert(AHEAD <= SPARE, "the arrays have room to read ahead");
+
 LANE_INLINE void start_frame(const Scratch& scratch, uint32_t blocks) {
     for (uint32_t block = 0; block < blocks; ++block) {
         float* channels = scratch.frame + size_t(block) * CHANNELS * LANES;
@@ -39,6 +44,7 @@ LANE_INLINE uint32_t emit_pairs(const Scratch& scratch, const uint64_t* keys, ui
     uint32_t written = 0;
     for (; next < count; ++next) {
         const uint32_t splat = uint32_t(keys[next]);
+        __builtin_prefetch(&scratch.patches[uint32_t(keys[next + AHEAD])]);
         const Patch patch = scratch.patches[splat];
         const uint32_t first = patch.first, across = patch.across, down = patch.down;
         if (written + across * down > scratch.pair_capacity) break;
@@ -85,8 +91,8 @@ LANE_INLINE bool blend_block(const Scratch& scratch, const uint32_t* item, const
     Lanes red = load(channels + RED * LANES), green = load(channels + GREEN * LANES);
     Lanes blue = load(channels + BLUE * LANES), alpha = load(channels + ALPHA * LANES);
     Lanes depth = load(channels + DEPTH * LANES), transmittance = load(channels + TRANSMITTANCE * LANES);
-    bool finished = false;
     for (uint32_t counter = 1; item < end; ++item, ++counter) {
+        __builtin_prefetch(&scratch.splats[item[AHEAD]]);
         const Splat& splat = scratch.splats[*item];
         const Lanes opacity =
             alpha_at(x - splat.x, y - splat.y, splat.l11, splat.l12, splat.l22, splat.log2_opacity);
@@ -98,7 +104,7 @@ LANE_INLINE bool blend_block(const Scratch& scratch, const uint32_t* item, const
         if (WITH_DEPTH) depth = depth + share * splat.depth;
         if (counter % 4 == 0 && bits_above(transmittance, lanes(MIN_TRANSMITTANCE)) == 0) break;
     }
-    finished = bits_above(transmittance, lanes(MIN_TRANSMITTANCE)) == 0;
+    const bool finished = bits_above(transmittance, lanes(MIN_TRANSMITTANCE)) == 0;
     store(channels + RED * LANES, red);
     store(channels + GREEN * LANES, green);
     store(channels + BLUE * LANES, blue);
