@@ -42,7 +42,7 @@ def solid_voxels(
         max_scale: Gaussians with a larger standard deviation, metres, are sky and left out. None takes 20 voxels, or
             1 m where that is more; this is what bounds the work for one Gaussian.
         crop: lower and upper corner of the grid, metres. None takes the box that holds the 5th to the 95th percentile
-            of the Gaussians' extents along each axis, widened on all sides by a quarter of its longest one: all of a
+            of the Gaussians' extents along each axis, widened on all sides by half its longest one: all of a
             room, none of the splats that stray kilometres away.
         max_voxels: the largest grid that may be made.
 
@@ -89,7 +89,7 @@ def solid_voxels(
 
 def _populated_bounds(lower: NDArray[np.float64], upper: NDArray[np.float64]) -> NDArray[np.float64]:
     low, high = np.quantile(lower, 0.05, axis=0), np.quantile(upper, 0.95, axis=0)
-    margin = 0.25 * (high - low).max()
+    margin = 0.5 * (high - low).max()
     return np.stack([low - margin, high + margin])
 
 

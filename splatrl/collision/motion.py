@@ -85,7 +85,10 @@ class Move:
             body_to_world [M, 4, 4] float64.
         """
         steps = self.steps[rows]
-        before, after = ((steps - index) / steps.double()).unsqueeze(1), (index / steps.double()).unsqueeze(1)
+        # both shares are quotients, and so are swapped by going back; `index / steps` would multiply by a reciprocal
+        before, after = (
+            part.double().div(steps).unsqueeze(1) for part in (steps - index, torch.full_like(steps, index))
+        )
         start, end, arc = self._start[rows], self._end[rows], self._arc[rows].unsqueeze(1)
         slight = arc < 1e-6  # where the sine of an angle is the angle
         quats = self._start_quats[rows] * torch.where(slight, before, torch.sin(before * arc))

@@ -187,11 +187,11 @@ class Occupancy:
 
     def trimmed(self) -> "Occupancy":
         """The same solid voxels in the smallest grid that holds them."""
-        boxes = ndimage.find_objects(self.occupied.astype(np.int8))
-        if not boxes:
+        if not self.occupied.any():
             return Occupancy.empty(self.resolution)
-        x, y, z = (int(key) + span.start for key, span in zip(self.origin_key, boxes[0], strict=True))
-        return Occupancy(np.ascontiguousarray(self.occupied[boxes[0]]), (x, y, z), self.resolution)
+        (box,) = ndimage.find_objects(self.occupied.view(np.int8))
+        x, y, z = (key + span.start for key, span in zip(self.origin_key, box, strict=True))
+        return Occupancy(np.ascontiguousarray(self.occupied[box]), (x, y, z), self.resolution)
 
     @cached_property
     def count(self) -> int:

@@ -1,0 +1,179 @@
+import numpy as np
+import pytest
+import torch
+from scipy import ndimage
+
+from splatrl.collision import Occupancy
+from splatrl.geometry import axis_rotations, quats_to_rotations, rotations_to_quats
+from splatrl.scenes.gaussians import Gaussians
+
+
+def gaussians(means, scales, opacities=0.9, quats=(1.0, 0.0, 0.0, 0.0)) -> Gaussians:
+    means = torch.as_tensor(means, dtype=torch.float32).reshape(-1, 3)
+    count = len(means)
+    return Gaussians(
+        means=means,
+        quats=torch.nn.functional.normalize(torch.as_tensor(quats, dtype=torch.float32).expand(count, 4), dim=1),
+        scales=torch.as_tensor(scales, dtype=torch.float32).expand(count, 3).contiguous(),
+        opacities=torch.as_tensor(opacities, dtype=torch.float32).expand(count).contiguous(),
+        sh=torch.zeros(count, 1, 3),
+        batch_size=[count],
+    )
+
+
+def joined(*parts: Gaussians) -> Gaussians:
+    return torch.cat(parts)
+
+
+def sheet(first, second, spacing: float, z: float = 0.0) -> torch.Tensor:
+    """A horizontal sheet of points."""
+    return torch.cartesian_prod(torch.arange(*first, spacing), torch.arange(*second, spacing), torch.tensor([z]))
+
+
+def brute_force(g: Gaussians, occupancy: Occupancy, cutoff: float) -> np.ndarray:
+    """Keys of the solid voxels of a padded grid: every voxel against every Gaussian, one formula."""
+    rotations = quats_to_rotations(g.quats.double()).numpy()
+    scales, means, opacities = (v.double().numpy() for v in (g.scales, g.means, g.opacities))
+    lower = np.array(occupancy.origin_key) - 3
+    keys = np.argwhere(np.ones(np.array(occupancy.occupied.shape) + 6, bool)) + lower
+    centers = (keys + 0.5) * occupancy.resolution
+    density = np.zeros(len(keys))
+    for mean, rotation, scale, opacity in zip(means, rotations, scales, opacities, strict=True):
+        along = np.abs((centers - mean) @ rotation)
+        half = 0.5 * occupancy.resolution * np.abs(rotation).sum(0)
+        squares = (np.maximum((along - half) / scale, 0.0) ** 2).sum(1)
+        reach = 3 * np.sqrt(((rotation * scale) ** 2).sum(1))
+        reached = (np.abs(centers - mean) < reach + 0.5 * occupancy.resolution).all(1)
+        density += np.where((squares <= 9.0) & reached, opacity * np.exp(-0.5 * squares), 0.0)
+    return keys[1 - np.exp(-density) >= cutoff]
+
+
+@pytest.mark.parametrize("resolution", [0.05, 0.13])
+def test_solid_voxels_are_those_of_a_sum_over_all_pairs(resolution):
+    generator = torch.Generator().manual_seed(3)
+    count = 150
+    g = gaussians(
+        torch.rand(count, 3, generator=generator) * torch.tensor([1.0, 0.6, 0.4]) - 0.3,
+        torch.rand(count, 3, generator=generator) * 0.06 + 0.003,
+        torch.rand(count, generator=generator) * 0.9 + 0.1,
+        torch.randn(count, 4, generator=generator),
+    )
+    crop = ((-2.0, -2.0, -2.0), (2.0, 2.0, 2.0))
+    occupancy = Occupancy.from_gaussians(g, resolution, min_volume=0.0, crop=crop)
+    assert 20 < occupancy.count < 0.9 * occupancy.occupied.size
+    assert occupancy.keys().tolist() == brute_force(g, occupancy, 0.5).tolist()
+
+
+def test_many_batches_of_pairs_give_what_one_gives(monkeypatch):
+    g = gaussians(sheet((0.0, 1.0), (0.0, 0.6), 0.03), 0.02)
+    whole = Occupancy.from_gaussians(g)
+    monkeypatch.setattr("splatrl.collision.density._PAIRS", 50)
+    assert np.array_equal(Occupancy.from_gaussians(g).occupied, whole.occupied)
+
+
+def test_a_wall_is_solid_where_it_stands_and_free_beside_it():
+    wall = gaussians(sheet((0.0, 2.0), (0.0, 1.2), 0.04, 0.52), (0.03, 0.03, 0.002))
+    occupancy = Occupancy.from_gaussians(wall, 0.05)
+    x, y = np.meshgrid(np.arange(0.02, 1.95, 0.01), np.arange(0.02, 1.15, 0.01))
+    in_wall, below, above = (
+        occupancy.contains(np.stack([x.ravel(), y.ravel(), np.full(x.size, z)], 1)) for z in (0.52, 0.44, 0.61)
+    )
+    assert in_wall.all()
+    assert not below.any()
+    assert not above.any()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_slanted_sheet_of_thin_large_gaussians_has_no_hole(axis):
+    tilt = axis_rotations(axis, torch.tensor(0.6))
+    flat = sheet((-1.0, 1.0), (-0.8, 0.8), 0.1)
+    slanted = gaussians(flat @ tilt.T, (0.08, 0.08, 0.001), quats=rotations_to_quats(tilt))
+    occupancy = Occupancy.from_gaussians(slanted, 0.05, min_volume=0.0)
+    assert occupancy.contains(sheet((-0.9, 0.9), (-0.7, 0.7), 0.007) @ tilt.T).all()
+
+
+def test_a_closed_box_of_gaussians_keeps_its_inside_free_and_apart_from_the_outside():
+    faces = [sheet((0.0, 1.0), (0.0, 1.0), 0.03, z).roll(axis, dims=1) for axis in range(3) for z in (0.0, 0.99)]
+    occupancy = Occupancy.from_gaussians(gaussians(torch.cat(faces), 0.015), 0.05)
+    free, _ = ndimage.label(np.pad(~occupancy.occupied, 1, constant_values=True))
+    middle = np.array(occupancy.occupied.shape) // 2 + 1
+    assert not occupancy.contains([[0.5, 0.5, 0.5]])[0]
+    assert free[tuple(middle)] not in (0, free[0, 0, 0])
+
+
+def test_floaters_below_the_smallest_volume_are_dropped_and_larger_things_stay():
+    floor = gaussians(sheet((0.0, 1.6), (0.0, 1.1), 0.03), 0.02)
+    floater = gaussians([[0.5, 0.4, 0.3]], 0.04)
+    ball = gaussians([[0.5, 0.4, 0.7]], 0.2)
+    scene = joined(floor, floater, ball)
+    assert Occupancy.from_gaussians(scene, min_volume=0.0).contains([[0.5, 0.4, 0.3], [0.5, 0.4, 0.7]]).all()
+    kept = Occupancy.from_gaussians(scene)
+    assert kept.contains([[0.5, 0.4, 0.02], [0.5, 0.4, 0.3], [0.5, 0.4, 0.7]]).tolist() == [True, False, True]
+
+
+def test_the_smallest_volume_is_a_volume_at_every_resolution():
+    rod = gaussians(sheet((0.0, 0.5), (0.0, 0.09), 0.02), 0.01)
+    for resolution in (0.025, 0.05, 0.1):
+        volume = Occupancy.from_gaussians(rod, resolution, min_volume=0.0).volume
+        assert Occupancy.from_gaussians(rod, resolution, min_volume=0.99 * volume).volume == volume
+        assert Occupancy.from_gaussians(rod, resolution, min_volume=1.01 * volume).count == 0
+
+
+def test_diagonal_neighbours_hang_together():
+    means = [[0.075 + 0.05 * i, 0.075 + 0.05 * i, 0.075 + 0.05 * i] for i in range(10)]
+    chain = gaussians(means, 0.002)
+    assert Occupancy.from_gaussians(chain, min_volume=10 * 0.05**3).keys().tolist() == [[i + 1] * 3 for i in range(10)]
+
+
+def test_haze_below_the_smallest_opacity_is_free():
+    fog = gaussians(sheet((0.0, 1.0), (0.0, 1.0), 0.01), 0.05, opacities=0.09)
+    assert Occupancy.from_gaussians(fog).count == 0
+    assert Occupancy.from_gaussians(fog, min_opacity=0.05).count > 0
+
+
+def test_a_lower_cutoff_makes_more_solid():
+    thin = gaussians(sheet((0.0, 1.0), (0.0, 0.7), 0.06), 0.03, opacities=0.3)
+    counts = [Occupancy.from_gaussians(thin, cutoff=c, min_volume=0.0).count for c in (0.05, 0.3, 0.6, 0.95)]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] > counts[1] > counts[2] > counts[3]
+
+
+def test_sky_and_stray_gaussians_neither_grow_the_grid_nor_fill_it():
+    room = gaussians(
+        torch.rand(4000, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([3.0, 2.0, 0.1]), 0.04
+    )
+    strays = gaussians([[5e5, 0.0, 0.0], [0.0, -3e6, 0.0], [1.0, 1.0, 8e4]], 0.5)
+    sky = gaussians([[1.5, 1.0, 1.0], [1.5, 1.0, 400.0]], (60.0, 80.0, 50.0))
+    alone, crowded = Occupancy.from_gaussians(room), Occupancy.from_gaussians(joined(room, strays, sky))
+    assert crowded.keys().tolist() == alone.keys().tolist()
+
+
+def test_a_larger_scale_limit_lets_large_gaussians_in():
+    ball = gaussians([[0.0, 0.0, 0.0]], 1.5)
+    assert Occupancy.from_gaussians(ball, 0.2).count > 0  # 20 voxels are 4 m
+    assert Occupancy.from_gaussians(ball, 0.05).count == 0
+    assert Occupancy.from_gaussians(ball, 0.2, max_scale=1.4).count == 0
+
+
+def test_a_crop_bounds_what_is_solid():
+    floor = gaussians(sheet((-1.0, 1.0), (-1.0, 1.0), 0.03), 0.02)
+    occupancy = Occupancy.from_gaussians(floor, crop=((-0.5, -0.25, -1.0), (0.5, 0.35, 1.0)))
+    assert occupancy.bounds[0][:2] == pytest.approx([-0.5, -0.25])
+    assert occupancy.bounds[1][:2] == pytest.approx([0.5, 0.35])
+    assert Occupancy.from_gaussians(floor, crop=((5, 5, 5), (6, 6, 6))).count == 0
+
+
+def test_a_single_gaussian_is_as_solid_as_it_is_large():
+    occupancy = Occupancy.from_gaussians(gaussians([[0.3, -0.2, 0.1]], 0.2), 0.05)  # 0.9 e^(-d²/2) > ln 2: d < 0.72
+    assert occupancy.contains([[0.3, -0.2, 0.1], [0.42, -0.2, 0.1], [0.3, -0.2, -0.02]]).all()
+    assert not occupancy.contains([[0.51, -0.2, 0.1], [0.3, 0.01, 0.1]]).any()
+
+
+def test_settings_out_of_range_are_refused_by_name():
+    ball = gaussians([[0.0, 0.0, 0.0]], 0.2)
+    with pytest.raises(ValueError, match=r"cutoff: expected a share in \(0, 1\), got 1.0"):
+        Occupancy.from_gaussians(ball, cutoff=1.0)
+    with pytest.raises(ValueError, match="resolution: expected finite metres above 0, got 0"):
+        Occupancy.from_gaussians(ball, 0)
+    with pytest.raises(ValueError, match=r"at a resolution of 0.001 m: expected at most 67108864 voxels"):
+        Occupancy.from_gaussians(ball, 0.001)

@@ -1,0 +1,230 @@
+import copy
+import math
+import pickle
+
+import fcl
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splatrl.bodies import Box, Capsule, Sphere
+from splatrl.collision import FclChecker, Occupancy
+from splatrl.collision.octree import encode_octree
+from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
+from tests.collision.oracle import separation
+
+BODIES = [Box((0.4, 0.3, 0.1)), Sphere(0.17), Capsule(0.08, 0.25)]
+CUBE = Occupancy(np.ones((1, 1, 1), bool), (0, 0, 0), 0.1)  # from 0 to 0.1 along each axis
+
+
+def at(*places: tuple[float, float, float], rotation: torch.Tensor | None = None) -> torch.Tensor:
+    turn = torch.eye(3) if rotation is None else rotation
+    return rigid(turn.float(), torch.tensor(places))
+
+
+def random_poses(count: int, lower, upper, seed: int = 0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    quats = torch.randn(count, 4, generator=generator)
+    lower, upper = torch.as_tensor(lower).float(), torch.as_tensor(upper).float()
+    return rigid(quats_to_rotations(quats), lower + torch.rand(count, 3, generator=generator) * (upper - lower))
+
+
+def clutter(seed: int = 0, share: float = 0.03) -> Occupancy:
+    return Occupancy(np.random.default_rng(seed).random((14, 11, 8)) < share, (-7, 3, -2), 0.1)
+
+
+@pytest.mark.parametrize(
+    ("body", "reach"),
+    [(Box((0.4, 0.2, 0.6)), (0.2, 0.1, 0.3)), (Sphere(0.25), (0.25,) * 3), (Capsule(0.1, 0.5), (0.1, 0.1, 0.35))],
+)
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_body_hits_a_voxel_once_its_surface_reaches_it(body, reach, axis):
+    poses = []
+    for gap in (1e-3, -1e-3):
+        above, below = torch.full((3,), 0.05), torch.full((3,), 0.05)
+        above[axis], below[axis] = 0.1 + reach[axis] + gap, -reach[axis] - gap
+        poses += [above, below]
+    hits = FclChecker(CUBE, body).collides(rigid(torch.eye(3), torch.stack(poses)))
+    assert hits.tolist() == [False, False, True, True]
+
+
+def test_a_box_may_hit_only_because_it_is_turned():
+    checker = FclChecker(CUBE, Box((0.4, 0.1, 0.1)))
+    beside = (0.05, 0.28, 0.05)  # 0.18 m beside the voxel: the box reaches 0.05 m, turned it reaches 0.2 m
+    assert checker.collides(at(beside)).tolist() == [False]
+    assert checker.collides(at(beside, rotation=axis_rotations(2, torch.tensor(math.pi / 2)))).tolist() == [True]
+    assert checker.collides(at(beside, rotation=axis_rotations(2, torch.tensor(-1.4)))).tolist() == [True]
+    assert checker.collides(at(beside, rotation=axis_rotations(1, torch.tensor(math.pi / 2)))).tolist() == [False]
+
+
+def test_the_sense_of_rotation_is_counter_clockwise():
+    checker = FclChecker(Occupancy.from_keys([[1, 1, 0]], 0.1), Box((0.4, 0.02, 0.02)))
+    yaw = torch.tensor([math.pi / 4, -math.pi / 4])
+    poses = rigid(axis_rotations(2, yaw), torch.tensor([0.0, 0.0, 0.05]).expand(2, 3))
+    assert checker.collides(poses).tolist() == [True, False]
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_no_answer_differs_from_separating_axes_and_closest_points(body):
+    occupancy = clutter()
+    lower, upper = occupancy.bounds
+    poses = random_poses(1500, lower - 0.2, upper + 0.2)
+    gaps = torch.tensor([separation(body, pose, occupancy) for pose in poses.double().numpy()])
+    sure = gaps.abs() > 1e-5
+    expected = gaps < 0
+    assert sure.float().mean() > 0.99
+    assert 0.2 < expected.float().mean() < 0.8
+    assert torch.equal(FclChecker(occupancy, body).collides(poses)[sure], expected[sure])
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_the_distance_field_changes_no_answer_of_fcl(body):
+    occupancy = clutter(1, 0.01)
+    lower, upper = occupancy.bounds
+    poses = random_poses(4000, lower - 0.4, upper + 0.4, 1)
+    tree = fcl.CollisionObject(fcl.OcTree(occupancy.resolution, encode_octree(occupancy)))
+    match body:
+        case Box():
+            shape = fcl.Box(*body.size)
+        case Sphere():
+            shape = fcl.Sphere(body.radius)
+        case Capsule():
+            shape = fcl.Capsule(body.cap_radius, body.length)
+    raw = []
+    for pose in poses.double().numpy():
+        item = fcl.CollisionObject(shape, fcl.Transform(pose[:3, :3], pose[:3, 3]))
+        raw.append(fcl.collide(item, tree, fcl.CollisionRequest(), fcl.CollisionResult()) > 0)
+    hits = FclChecker(occupancy, body).collides(poses)
+    assert 0 < hits.sum() < len(poses)
+    assert hits.tolist() == raw
+
+
+def test_a_hit_does_not_stick_to_the_poses_after_it():
+    checker = FclChecker(CUBE, Sphere(0.1))
+    near, far = (0.05, 0.05, 0.05), (0.05, 0.05, 0.205)  # too near for the distance field to tell
+    assert checker.collides(at(near, far, near, far, far)).tolist() == [True, False, True, False, False]
+    assert checker.collides(at(far)).tolist() == [False]
+
+
+@pytest.mark.parametrize("empty", [Occupancy.empty(), Occupancy(np.zeros((3, 4, 5), bool), (0, 0, 0), 0.1)])
+@pytest.mark.parametrize("body", BODIES)
+def test_nothing_collides_where_nothing_is_solid(empty, body):
+    checker = FclChecker(empty, body)
+    poses = random_poses(7, (-1, -1, -1), (1, 1, 1))
+    assert not checker.collides(poses).any()
+    assert (checker.touched_fraction(poses, poses.flip(0)) == 1.0).all()
+    assert not checker.sweeps(poses, poses.flip(0)).any()
+    assert checker.clearance(torch.zeros(3, 3)).isinf().all()
+
+
+def test_empty_batches_give_empty_answers():
+    checker = FclChecker(CUBE, Sphere(0.1))
+    none = torch.zeros(0, 4, 4)
+    assert checker.collides(none).shape == (0,)
+    assert checker.touched_fraction(none, none).shape == (0,)
+    assert checker.clearance(torch.zeros(0, 3)).shape == (0,)
+
+
+def test_answers_have_the_promised_dtypes():
+    checker = FclChecker(CUBE, Sphere(0.1))
+    pose = at((0.3, 0.0, 0.0))
+    assert checker.collides(pose).dtype == torch.bool
+    assert checker.touched_fraction(pose, pose).dtype == torch.float32
+    assert checker.sweeps(pose, pose).dtype == torch.bool
+    assert checker.clearance(torch.zeros(2, 3)).dtype == torch.float32
+
+
+def test_poses_that_fcl_would_take_for_free_are_refused():
+    checker = FclChecker(CUBE, Box((0.2, 0.2, 0.2)))
+    poses = at((0.0, 0.0, 0.0), (0.0, math.nan, 0.0), (math.nan, 0.0, 0.0))
+    with pytest.raises(ValueError, match=r"body_to_world: expected finite numbers, got .* in row 1"):
+        checker.collides(poses)
+    with pytest.raises(ValueError, match=r"end: expected finite numbers, got .* in row 1"):
+        checker.touched_fraction(at(*[(0.0, 0.0, 0.0)] * 3), poses)
+    mirrored = torch.diag(torch.tensor([1.0, 1.0, -1.0, 1.0]))[None]
+    with pytest.raises(ValueError, match="start: expected a rotation, not a reflection"):
+        checker.sweeps(mirrored, mirrored)
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_a_sweep_finds_the_thin_wall_that_both_ends_miss(body):
+    wall = Occupancy(np.ones((1, 20, 20), bool), (10, -10, -10), 0.05)
+    checker = FclChecker(wall, body)
+    start, end = at((-0.4, 0.02, 0.01)), at((1.4, 0.02, 0.01))
+    assert not checker.collides(torch.cat([start, end])).any()
+    assert checker.sweeps(start, end).tolist() == [True]
+    assert checker.sweeps(start, at((0.1, 0.02, 0.01))).tolist() == [False]
+
+
+def test_a_turn_sweeps_what_lies_between():
+    rod = Box((0.8, 0.04, 0.04))
+    checker = FclChecker(Occupancy.from_keys([[2, 2, 0]], 0.1), rod)  # 45° to the left, 0.35 m off
+    right, left, back = (
+        at((0.0, 0.0, 0.05), rotation=axis_rotations(2, torch.tensor(yaw))) for yaw in (0.2, 1.4, -1.2)
+    )
+    assert not checker.collides(torch.cat([right, left, back])).any()
+    assert checker.sweeps(right, left).tolist() == [True]
+    assert checker.sweeps(right, back).tolist() == [False]
+
+
+def test_touched_fraction_is_where_the_last_free_step_ends():
+    wall = Occupancy(np.ones((1, 20, 20), bool), (10, -10, -10), 0.05)  # from x = 0.5
+    checker = FclChecker(wall, Box((0.2, 0.1, 0.1)))  # so the origin is stopped at x = 0.4
+    start = at((0.0, 0.01, 0.0), (0.0, 0.01, 0.0), (0.45, 0.01, 0.0), (0.0, 0.01, 0.0))
+    end = at((1.0, 0.01, 0.0), (0.41, 0.01, 0.0), (0.0, 0.01, 0.0), (0.39, 0.01, 0.0))
+    fraction = checker.touched_fraction(start, end)
+    steps = 40  # 1 m in steps of half a voxel
+    assert 0.4 - 1 / steps <= fraction[0] <= 0.4
+    assert 0.41 * fraction[1] <= 0.4 < 0.41
+    assert fraction[2] == 0.0
+    assert fraction[3] == 1.0
+    assert checker.sweeps(start, end).tolist() == [True, True, True, False]
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_the_pose_at_the_touched_fraction_is_free(body):
+    checker = FclChecker(clutter(), body)
+    start, end = (random_poses(200, (-0.8, 0.2, -0.3), (0.8, 1.5, 0.7), seed) for seed in (4, 5))
+    end[:, :3, :3] = start[:, :3, :3]
+    fraction = checker.touched_fraction(start, end)
+    stopped = start.clone()
+    stopped[:, :3, 3] += fraction[:, None] * (end - start)[:, :3, 3]
+    assert ((fraction > 0) & (fraction < 1)).any()
+    assert not checker.collides(stopped)[fraction > 0].any()
+    assert (fraction[checker.collides(start)] == 0.0).all()
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10_000), body=st.sampled_from(BODIES))
+def test_a_sweep_holds_its_ends_and_is_the_same_in_both_directions(seed, body):
+    checker = FclChecker(clutter(seed, 0.01), body)
+    start, end = (random_poses(20, (-0.8, 0.2, -0.3), (0.8, 1.5, 0.7), seed + k) for k in (0, 1))
+    swept = checker.sweeps(start, end)
+    assert torch.equal(swept, checker.sweeps(end, start))
+    assert (swept >= (checker.collides(start) | checker.collides(end))).all()
+    assert torch.equal(checker.sweeps(start, start), checker.collides(start))
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_copies_and_pickles_answer_alike(body):
+    checker = FclChecker(clutter(), body)
+    poses = random_poses(100, (-0.8, 0.2, -0.3), (0.8, 1.5, 0.7))
+    for twin in (pickle.loads(pickle.dumps(checker)), copy.deepcopy(checker)):
+        assert twin.body == body
+        assert torch.equal(twin.collides(poses), checker.collides(poses))
+
+
+def test_a_body_clear_of_the_bound_is_free_and_clearance_comes_from_the_field():
+    occupancy = clutter()
+    checker = FclChecker(occupancy, Sphere(0.17))
+    poses = random_poses(500, (-1.5, -0.5, -1.0), (1.5, 2.0, 1.5))
+    clear = checker.clearance(poses[:, :3, 3]) > 0.17
+    assert clear.any()
+    assert not checker.collides(poses)[clear].any()
+
+
+def test_an_occupancy_beyond_the_octree_is_refused():
+    with pytest.raises(ValueError, match="expected voxel keys in"):
+        FclChecker(Occupancy.from_points([[400.0, 0.0, 0.0]], 0.01), Sphere(0.1))

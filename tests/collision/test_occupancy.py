@@ -1,0 +1,157 @@
+import pickle
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splatrl.collision import Occupancy
+from splatrl.scenes.gaussians import Gaussians
+
+
+def same(a: Occupancy, b: Occupancy) -> bool:
+    return np.array_equal(a.occupied, b.occupied) and a.origin_key == b.origin_key and a.resolution == b.resolution
+
+
+def test_a_voxel_holds_its_lower_faces_and_not_its_upper_ones():
+    occupancy = Occupancy(np.ones((1, 1, 1), bool), (2, -1, 0), 0.5)
+    points = torch.tensor([[1.0, -0.5, 0.0], [1.49, -0.01, 0.49], [1.5, -0.5, 0.0], [1.0, 0.0, 0.0], [0.99, -0.1, 0.1]])
+    assert occupancy.contains(points).tolist() == [True, True, False, False, False]
+
+
+def test_from_points_fills_the_voxels_that_hold_points():
+    points = torch.tensor([[0.05, 0.12, -0.01], [0.07, 0.11, -0.02], [0.31, -0.29, 0.4]])
+    occupancy = Occupancy.from_points(points, 0.1)
+    assert occupancy.keys().tolist() == [[0, 1, -1], [3, -3, 4]]
+    assert occupancy.origin_key == (0, -3, -1)
+    assert occupancy.occupied.shape == (4, 5, 6)
+
+
+def test_from_points_leaves_out_what_lies_outside_the_crop():
+    points = np.array([[0.05, 0.05, 0.05], [5.0, 0.0, 0.0], [0.0, 0.0, -2000.0]])
+    occupancy = Occupancy.from_points(points, 0.1, crop=((0, 0, 0), (1, 2, 3)))
+    assert occupancy.keys().tolist() == [[0, 0, 0]]
+    assert Occupancy.from_points(points, 0.1, crop=((7, 7, 7), (8, 8, 8))).count == 0
+
+
+def test_from_boxes_fills_the_box_and_nothing_beside_it():
+    occupancy = Occupancy.from_boxes([[0.1, -0.2, 0.3]], [[0.3, 0.1, 0.7]], 0.1)
+    assert occupancy.bounds[0] == pytest.approx([0.1, -0.2, 0.3])
+    assert occupancy.bounds[1] == pytest.approx([0.3, 0.1, 0.7])
+    assert occupancy.occupied.all()
+    assert occupancy.count == 2 * 3 * 4
+    assert occupancy.volume == pytest.approx(0.2 * 0.3 * 0.4)
+
+
+def test_a_box_thinner_than_a_voxel_fills_one_layer():
+    occupancy = Occupancy.from_boxes([[0.0, 0.0, 0.12]], [[0.3, 0.2, 0.13]], 0.1)
+    assert occupancy.occupied.shape == (3, 2, 1)
+    assert occupancy.origin_key == (0, 0, 1)
+
+
+def test_centers_lie_in_their_own_voxels():
+    occupancy = Occupancy.from_boxes([[-1.0, 0.0, 0.0], [2.0, 1.0, 0.3]], [[-0.7, 0.1, 0.2], [2.1, 1.3, 0.4]], 0.05)
+    centers = occupancy.centers()
+    assert centers.shape == (occupancy.count, 3)
+    assert occupancy.contains(centers).all()
+    assert not occupancy.contains(centers + np.array([0.0, 0.0, 0.25])).any()
+
+
+def test_an_empty_occupancy_holds_no_point():
+    empty = Occupancy.empty(0.1)
+    assert empty.count == 0
+    assert empty.centers().shape == (0, 3)
+    assert not empty.contains(torch.zeros(4, 3)).any()
+    assert Occupancy.from_points(np.zeros((0, 3)), 0.1).count == 0
+    assert Occupancy.from_boxes(np.zeros((0, 3)), np.zeros((0, 3)), 0.1).count == 0
+
+
+def test_trimming_keeps_every_solid_voxel_in_the_smallest_grid():
+    occupied = np.zeros((6, 7, 8), bool)
+    occupied[2, 3, 4] = occupied[3, 3, 6] = True
+    loose = Occupancy(occupied, (10, -20, 30), 0.1)
+    trimmed = loose.trimmed()
+    assert trimmed.occupied.shape == (2, 1, 3)
+    assert trimmed.keys().tolist() == loose.keys().tolist() == [[12, -17, 34], [13, -17, 36]]
+    assert Occupancy(np.zeros((2, 3, 4), bool), (1, 1, 1), 0.1).trimmed().occupied.size == 0
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    shape=st.tuples(*[st.integers(0, 6)] * 3),
+    origin=st.tuples(*[st.integers(-1000, 1000)] * 3),
+)
+def test_arrays_and_pickles_give_the_same_occupancy_back(seed, shape, origin):
+    occupancy = Occupancy(np.random.default_rng(seed).random(shape) < 0.4, origin, 0.07)
+    assert same(Occupancy.from_arrays(occupancy.to_arrays()), occupancy)
+    assert same(pickle.loads(pickle.dumps(occupancy)), occupancy)
+
+
+def test_arrays_survive_an_npz_file(tmp_path):
+    occupancy = Occupancy.from_boxes([[0.0, 0.0, 0.0]], [[0.3, 0.2, 0.5]], 0.1)
+    np.savez(tmp_path / "occupancy.npz", **occupancy.to_arrays())
+    with np.load(tmp_path / "occupancy.npz") as arrays:
+        assert same(Occupancy.from_arrays(arrays), occupancy)
+
+
+def test_from_scene_builds_once_with_its_settings_and_then_reads_the_cache():
+    grid = torch.cartesian_prod(torch.arange(0, 1, 0.03), torch.arange(0, 0.6, 0.03), torch.arange(0, 0.3, 0.03))
+    count = len(grid)
+    gaussians = Gaussians(
+        means=grid,
+        quats=torch.tensor([1.0, 0, 0, 0]).expand(count, 4),
+        scales=torch.full((count, 3), 0.02),
+        opacities=torch.full((count,), 0.9),
+        sh=torch.zeros(count, 1, 3),
+        batch_size=[count],
+    )
+    kept, builds = {}, []
+
+    def cached(kind, settings, build):
+        if (key := (kind, tuple(settings.items()))) not in kept:
+            builds.append(key)
+            kept[key] = build()
+        return kept[key]
+
+    scene = SimpleNamespace(gaussians=gaussians, cached=cached)
+    first = Occupancy.from_scene(scene, resolution=0.1)
+    assert same(first, Occupancy.from_scene(scene, resolution=0.1))
+    assert same(first, Occupancy.from_gaussians(gaussians, 0.1))
+    assert builds == [("occupancy", (("resolution", 0.1),))]
+    assert Occupancy.from_scene(scene, resolution=0.05).resolution == 0.05
+
+
+def test_a_grid_above_the_cap_is_refused_with_its_bounds_and_resolution():
+    message = r"grid from \[0.0, 0.0, 0.0\] to \[100.1, 0.1, 0.1\] m at a resolution of 0.1 m: expected at most 1000"
+    with pytest.raises(ValueError, match=message):
+        Occupancy.from_points([[0.01, 0.01, 0.01], [100.01, 0.0, 0.0]], 0.1, max_voxels=1000)
+    with pytest.raises(ValueError, match=r"at a resolution of 0.01 m"):
+        Occupancy.from_boxes([[0.0, 0.0, 0.0]], [[1e3, 1e3, 1e3]], 0.01)
+
+
+@pytest.mark.parametrize("resolution", [0.0, -0.1, float("nan"), float("inf")])
+def test_a_resolution_that_is_no_length_is_refused(resolution):
+    with pytest.raises(ValueError, match="resolution: expected finite metres above 0"):
+        Occupancy.empty(resolution)
+    with pytest.raises(ValueError, match="resolution: expected finite metres above 0"):
+        Occupancy.from_points([[0.0, 0.0, 0.0]], resolution)
+
+
+def test_malformed_arguments_are_refused_by_name():
+    with pytest.raises(ValueError, match=r"points: expected finite metres, got .* in row 1"):
+        Occupancy.from_points([[0.0, 0.0, 0.0], [0.0, float("nan"), 0.0]], 0.1)
+    with pytest.raises(ValueError, match=r"points: expected shape \[N, 3\], got \[4, 2\]"):
+        Occupancy.from_points(torch.zeros(4, 2), 0.1)
+    with pytest.raises(ValueError, match=r"upper: expected .* above lower"):
+        Occupancy.from_boxes([[0.0, 0.0, 0.0]], [[1.0, 0.0, 1.0]], 0.1)
+    with pytest.raises(ValueError, match="crop: expected a lower corner"):
+        Occupancy.from_points([[0.0, 0.0, 0.0]], 0.1, crop=((0, 0, 0), (1, -1, 1)))
+    with pytest.raises(ValueError, match=r"keys: expected integers \[M, 3\], got float64"):
+        Occupancy.from_keys([[0.5, 0.0, 0.0]], 0.1)
+    with pytest.raises(ValueError, match=r"occupied: expected bool \[X, Y, Z\]"):
+        Occupancy(np.zeros((2, 2, 2), np.uint8), (0, 0, 0), 0.1)
+    with pytest.raises(ValueError, match="origin_key: expected 3 integers"):
+        Occupancy(np.zeros((2, 2, 2), bool), (0, 0), 0.1)
