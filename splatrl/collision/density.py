@@ -6,13 +6,11 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from splatrl.collision.grid import Bounds, check_resolution, checked_crop, grid_shape
+from splatrl.native._core import add_density
 from splatrl.scenes.gaussians import Gaussians
 
 _EXTENT = 3.0
 """A Gaussian ends this many standard deviations from its mean."""
-
-_PAIRS = 2**19
-"""Gaussian-voxel pairs that are evaluated at a time: bounds the memory."""
 
 
 def solid_voxels(
@@ -73,17 +71,18 @@ def solid_voxels(
         return np.zeros((0, 0, 0), bool), (0, 0, 0)
     first, end = first[inside], end[inside]
     origin = first.min(0)
-    density = np.zeros(grid_shape(origin, end.max(0), resolution, max_voxels))
-    _splat(
-        density,
+    density = np.zeros(grid_shape(origin, end.max(0), resolution, max_voxels), np.float32)
+    add_density(
         means[inside] / resolution - origin,
         axes[inside],
         scales[inside] / resolution,
         opacities[inside],
         first - origin,
         end - origin,
+        _EXTENT,
+        density,
     )
-    solid = _without_floaters(-np.expm1(-density) >= cutoff, min_volume / resolution**3)
+    solid = _without_floaters(density >= -np.log1p(-cutoff), min_volume / resolution**3)
     return solid, (int(origin[0]), int(origin[1]), int(origin[2]))
 
 
@@ -91,36 +90,6 @@ def _populated_bounds(lower: NDArray[np.float64], upper: NDArray[np.float64]) ->
     low, high = np.quantile(lower, 0.05, axis=0), np.quantile(upper, 0.95, axis=0)
     margin = 0.5 * (high - low).max()
     return np.stack([low - margin, high + margin])
-
-
-def _splat(
-    density: NDArray[np.float64],
-    means: NDArray[np.float64],
-    axes: NDArray[np.float64],
-    scales: NDArray[np.float64],
-    opacities: NDArray[np.float64],
-    first: NDArray[np.int64],
-    end: NDArray[np.int64],
-) -> None:
-    """Add every Gaussian to the voxels [first, end) of its extent; lengths are in voxels, from the grid's corner."""
-    shape = end - first
-    last_pair = np.cumsum(shape.prod(1))
-    half_boxes = 0.5 * np.abs(axes).sum(1)  # of the boxes along the Gaussian's own axes that hold a voxel
-    flat = density.reshape(-1)
-    start = 0
-    while start < len(means):
-        done = last_pair[start - 1] if start else 0
-        stop = max(int(np.searchsorted(last_pair, done + _PAIRS, "right")), start + 1)
-        owner = np.repeat(np.arange(start, stop), shape[start:stop].prod(1))
-        rank = np.arange(len(owner)) - (last_pair[owner] - shape[owner].prod(1) - done)
-        spans = shape[owner].T
-        voxel = np.stack([rank // (spans[1] * spans[2]), rank // spans[2] % spans[1], rank % spans[2]], 1)
-        voxel += first[owner]
-        along = np.einsum("nij,ni->nj", axes[owner], voxel + 0.5 - means[owner])
-        squares = ((np.maximum(np.abs(along) - half_boxes[owner], 0.0) / scales[owner]) ** 2).sum(1)
-        values = np.where(squares <= _EXTENT**2, opacities[owner] * np.exp(-0.5 * squares), 0.0)
-        np.add.at(flat, np.ravel_multi_index(tuple(voxel.T), density.shape), values)
-        start = stop
 
 
 def _without_floaters(solid: NDArray[np.bool_], min_voxels: float) -> NDArray[np.bool_]:

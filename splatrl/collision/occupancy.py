@@ -1,5 +1,6 @@
 """Which voxels of a scene are solid."""
 
+import inspect
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -161,12 +162,18 @@ class Occupancy:
         """``from_gaussians`` of a scene's Gaussians, kept in the scene's cache.
 
         Args:
-            scene: holds ``gaussians`` in the world frame and a cache.
-            **settings: what ``from_gaussians`` takes.
+            scene: holds ``gaussians`` in the world frame, ``bounds`` and a cache.
+            **settings: what ``from_gaussians`` takes. Without a ``crop`` (or with None) the grid ends at the scene's
+                bounds, widened on all sides by a tenth of their longest one.
         """
-        arrays = scene.cached(
-            "occupancy", settings, lambda: cls.from_gaussians(scene.gaussians, **settings).to_arrays()
-        )
+        if settings.get("crop") is None:
+            lower, upper = checked_crop(scene.bounds)
+            margin = 0.1 * (upper - lower).max()
+            settings["crop"] = ((lower - margin).tolist(), (upper + margin).tolist())
+        recipe = inspect.signature(cls.from_gaussians).bind(scene.gaussians, **settings)
+        recipe.apply_defaults()
+        stated = {name: value for name, value in recipe.arguments.items() if name != "gaussians"}
+        arrays = scene.cached("occupancy", stated, lambda: cls.from_gaussians(scene.gaussians, **stated).to_arrays())
         return cls.from_arrays(arrays)
 
     @classmethod

@@ -1,5 +1,7 @@
 """The C++ core. Arrays are C-contiguous CPU memory: torch tensors and numpy arrays both go in without a copy."""
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 def isa() -> str:
@@ -11,6 +13,18 @@ def isa() -> str:
 
 def supported_isas() -> list[str]:
     """The instruction sets that this processor can run, slowest first."""
+
+def add_density(
+    means: NDArray[np.float64],  # [N, 3], lengths are in voxels, from the corner of the grid
+    axes: NDArray[np.float64],  # [N, 3, 3], columns: the unit axes of the Gaussian
+    scales: NDArray[np.float64],  # [N, 3], standard deviations
+    opacities: NDArray[np.float64],  # [N]
+    first: NDArray[np.int64],  # [N, 3], the first voxel of the Gaussian's range
+    end: NDArray[np.int64],  # [N, 3], the first one behind it
+    extent: float,  # standard deviations at which a Gaussian ends
+    density: NDArray[np.float32],  # [X, Y, Z], written
+) -> None:
+    """Add opacity · exp(−½ d²) to the voxels in reach, d from the mean to the box along the axes around the voxel."""
 
 class Renderer:
     """Renders into memory that the caller gives; what goes in is finite."""

@@ -21,5 +21,6 @@ void bind_isa(nanobind::module_& m) {
 
 NB_MODULE(_core, m) {
     splatrl::bind_isa(m);
+    splatrl::bind_occupancy(m);
     splatrl::bind_renderer(m);
 }

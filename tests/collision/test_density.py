@@ -64,11 +64,19 @@ def test_solid_voxels_are_those_of_a_sum_over_all_pairs(resolution):
     assert occupancy.keys().tolist() == brute_force(g, occupancy, 0.5).tolist()
 
 
-def test_many_batches_of_pairs_give_what_one_gives(monkeypatch):
-    g = gaussians(sheet((0.0, 1.0), (0.0, 0.6), 0.03), 0.02)
-    whole = Occupancy.from_gaussians(g)
-    monkeypatch.setattr("splatrl.collision.density._PAIRS", 50)
-    assert np.array_equal(Occupancy.from_gaussians(g).occupied, whole.occupied)
+@pytest.mark.parametrize("turned", [True, False])
+def test_large_thin_gaussians_reach_every_voxel_that_a_sum_over_all_pairs_reaches(turned):
+    generator = torch.Generator().manual_seed(5)
+    count = 12
+    g = gaussians(
+        torch.rand(count, 3, generator=generator) - 0.5,
+        10.0 ** (torch.rand(count, 3, generator=generator) * 2.0 - 2.6),  # 2.5 mm to 25 cm
+        0.95,
+        torch.randn(count, 4, generator=generator) if turned else (1.0, 0.0, 0.0, 0.0),
+    )
+    occupancy = Occupancy.from_gaussians(g, 0.05, cutoff=0.02, min_volume=0.0, crop=((-2,) * 3, (2,) * 3))
+    assert occupancy.count > 1000
+    assert occupancy.keys().tolist() == brute_force(g, occupancy, 0.02).tolist()
 
 
 def test_a_wall_is_solid_where_it_stands_and_free_beside_it():

@@ -1,3 +1,5 @@
+import inspect
+import json
 import pickle
 from types import SimpleNamespace
 
@@ -13,6 +15,18 @@ from splatrl.scenes.gaussians import Gaussians
 
 def same(a: Occupancy, b: Occupancy) -> bool:
     return np.array_equal(a.occupied, b.occupied) and a.origin_key == b.origin_key and a.resolution == b.resolution
+
+
+def blobs(means: torch.Tensor, scale: float) -> Gaussians:
+    count = len(means)
+    return Gaussians(
+        means=means,
+        quats=torch.tensor([1.0, 0, 0, 0]).expand(count, 4),
+        scales=torch.full((count, 3), scale),
+        opacities=torch.full((count,), 0.9),
+        sh=torch.zeros(count, 1, 3),
+        batch_size=[count],
+    )
 
 
 def test_a_voxel_holds_its_lower_faces_and_not_its_upper_ones():
@@ -99,29 +113,46 @@ def test_arrays_survive_an_npz_file(tmp_path):
 
 def test_from_scene_builds_once_with_its_settings_and_then_reads_the_cache():
     grid = torch.cartesian_prod(torch.arange(0, 1, 0.03), torch.arange(0, 0.6, 0.03), torch.arange(0, 0.3, 0.03))
-    count = len(grid)
-    gaussians = Gaussians(
-        means=grid,
-        quats=torch.tensor([1.0, 0, 0, 0]).expand(count, 4),
-        scales=torch.full((count, 3), 0.02),
-        opacities=torch.full((count,), 0.9),
-        sh=torch.zeros(count, 1, 3),
-        batch_size=[count],
-    )
+    gaussians = blobs(grid, 0.02)
     kept, builds = {}, []
 
     def cached(kind, settings, build):
-        if (key := (kind, tuple(settings.items()))) not in kept:
-            builds.append(key)
+        if (key := json.dumps([kind, settings])) not in kept:
+            builds.append((kind, settings))
             kept[key] = build()
         return kept[key]
 
-    scene = SimpleNamespace(gaussians=gaussians, cached=cached)
+    scene = SimpleNamespace(gaussians=gaussians, bounds=((0.0, 0.0, 0.0), (1.0, 0.6, 0.3)), cached=cached)
     first = Occupancy.from_scene(scene, resolution=0.1)
     assert same(first, Occupancy.from_scene(scene, resolution=0.1))
     assert same(first, Occupancy.from_gaussians(gaussians, 0.1))
-    assert builds == [("occupancy", (("resolution", 0.1),))]
+    assert len(builds) == 1
     assert Occupancy.from_scene(scene, resolution=0.05).resolution == 0.05
+    assert len(builds) == 2
+    kind, settings = builds[0]
+    assert kind == "occupancy"
+    assert set(settings) == set(inspect.signature(Occupancy.from_gaussians).parameters) - {"gaussians"}
+
+
+def test_from_scene_ends_a_tenth_beyond_the_bounds_or_at_the_crop():
+    grid = torch.cartesian_prod(torch.arange(-3, 3, 0.08), torch.arange(-3, 3, 0.08), torch.tensor([0.0]))
+    scene = SimpleNamespace(
+        gaussians=blobs(grid, 0.06),
+        bounds=((0.0, 0.0, -0.5), (2.0, 1.0, 0.5)),
+        cached=lambda kind, settings, build: build(),
+    )
+    bounds = Occupancy.from_scene(scene, resolution=0.1).bounds
+    assert bounds[0][:2] == pytest.approx([-0.2, -0.2])
+    assert bounds[1][:2] == pytest.approx([2.2, 1.2])
+    bounds = Occupancy.from_scene(scene, resolution=0.1, crop=((-1, -1, -1), (0.5, 0.3, 1))).bounds
+    assert bounds[0][:2] == pytest.approx([-1.0, -1.0])
+    assert bounds[1][:2] == pytest.approx([0.5, 0.3])
+
+
+def test_from_scene_refuses_a_setting_that_does_not_exist():
+    scene = SimpleNamespace(gaussians=blobs(torch.zeros(1, 3), 0.1), bounds=((0.0,) * 3, (1.0,) * 3))
+    with pytest.raises(TypeError, match="cut_off"):
+        Occupancy.from_scene(scene, cut_off=0.5)
 
 
 def test_a_grid_above_the_cap_is_refused_with_its_bounds_and_resolution():
