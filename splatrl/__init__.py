@@ -1,1 +1,10 @@
 """splatrl: reinforcement learning for robots that see a captured Gaussian splatting scene."""
+
+from splatrl.bodies import Box, Capsule, Sphere
+from splatrl.cameras import Cameras
+from splatrl.configuration import make_env
+from splatrl.envs.robot import Robot
+from splatrl.envs.splat_env import SplatEnv
+from splatrl.scenes import Gaussians, Scene, load_scene
+
+__all__ = ["Box", "Cameras", "Capsule", "Gaussians", "Robot", "Scene", "Sphere", "SplatEnv", "load_scene", "make_env"]

@@ -31,6 +31,11 @@ class Box:
         """Radius of the sphere about the origin that contains the body, metres."""
         return 0.5 * math.hypot(*self.size)
 
+    @property
+    def half_height(self) -> float:
+        """How far the body reaches above and below its origin along its own z, metres."""
+        return 0.5 * self.size[2]
+
 
 @dataclass(frozen=True)
 class Sphere:
@@ -40,6 +45,11 @@ class Sphere:
 
     def __post_init__(self) -> None:
         _positive("Sphere.radius", self.radius)
+
+    @property
+    def half_height(self) -> float:
+        """How far the body reaches above and below its origin along its own z, metres."""
+        return self.radius
 
 
 @dataclass(frozen=True)
@@ -62,6 +72,11 @@ class Capsule:
     def radius(self) -> float:
         """Radius of the sphere about the origin that contains the body, metres."""
         return 0.5 * self.length + self.cap_radius
+
+    @property
+    def half_height(self) -> float:
+        """How far the body reaches above and below its origin along its own z, metres."""
+        return self.radius
 
 
 Body = Box | Sphere | Capsule

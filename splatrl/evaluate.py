@@ -11,10 +11,12 @@ from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
 from splatrl.configuration import World, build_world, check_overrides, conf_dir, run_config
-from splatrl.evaluation import pictures
+from splatrl.evaluation.pictures import Pictures
 from splatrl.evaluation.report import summarise, write_json
 from splatrl.evaluation.rollouts import run_episodes
 from splatrl.training import load_checkpoint
+
+EPISODES_IN_VIDEO = 4
 
 
 def evaluate(cfg: DictConfig, folder: Path, world: World) -> dict[str, Any]:
@@ -36,7 +38,7 @@ def evaluate(cfg: DictConfig, folder: Path, world: World) -> dict[str, Any]:
     with tqdm(total=len(repeated) + len(starts), unit="episode", desc="evaluate", dynamic_ncols=True) as bar:
         sampled = run_episodes(env, policy, repeated, True, settings.seed, bar.update)
         argmax = run_episodes(env, policy, starts, False, settings.seed, bar.update)
-    summary: dict[str, Any] = summarise(sampled, argmax, world.plan, world.task.motion.index)
+    summary: dict[str, Any] = summarise(sampled, argmax, world.plan.distance[world.plan.start_rows])
     summary |= {
         "frames": state["ppo"]["frames"],
         "wall_seconds": state["seconds"],
@@ -47,7 +49,14 @@ def evaluate(cfg: DictConfig, folder: Path, world: World) -> dict[str, Any]:
         "longest_path": int(world.plan.distance.max()),
     }
     write_json(folder / "evaluation.json", summary)
-    files = pictures.draw(folder, world, policy, sampled, state["history"], cfg.logger.video, settings.seed)
+    pictures = Pictures(world.scene.gaussians, world.occupancy, world.plan, env, folder)
+    files = [
+        pictures.learning_curve(state["history"]),
+        pictures.starts(sampled),
+        pictures.success_map(sampled),
+    ]
+    if cfg.logger.video:
+        files.append(pictures.video(world.env(EPISODES_IN_VIDEO, device=cfg.device), policy, settings.seed))
     print(_words(summary, folder, files))
     return summary
 
@@ -55,7 +64,8 @@ def evaluate(cfg: DictConfig, folder: Path, world: World) -> dict[str, Any]:
 def _words(summary: dict[str, Any], folder: Path, files: list[Path]) -> str:
     lines = [
         f"success {summary['success_rate']:.3f} (argmax {summary['success_rate_argmax']:.3f}), "
-        f"SPL {summary['spl']:.3f}, collisions {summary['collision_rate']:.3f} over {summary['start_poses']} start poses",
+        f"SPL {summary['spl']:.3f}, collisions {summary['collision_rate']:.3f} "
+        f"over {summary['start_poses']:,} start poses",
         f"{summary['frames']:,} frames in {summary['wall_seconds']:.0f} s, curriculum level {summary['level']}",
         f"pictures in {folder}: {', '.join(path.name for path in files)}",
     ]

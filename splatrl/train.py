@@ -51,14 +51,18 @@ def make_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="train")
 def run(cfg: DictConfig) -> None:
     """Train and evaluate what a config describes, or go on with what a run folder holds."""
-    folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    if cfg.resume:
+    resume = cfg.resume
+    folder = Path(resume or HydraConfig.get().runtime.output_dir)
+    if resume:
         cfg = resumed_config(folder, HydraConfig.get().overrides.task)
+    elif (folder / "config.yaml").exists():
+        raise ValueError(f"hydra.run.dir: expected a new folder, got a run; go on with it by resume={folder}")
     save_config(cfg, folder)
     torch.set_num_threads(cfg.threads)
     world = build_world(cfg)
     trainer = make_trainer(cfg, world, folder)
-    trainer.resume()
+    if resume:
+        trainer.resume()
     trainer.fit()
     evaluate(cfg, folder, world)
 

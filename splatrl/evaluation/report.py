@@ -2,23 +2,22 @@
 
 import json
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from splatrl.curriculum import Plan
+from torch import Tensor
+
 from splatrl.envs.tasks import Outcome
 from splatrl.evaluation.rollouts import Episodes
 
 
-def summarise(sampled: Episodes, argmax: Episodes, plan: Plan, index: Callable[..., Any]) -> dict[str, float]:
+def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor) -> dict[str, float]:
     """What two sets of episodes over a start set add up to.
 
     Args:
-        sampled: of the policy as a distribution; the headline.
-        argmax: of its most likely actions.
-        plan: shortest paths.
-        index: states -> rows of the plan.
+        sampled: of the policy as a distribution, each start repeated in a row; the headline.
+        argmax: of its most likely actions, once from each start.
+        shortest: [N] int64, steps of the shortest path from each start.
 
     Returns:
         Rates in [0, 1], SPL, mean returns and mean lengths; keys of the second set end in ``_argmax``.
@@ -27,7 +26,7 @@ def summarise(sampled: Episodes, argmax: Episodes, plan: Plan, index: Callable[.
     for suffix, episodes in (("", sampled), ("_argmax", argmax)):
         summary |= {
             f"success_rate{suffix}": episodes.rate(Outcome.GOAL),
-            f"spl{suffix}": episodes.spl(plan.distance[index(episodes.start)]),
+            f"spl{suffix}": episodes.spl(shortest.repeat_interleave(len(episodes.outcome) // len(shortest))),
             f"collision_rate{suffix}": episodes.rate(Outcome.COLLISION),
             f"out_of_bounds_rate{suffix}": episodes.rate(Outcome.OUT_OF_BOUNDS),
             f"timeout_rate{suffix}": episodes.rate(Outcome.TIMEOUT),

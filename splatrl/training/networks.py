@@ -66,13 +66,10 @@ def actor_critic(
     """
     trunk = PixelTrunk(image_shape[0], image_shape[1], pool, channels, features)
     policy, value = nn.Linear(features, actions), nn.Linear(features, 1)
-    for module in trunk.modules():
-        if isinstance(module, (nn.Conv2d, nn.Linear)):
-            nn.init.orthogonal_(module.weight, 2**0.5)
-            nn.init.zeros_(module.bias)
-    for linear, gain in ((policy, 0.01), (value, 1.0)):
-        nn.init.orthogonal_(linear.weight, gain)
-        nn.init.zeros_(linear.bias)
+    layers = [module for module in trunk.modules() if isinstance(module, (nn.Conv2d, nn.Linear))]
+    for layer, gain in [*((layer, 2**0.5) for layer in layers), (policy, 0.01), (value, 1.0)]:
+        nn.init.orthogonal_(layer.weight, gain)
+        nn.init.constant_(layer.get_parameter("bias"), 0.0)
     head = ProbabilisticTensorDictSequential(
         TensorDictModule(policy, in_keys=["hidden"], out_keys=["logits"]),
         ProbabilisticTensorDictModule(

@@ -54,7 +54,7 @@ class Trainer:
         return self.ppo.env.curriculum.starts.levels
 
     def resume(self) -> None:
-        """Go on from the last checkpoint of the folder, if there is one."""
+        """Go on from the last checkpoint of the folder, or begin where the run was stopped before its first."""
         path = self.folder / "checkpoints" / "last.pt"
         if path.exists():
             self.load_state_dict(load_checkpoint(path))

@@ -65,6 +65,7 @@ class Task(Protocol):
     """Owns the goal: motion, goal test, rewards and the limit of steps."""
 
     motion: Motion
+    goal: Tensor  # x and y in metres and yaw in radians of the goal pose, [3] float64
     max_steps: int
 
     def reached(self, state: Tensor) -> Tensor:

@@ -1,0 +1,85 @@
+"""All pictures of a finished training, drawn into its run folder."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from splatrl.collision.occupancy import Occupancy
+from splatrl.curriculum import Plan
+from splatrl.envs.splat_env import SplatEnv
+from splatrl.evaluation.figures import learning_curve, start_map, success_map
+from splatrl.evaluation.recording import record_episodes
+from splatrl.evaluation.rollouts import Episodes
+from splatrl.evaluation.topdown import TopDown, footprint, top_down
+from splatrl.evaluation.video import rollout_video
+from splatrl.scenes.gaussians import Gaussians
+
+MARGIN = 0.4
+"""How far the maps reach beyond the outermost pose, metres."""
+HEADROOM = 0.4
+"""How far above the robot's body the maps cut the scene open, metres."""
+
+
+class Pictures:
+    """Draws what came of a training over the scene seen from above.
+
+    Args:
+        gaussians: of the scene.
+        occupancy: what is solid.
+        plan: free poses and shortest paths.
+        env: any env of the task; its robots are not touched.
+        folder: the run folder.
+    """
+
+    def __init__(self, gaussians: Gaussians, occupancy: Occupancy, plan: Plan, env: SplatEnv, folder: Path):
+        self.plan, self.env, self.folder = plan, env, folder
+        motion, robot = env.task.motion, env.robot
+        places = motion.planar(plan.states)[:, :2]
+        lower, upper = (places.amin(0) - MARGIN).tolist(), (places.amax(0) + MARGIN).tolist()
+        half = robot.body.half_height
+        self.ground: TopDown = top_down(gaussians, lower, upper, robot.height + half + HEADROOM)
+        self.solid: Tensor = footprint(occupancy, robot.height - half, robot.height + half, self.ground)
+
+    def learning_curve(self, history: Sequence[Mapping[str, float]]) -> Path:
+        """Success, curriculum level and return over frames."""
+        path = self.folder / "learning_curve.png"
+        learning_curve(history, path)
+        return path
+
+    def starts(self, episodes: Episodes) -> Path:
+        """Start poses and headings coloured by success."""
+        path = self.folder / "starts.png"
+        planar = self.env.task.motion.planar(episodes.start)
+        start_map(planar, episodes.success, self.env.task.goal, self.ground, path, self.solid, self._blocked())
+        return path
+
+    def success_map(self, episodes: Episodes) -> Path:
+        """Success rate by start position."""
+        path = self.folder / "success_map.png"
+        planar = self.env.task.motion.planar(episodes.start)
+        success_map(planar, episodes.success, self.env.task.goal, self.ground, path, self.solid)
+        return path
+
+    def video(self, env: SplatEnv, policy: Callable[[TensorDictBase], TensorDictBase], seed: int) -> Path:
+        """A rollout of each robot of ``env``, from starts spread over the distances to the goal, farthest last."""
+        path = self.folder / "rollouts.mp4"
+        rows = self.plan.start_rows
+        ordered = rows[self.plan.distance[rows].argsort(stable=True)]
+        count = env.numel()
+        spread = (torch.arange(1, count + 1) * len(ordered) // count - 1).clamp_min(0)
+        recordings = record_episodes(env, policy, self.plan.states[ordered[spread]], seed=seed)
+        names = getattr(env.task.motion, "action_names", ())
+        rollout_video(
+            recordings, env.robot, env.task.goal, self.ground, path, self.solid, env.renderer, action_names=names
+        )
+        return path
+
+    def _blocked(self) -> Tensor:
+        """Positions where the body fits in no heading: [M, 2] metres."""
+        places = self.env.task.motion.planar(self.plan.states)[:, :2]
+        distinct, row = places.unique(dim=0, return_inverse=True)
+        fits = torch.zeros(len(distinct)).index_add(0, row, self.plan.free.float())
+        return distinct[fits == 0]
