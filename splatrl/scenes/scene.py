@@ -67,7 +67,7 @@ class Scene:
             build: makes the arrays.
         """
         assert kind.isidentifier(), kind
-        recipe = [CACHE_VERSION, kind, dict(settings), self.digest]
+        recipe = [CACHE_VERSION, dict(settings), self.digest]
         key = blake2b(json.dumps(recipe, sort_keys=True, default=list).encode(), digest_size=16)
         return cached_arrays(f"{kind}-{key.hexdigest()}", build)
 

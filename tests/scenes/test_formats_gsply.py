@@ -141,7 +141,7 @@ class TestSog:
         meta = sog_meta(6, 1)
         section = meta
         for key in keys[:-1]:
-            section = section[key]  # type: ignore[assignment]
+            section = section[key]
         section[keys[-1]] = value
         path = written(tmp_path / "a.sog", zip_bytes({**entries, "meta.json": json.dumps(meta).encode()}))
         if message is None:  # a texture that is larger than it needs to be is none of our business

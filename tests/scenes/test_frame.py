@@ -55,4 +55,4 @@ def test_a_matrix_stands_for_all_three() -> None:
 )
 def test_what_is_no_similarity_is_refused_by_field(arguments: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=f"world_from_splat.*{message}"):
-        similarity(**arguments)  # type: ignore[arg-type]
+        similarity(**arguments)
