@@ -67,9 +67,9 @@ class SplatEnv(EnvBase):
         self.renderer, self.checker, self.robot = renderer, checker, robot
         self.task, self.curriculum = task, curriculum
         self.generator = torch.Generator(self.device)
+        torch.nn.Module.to(self, self.device)  # EnvBase.to does nothing for the device that it already has
         self._make_specs()
         self.set_seed(seed)
-        self.to(self.device)
 
     def _make_specs(self) -> None:
         motion, robot = self.task.motion, self.robot
