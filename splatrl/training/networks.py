@@ -23,10 +23,15 @@ class PixelTrunk(nn.Module):
         pool: side of the average-pooling cells in front, pixels.
         channels: of the two convolutions.
         features: size of the output.
+
+    Raises:
+        ValueError: for an image of which the convolutions leave nothing.
     """
 
     def __init__(self, height: int, width: int, pool: int = 2, channels: Sequence[int] = (16, 32), features: int = 128):
         super().__init__()
+        if min(height, width) < 8 * pool:
+            raise ValueError(f"image: expected sides of at least 8 · pool = {8 * pool} pixels, got {height} × {width}")
         first, second = channels
         self.convolutions = nn.Sequential(
             nn.AvgPool2d(pool),

@@ -84,3 +84,16 @@ def test_pooling_takes_the_mean_of_its_cells() -> None:
     plain = PixelTrunk(HEIGHT, WIDTH, pool=1, channels=(4, 7), features=FEATURES)
     plain.load_state_dict(trunk.state_dict())
     torch.testing.assert_close(trunk(large), plain(small), atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("height", "width", "pool"), [(16, 15, 2), (7, 20, 1)])
+def test_an_image_that_is_too_small_is_refused(height: int, width: int, pool: int) -> None:
+    with pytest.raises(
+        ValueError, match=rf"image: expected sides of at least 8 · pool = {8 * pool} pixels, got {height}"
+    ):
+        PixelTrunk(height, width, pool)
+
+
+@pytest.mark.parametrize("pool", [1, 2, 3])
+def test_the_smallest_image_is_seen(pool: int) -> None:
+    assert PixelTrunk(8 * pool, 9 * pool, pool)(torch.zeros(8 * pool, 9 * pool, 3, dtype=torch.uint8)).shape == (128,)
