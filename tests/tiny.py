@@ -6,6 +6,7 @@ wall. The lattice has 5 × 7 positions (no square) and 8 headings; the goal pose
 
 from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -16,6 +17,7 @@ from splatrl.curriculum import Curriculum, Plan, plan
 from splatrl.envs import LatticeMotion, Robot, SplatEnv
 from splatrl.envs.tasks import Grid
 from splatrl.renderers import ReferenceRenderer, Renderer, RenderOutput
+from splatrl.scenes import write_gaussians
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
 
@@ -26,7 +28,8 @@ BODY = Box((0.3, 0.3, 0.2))
 
 
 def tiny_gaussians() -> Gaussians:
-    """The room: about 400 round Gaussians of degree 0."""
+    """The room: about 280 Gaussians of degree 0, thin along the normal of what they cover."""
+    span = BLOCK - 0.08  # what a Gaussian covers beyond its mean
     patches = [
         _patch((0, 0, 0), (1.5, 0, 0), (0, 2, 0), (7, 9), (0.4, 0.3, 0.2)),
         _patch((1.5, 0, 0.6), (0, 2, 0), (0, 0, 0.6), (9, 4), (0.2, 0.7, 0.3)),
@@ -34,14 +37,16 @@ def tiny_gaussians() -> Gaussians:
         _patch((0, 2, 0.6), (1.5, 0, 0), (0, 0, 0.6), (7, 4), (0.2, 0.3, 0.8)),
         _patch((0, -2, 0.6), (1.5, 0, 0), (0, 0, 0.6), (7, 4), (0.6, 0.2, 0.7)),
         _patch((1.4, 1, 0.5), (0, 0.2, 0), (0, 0, 0.2), (3, 3), (1.0, 0.0, 0.0), 0.1),
+        _patch((0, 0, 0.5), (0, span, 0), (0, 0, 0.5), (3, 5), (0.9, 0.9, 0.9), 0.06),
     ]
     for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         side = (BLOCK * x, BLOCK * y, 0.5)
-        patches.append(_patch(side, (BLOCK * y, BLOCK * x, 0), (0, 0, 0.5), (3, 5), (0.9, 0.9, 0.9), 0.08))
+        patches.append(_patch(side, (span * y, span * x, 0), (0, 0, 0.5), (3, 5), (0.9, 0.9, 0.9), 0.06))
     means, scales, colors = (torch.cat(parts) for parts in zip(*patches, strict=True))
     count = len(means)
+    jitter = 0.003 * torch.randn(count, 3, generator=torch.Generator().manual_seed(0))
     return Gaussians(
-        means=means,
+        means=means + jitter,  # so that no two lie at the same depth, where each renderer may order them at will
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
         scales=scales,
         opacities=torch.full((count,), 0.9),
@@ -60,9 +65,11 @@ def _patch(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """A rectangle of Gaussians, center ± u ± v, its colour waving along it: means, scales, colours, [N, 3] each."""
     steps = torch.cartesian_prod(*(torch.linspace(-1, 1, n) for n in counts))
-    means = torch.tensor(center) + steps @ torch.tensor([u, v], dtype=torch.float32)
+    sides = torch.tensor([u, v], dtype=torch.float32)
+    means = torch.tensor(center) + steps @ sides
+    scales = torch.where(sides.any(0), scale, 0.02).expand_as(means)
     wave = 0.15 * torch.sin(3 * means[:, :1] + 5 * means[:, 1:2])
-    return means, torch.full_like(means, scale), (torch.tensor(color) + wave).clamp(0, 1)
+    return means, scales, (torch.tensor(color) + wave).clamp(0, 1)
 
 
 class BlockChecker:
@@ -168,3 +175,24 @@ def tiny_env(
     curriculum = Curriculum(tiny_plan(), first, threshold=threshold, window=window)
     renderer = renderer or tiny_renderer()
     return SplatEnv(renderer, BlockChecker(), tiny_robot(), tiny_task(max_steps), curriculum, batch_size, seed)
+
+
+def tiny_overrides(folder: Path) -> list[str]:
+    """Write the room into a folder and say it in Hydra's grammar: what ``splatrl.make_env`` needs to build it."""
+    path = folder / "tiny.ply"
+    write_gaussians(path, tiny_gaussians())
+    return [
+        "scene=file",
+        f"scene.path={path}",
+        "robot.body.size=[0.3,0.3,0.2]",
+        f"robot.height={HEIGHT}",
+        "robot.image_width=16",
+        "robot.image_height=12",
+        "task.motion.step=0.5",
+        "task.motion.angle_step_deg=45.0",
+        "task.motion.lower=[-1.0,-1.5]",
+        "task.motion.upper=[1.0,1.5]",
+        "task.goal=[0.5,1.0,0.0]",
+        "task.max_steps=20",
+        "network.pool=1",
+    ]

@@ -41,10 +41,9 @@ class EnvContract(ABC):
 
     steps = 40
 
-    @staticmethod
     @abstractmethod
-    def make(batch_size: tuple[int], seed: int = 0) -> EnvBase:
-        """A new env; a static method of plain values, so that SerialEnv can call it."""
+    def make(self, batch_size: tuple[int], seed: int = 0) -> EnvBase:
+        """A new env."""
 
     @pytest.mark.parametrize("batch", [1, 3])
     def test_specs_hold(self, batch: int) -> None:

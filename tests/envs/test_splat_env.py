@@ -1,6 +1,8 @@
 """The env: the contract, and what is its own."""
 
+from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
@@ -9,19 +11,56 @@ from torch import Tensor
 from torchrl.collectors import MultiSyncCollector
 from torchrl.envs import ParallelEnv
 
+from splatrl import make_env
 from splatrl.cameras import Cameras
+from splatrl.configuration import World, build_world, load_config
+from splatrl.curriculum import Curriculum
 from splatrl.envs import SplatEnv
 from splatrl.envs.tasks import Outcome
 from tests.envs.contract import EnvContract
-from tests.tiny import BlockChecker, RememberingRenderer, tiny_env, tiny_motion, tiny_renderer
+from tests.tiny import (
+    BlockChecker,
+    RememberingRenderer,
+    tiny_env,
+    tiny_motion,
+    tiny_overrides,
+    tiny_plan,
+    tiny_renderer,
+)
 
 FORWARD_X, BACK_X, LEFT_Y, RIGHT_Y, SPIN, SPIN_BACK = range(6)
 
 
 class TestContract(EnvContract):
-    @staticmethod
-    def make(batch_size: tuple[int], seed: int = 0) -> SplatEnv:
+    def make(self, batch_size: tuple[int], seed: int = 0) -> SplatEnv:
         return tiny_env(batch_size, seed, max_steps=15, first=3, threshold=0.01, window=5)
+
+
+class TestContractOfAConfiguredWorld(EnvContract):
+    """The same room through its config: files, the native renderer, its memory and FCL."""
+
+    world: World
+
+    @pytest.fixture(autouse=True, scope="class")
+    @classmethod
+    def build(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+        cls.world = build_world(load_config(tiny_overrides(tmp_path_factory.mktemp("room"))))
+        yield
+        del cls.world
+
+    def make(self, batch_size: tuple[int], seed: int = 0) -> SplatEnv:
+        curriculum = Curriculum(self.world.plan, first=3, threshold=0.01, window=5)
+        return self.world.env(batch_size[0], curriculum, seed)
+
+    def test_its_plan_is_that_of_the_room_by_hand(self) -> None:
+        assert torch.equal(self.world.plan.successors, tiny_plan().successors)
+        assert torch.equal(self.world.plan.distance, tiny_plan().distance)
+
+    def test_it_shows_what_the_reference_renderer_shows(self) -> None:
+        start = TensorDict({"state": torch.tensor([[0, 0, 1], [3, 5, 0], [4, 6, 5]])}, [3])
+        envs = self.make((3,)), tiny_env((3,))
+        seen, expected = (env.reset(start.clone(), set_state=True)["pixels"].int() for env in envs)
+        assert (seen - expected).abs().max() <= 1 and seen.float().std() > 10
 
 
 def step_from(states: list[list[int]], actions: list[int], max_steps: int = 20) -> TensorDictBase:
@@ -154,12 +193,14 @@ def test_two_processes_step_envs_of_their_own() -> None:
     assert not torch.equal(batch["state"][0, :, 0], batch["state"][1, :, 0])
 
 
-def test_two_processes_collect() -> None:
+def test_two_processes_collect_in_a_world_that_each_builds_from_its_path(tmp_path: Path) -> None:
+    room = tiny_overrides(tmp_path)
     collector = MultiSyncCollector(
-        [partial(tiny_env, (3,), seed) for seed in (1, 2)], None, frames_per_batch=60, total_frames=120
+        [partial(make_env, room, (3,), seed) for seed in (1, 2)], None, frames_per_batch=60, total_frames=120
     )
     collector.set_seed(0)
     batches = [batch.clone() for batch in collector]
     collector.shutdown()
     assert [batch.numel() for batch in batches] == [60, 60]
-    assert all((batch["next", "step_count"] > batch["step_count"]).all() for batch in batches)
+    assert all((batch["next", "step_count"] == batch["step_count"] + 1).all() for batch in batches)
+    assert all(batch["pixels"].float().std() > 10 for batch in batches)
