@@ -33,21 +33,22 @@ class PixelTrunk(nn.Module):
         if min(height, width) < 8 * pool:
             raise ValueError(f"image: expected sides of at least 8 · pool = {8 * pool} pixels, got {height} × {width}")
         first, second = channels
+        self.pool = nn.AvgPool2d(pool)
         self.convolutions = nn.Sequential(
-            nn.AvgPool2d(pool),
             nn.Conv2d(3, first, 4, stride=2),
             nn.ReLU(),
             nn.Conv2d(first, second, 3, stride=2),
             nn.ReLU(),
             nn.Flatten(),
         )
-        flat = self.convolutions(torch.zeros(1, 3, height, width)).shape[1]
+        flat = self.convolutions(self.pool(torch.zeros(1, 3, height, width))).shape[1]
         self.head = nn.Sequential(nn.Linear(flat, features), nn.ReLU())
 
     def forward(self, pixels: Tensor) -> Tensor:
         """Encode images: [..., H, W, 3] uint8 -> [..., features] float32."""
-        images = pixels.reshape(-1, *pixels.shape[-3:]).permute(0, 3, 1, 2).float() / 255.0 - 0.5
-        return self.head(self.convolutions(images)).reshape(*pixels.shape[:-3], -1)
+        images = pixels.reshape(-1, *pixels.shape[-3:]).permute(0, 3, 1, 2).contiguous().float()
+        features = self.convolutions(self.pool(images) / 255.0 - 0.5)  # scaled once there are fewer of them
+        return self.head(features).reshape(*pixels.shape[:-3], -1)
 
 
 def actor_critic(
