@@ -1,7 +1,6 @@
 """From Hydra configs to objects: the one place that knows which node builds what."""
 
 import difflib
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from splatrl.curriculum import Curriculum, Plan, plan
 from splatrl.envs.robot import Robot
 from splatrl.envs.splat_env import SplatEnv
 from splatrl.envs.tasks import Task
+from splatrl.files import replacing
 from splatrl.renderers.base import Renderer
 from splatrl.scenes.scene import Scene
 
@@ -75,9 +75,8 @@ def check_overrides(name: str, arguments: Sequence[str]) -> None:
 
 def save_config(cfg: DictConfig, folder: Path) -> None:
     """Write ``config.yaml`` into a run folder: all that resuming and evaluating need to know."""
-    temporary = folder / "config.yaml.tmp"
-    OmegaConf.save(cfg, temporary)
-    os.replace(temporary, folder / "config.yaml")
+    with replacing(folder / "config.yaml") as stream:
+        stream.write(OmegaConf.to_yaml(cfg).encode())
 
 
 def run_config(folder: Path) -> DictConfig:

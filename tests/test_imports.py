@@ -10,7 +10,7 @@ import splatrl
 
 PACKAGE = Path(splatrl.__file__).parent
 ORDER = [
-    {"geometry", "spherical_harmonics"},
+    {"files", "geometry", "spherical_harmonics"},
     {"cameras"},
     {"bodies"},
     {"native"},

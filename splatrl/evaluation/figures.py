@@ -1,7 +1,6 @@
 """The pictures of a finished training: how it learned, and from where it succeeds."""
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.evaluation.topdown import TopDown
+from splatrl.files import replacing
 
 REACHED, PARTLY, MISSED = "#009e73", "#e69f00", "#d55e00"  # told apart with any colour vision
 GOAL, TEST, BLUE, PURPLE, INK = "#e0409f", "#f0e442", "#0072b2", "#8a5a99", "#222222"
@@ -241,8 +241,6 @@ def _finish(figure: Figure, handles: list[Patch | Line2D], solid: Tensor | None,
 
 
 def _save(figure: Figure, path: Path) -> None:
-    """Write under a temporary name and rename, so that nobody meets half a picture."""
     FigureCanvasAgg(figure)
-    temporary = path.with_name(path.name + ".tmp")
-    figure.savefig(temporary, format=path.suffix.removeprefix("."), bbox_inches="tight")
-    os.replace(temporary, path)
+    with replacing(path) as stream:
+        figure.savefig(stream, format=path.suffix.removeprefix("."), bbox_inches="tight")

@@ -1,7 +1,6 @@
 """The figures of a finished training, as numbers in ``evaluation.json``."""
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +8,7 @@ from torch import Tensor
 
 from splatrl.envs.tasks import Outcome
 from splatrl.evaluation.rollouts import Episodes
+from splatrl.files import replacing
 
 
 def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor) -> dict[str, float]:
@@ -38,7 +38,6 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor) -> dict[str
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write JSON under a temporary name and rename it."""
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text(json.dumps(content, indent=2) + "\n")
-    os.replace(temporary, path)
+    """Write JSON, whole or not at all."""
+    with replacing(path) as stream:
+        stream.write(f"{json.dumps(content, indent=2)}\n".encode())

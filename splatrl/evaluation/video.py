@@ -1,6 +1,5 @@
 """Clips of episodes: what the robot sees beside where it is."""
 
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
@@ -16,6 +15,7 @@ from splatrl.evaluation.chart import COLORS, Chart, font
 from splatrl.evaluation.figures import INK
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import TopDown
+from splatrl.files import replacing
 from splatrl.renderers.base import Renderer
 
 PANEL, WIDEST, GAP, STRIP = 384, 512, 8, 60
@@ -126,10 +126,8 @@ def _caption(page: Image.Image, facts: list[tuple[str, str]], outcome: Outcome) 
 
 
 def _encode(frames: Iterator[Image.Image], path: Path, fps: int) -> None:
-    """Write an mp4 under a temporary name and rename it."""
-    temporary = path.with_name(path.name + ".tmp")
     x264 = "libx264" in av.codecs_available
-    with av.open(temporary, "w", format="mp4", options={"movflags": "faststart"}) as container:
+    with replacing(path) as file, av.open(file, "w", format="mp4") as container:
         stream = container.add_stream("libx264" if x264 else "mpeg4", rate=fps)
         stream.pix_fmt = "yuv420p"
         stream.options = {"crf": "18", "preset": "veryfast"} if x264 else {"qscale": "3"}
@@ -138,4 +136,3 @@ def _encode(frames: Iterator[Image.Image], path: Path, fps: int) -> None:
         for image in chain([first], frames):
             container.mux(stream.encode(av.VideoFrame.from_image(image)))
         container.mux(stream.encode(None))
-    os.replace(temporary, path)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splatrl.scenes.atomic import replacing
+from splatrl.files import replacing
 
 Arrays = dict[str, NDArray[Any]]
 

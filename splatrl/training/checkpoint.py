@@ -1,7 +1,5 @@
 """Checkpoints that a crash cannot tear."""
 
-import os
-import tempfile
 import zipfile
 from pathlib import Path
 from pickle import UnpicklingError
@@ -9,24 +7,18 @@ from typing import Any
 
 import torch
 
+from splatrl.files import replacing
+
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
-    """Write a checkpoint under a temporary name and rename it, so that ``path`` is always whole.
+    """Write a checkpoint so that ``path`` is always whole.
 
     Args:
         path: file to write.
         state: nested dicts and lists of tensors and plain values.
     """
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            torch.save(state, file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    with replacing(path) as stream:
+        torch.save(state, stream)
 
 
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """The loop around PPO: progress, history, tests and checkpoints in a run folder."""
 
 import csv
+import io
 import math
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any
 from torchrl.record.loggers import get_logger
 from tqdm import tqdm
 
+from splatrl.files import replacing
 from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
 from splatrl.training.ppo import PPO
 
@@ -95,13 +96,12 @@ class Trainer:
         """Write the last checkpoint and the history."""
         save_checkpoint(self.folder / "checkpoints" / "last.pt", self.state_dict())
         keys = list(dict.fromkeys(key for row in self.history for key in row))
-        path = self.folder / "progress.csv"
-        temporary = path.with_suffix(".tmp")
-        with temporary.open("w", newline="") as file:
-            writer = csv.DictWriter(file, keys)
-            writer.writeheader()
-            writer.writerows(self.history)
-        os.replace(temporary, path)
+        table = io.StringIO(newline="")
+        writer = csv.DictWriter(table, keys)
+        writer.writeheader()
+        writer.writerows(self.history)
+        with replacing(self.folder / "progress.csv") as stream:
+            stream.write(table.getvalue().encode())
 
     def state_dict(self) -> dict[str, Any]:
         """PPO's state with history, best test and seconds spent."""

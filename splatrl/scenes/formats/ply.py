@@ -7,7 +7,7 @@ import numpy as np
 import plyfile
 from numpy.typing import NDArray
 
-from splatrl.scenes.atomic import replacing
+from splatrl.files import replacing
 from splatrl.scenes.formats.compressed_ply import is_compressed, read_compressed_ply
 from splatrl.scenes.formats.ply_header import PlyHeader, read_ply_header
 from splatrl.scenes.formats.stored import activated, opacity_logits
