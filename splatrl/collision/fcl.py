@@ -46,8 +46,7 @@ class FclChecker:
         self._field = DistanceField(occupancy)
         self._request = fcl.CollisionRequest()
         self._body_object = fcl.CollisionObject(_fcl_shape(body))
-        # FCL takes an octree without nodes for one that is solid everywhere
-        self._octree = _fcl_octree(occupancy) if occupancy.count else None
+        self._octree = _fcl_octree(occupancy)
 
     def __reduce__(self) -> tuple[type["FclChecker"], tuple[Occupancy, Body]]:
         return FclChecker, (self.occupancy, self.body)
@@ -88,9 +87,8 @@ class FclChecker:
     def _hits(self, poses: Tensor) -> Tensor:
         """Whether the body touches something at rigid poses [M, 4, 4] float64: [M] bool."""
         hits = torch.zeros(len(poses), dtype=torch.bool)
-        if self._octree is None:
-            return hits
         array = poses.numpy()
+        # FCL takes an octree without nodes for a solid one; it is never asked, as clearance is infinite there
         for row in np.flatnonzero(self._field.clearance(array[:, :3, 3]) <= self.body.radius + _SLACK):
             self._body_object.setTranslation(array[row, :3, 3])
             self._body_object.setRotation(array[row, :3, :3])

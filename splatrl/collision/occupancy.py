@@ -19,8 +19,8 @@ from splatrl.scenes.gaussians import Gaussians
 if TYPE_CHECKING:
     from splatrl.scenes.scene import Scene
 
-_FACE_SLACK = 1e-6
-"""In voxels: a box that reaches no further than this into a voxel does not fill it, as 0.3 / 0.1 is not quite 3."""
+_FACE_SLACK = 1e-3
+"""In voxels: a box that reaches no further than this into a voxel does not fill it, as 0.3 is rarely 3 · 0.1."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -132,6 +132,14 @@ def test_the_body_turns_the_shorter_way_round():
     assert (poses[1:-1, 1, 0] < 0).all()
 
 
+def test_a_turn_across_half_a_circle_goes_the_shorter_way_too():
+    yaw = torch.tensor([2.9, -2.9], dtype=torch.float64)
+    start, end = rigid(axis_rotations(2, yaw), torch.zeros(2, 3, dtype=torch.float64)).split(1)
+    poses = path(Move(start, end, 1.0, 0.1), 0)
+    assert len(poses) - 1 == math.ceil((2 * math.pi - 5.8) / 0.1)
+    assert (poses[:, 0, 0] <= math.cos(2.9) + 1e-12).all()
+
+
 def test_batches_of_different_length_are_refused():
     with pytest.raises(ValueError, match="end: expected as many poses as start, 3, got 2"):
         Move(random_poses(3, 0), random_poses(2, 0), 0.1, 0.1)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splatrl.collision import Occupancy
-from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes import Gaussians, load_scene
 
 
 def same(a: Occupancy, b: Occupancy) -> bool:
@@ -65,10 +65,23 @@ def test_a_box_thinner_than_a_voxel_fills_one_layer():
     assert occupancy.origin_key == (0, 0, 1)
 
 
+def test_a_face_on_a_voxel_boundary_fills_nothing_beyond_it_in_spite_of_rounding():
+    assert 0.3 / 0.1 < 3
+    assert Occupancy.from_boxes([[0.3, 0.3, 0.3]], [[0.4, 0.5, 0.6]], 0.1).occupied.shape == (1, 2, 3)
+    lower, upper = torch.tensor([[[-10.3, 0.3, 90.1]], [[-10.2, 0.7, 90.4]]])  # float32
+    assert Occupancy.from_boxes(lower, upper, 0.1).occupied.shape == (1, 4, 3)
+
+
+def test_a_box_thinner_than_rounding_fills_the_voxels_that_hold_it():
+    sliver = Occupancy.from_boxes([[0.1, 0.0, 0.0]], [[0.1 + 1e-9, 0.2, 0.1]], 0.1)
+    assert sliver.keys().tolist() == [[1, 0, 0], [1, 1, 0]]
+
+
 def test_centers_lie_in_their_own_voxels():
     occupancy = Occupancy.from_boxes([[-1.0, 0.0, 0.0], [2.0, 1.0, 0.3]], [[-0.7, 0.1, 0.2], [2.1, 1.3, 0.4]], 0.05)
     centers = occupancy.centers()
     assert centers.shape == (occupancy.count, 3)
+    assert centers[0] == pytest.approx([-0.975, 0.025, 0.025])
     assert occupancy.contains(centers).all()
     assert not occupancy.contains(centers + np.array([0.0, 0.0, 0.25])).any()
 
@@ -147,6 +160,15 @@ def test_from_scene_ends_a_tenth_beyond_the_bounds_or_at_the_crop():
     bounds = Occupancy.from_scene(scene, resolution=0.1, crop=((-1, -1, -1), (0.5, 0.3, 1))).bounds
     assert bounds[0][:2] == pytest.approx([-1.0, -1.0])
     assert bounds[1][:2] == pytest.approx([0.5, 0.3])
+
+
+def test_the_backyard_is_read_back_from_its_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
+    scene = load_scene("backyard")
+    built = Occupancy.from_scene(scene, resolution=0.1)
+    assert built.contains([[0.0, 0.0, -0.02], [0.0, -0.4, 0.4]]).tolist() == [True, False]
+    monkeypatch.setattr("splatrl.collision.occupancy.solid_voxels", lambda *_: pytest.fail("built again"))
+    assert same(Occupancy.from_scene(scene, resolution=0.1), built)
 
 
 def test_from_scene_refuses_a_setting_that_does_not_exist():
