@@ -167,7 +167,7 @@ class Occupancy:
                 bounds, widened on all sides by a tenth of their longest one.
         """
         if settings.get("crop") is None:
-            lower, upper = checked_crop(scene.bounds)
+            lower, upper = np.array(scene.bounds, np.float64)  # may be flat, as the scene may
             margin = 0.1 * (upper - lower).max()
             settings["crop"] = ((lower - margin).tolist(), (upper + margin).tolist())
         recipe = inspect.signature(cls.from_gaussians).bind(scene.gaussians, **settings)
