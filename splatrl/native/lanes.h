@@ -173,11 +173,11 @@ LANE_INLINE void transpose(const Lanes (&columns)[COLUMNS], float (*rows)[COLUMN
             Quad in[4];
             for (int i = 0; i < 4; ++i)
                 std::memcpy(&in[i], reinterpret_cast<const float*>(&columns[column + i]) + lane, sizeof(Quad));
-            const Quad low_ab = pick(in[0], in[1], QuadIndex{0, 4, 1, 5}), low_cd = pick(in[2], in[3], QuadIndex{0, 4, 1, 5});
-            const Quad high_ab = pick(in[0], in[1], QuadIndex{2, 6, 3, 7}), high_cd = pick(in[2], in[3], QuadIndex{2, 6, 3, 7});
-            const Quad out[4] = {pick(low_ab, low_cd, QuadIndex{0, 1, 4, 5}), pick(low_ab, low_cd, QuadIndex{2, 3, 6, 7}),
-                                 pick(high_ab, high_cd, QuadIndex{0, 1, 4, 5}),
-                                 pick(high_ab, high_cd, QuadIndex{2, 3, 6, 7})};
+            constexpr QuadIndex LOW{0, 4, 1, 5}, HIGH{2, 6, 3, 7}, FIRST{0, 1, 4, 5}, SECOND{2, 3, 6, 7};
+            const Quad low_ab = pick(in[0], in[1], LOW), low_cd = pick(in[2], in[3], LOW);
+            const Quad high_ab = pick(in[0], in[1], HIGH), high_cd = pick(in[2], in[3], HIGH);
+            const Quad out[4] = {pick(low_ab, low_cd, FIRST), pick(low_ab, low_cd, SECOND),
+                                 pick(high_ab, high_cd, FIRST), pick(high_ab, high_cd, SECOND)};
             for (int i = 0; i < 4; ++i) std::memcpy(&rows[lane + i][column], &out[i], sizeof(Quad));
         }
 }

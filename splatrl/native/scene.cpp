@@ -110,7 +110,8 @@ void Scene::bound(const float* means, const float* axes, const float* opacities,
         for (int i = 0; i < 3; ++i) cluster.center[i] = 0.5f * (low[i] + high[i]);
         for (size_t slot = first; slot < last; ++slot) {
             float distance = 0.0f;
-            for (int i = 0; i < 3; ++i) distance = std::hypot(distance, means[3 * size_t(order[slot]) + i] - cluster.center[i]);
+            const float* mean = means + 3 * size_t(order[slot]);
+            for (int i = 0; i < 3; ++i) distance = std::hypot(distance, mean[i] - cluster.center[i]);
             cluster.radius = std::max(cluster.radius, distance * 1.00001f);
         }
         clusters_.push_back(cluster);

@@ -95,8 +95,8 @@ SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const 
     return out;
 }
 
-// One colour channel of spherical harmonics along a unit direction: SH + 0.5, clamped at 0 from below.
-// Coefficient i is read at sh[i * stride]; basis as in spherical_harmonics.py.
+// The (degree + 1)² basis functions along a unit direction, as in spherical_harmonics.py. A colour is their product
+// with the coefficients + 0.5, clamped at 0 from below.
 template <class F>
 SPLAT_INLINE void sh_basis(int degree, F x, F y, F z, F* basis) {
     basis[0] = x * 0.0f + SH_C0;
