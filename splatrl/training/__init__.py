@@ -1,7 +1,7 @@
 """Learning: networks, PPO, checkpoints and the loop around them."""
 
 from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
-from splatrl.training.networks import PixelTrunk, actor_critic
+from splatrl.training.networks import actor_critic
 from splatrl.training.ppo import PPO, LossSettings, OptimSettings
 from splatrl.training.trainer import Trainer
 
@@ -9,7 +9,6 @@ __all__ = [
     "PPO",
     "LossSettings",
     "OptimSettings",
-    "PixelTrunk",
     "Trainer",
     "actor_critic",
     "load_checkpoint",

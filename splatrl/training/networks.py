@@ -8,19 +8,37 @@ from tensordict.nn import (
     ProbabilisticTensorDictModule,
     ProbabilisticTensorDictSequential,
     TensorDictModule,
+    TensorDictSequential,
 )
 from torch import Tensor, nn
 from torch.distributions import Categorical
 from torchrl.modules import ActorValueOperator, ValueOperator
 
 
-class PixelTrunk(nn.Module):
-    """A small convolutional network over uint8 images, batched or not.
+class Shrink(nn.Module):
+    """Averages uint8 images over square cells: the part of the network that learns nothing, and so runs once a frame.
+
+    Args:
+        pool: side of a cell, pixels.
+    """
+
+    def __init__(self, pool: int):
+        super().__init__()
+        self.pool = nn.AvgPool2d(pool)
+
+    def forward(self, pixels: Tensor) -> Tensor:
+        """Shrink images: [..., H, W, 3] uint8 -> [..., 3, H // pool, W // pool] float32 in [−0.5, 0.5]."""
+        images = pixels.reshape(-1, *pixels.shape[-3:]).permute(0, 3, 1, 2).contiguous().float()
+        images = self.pool(images) / 255.0 - 0.5
+        return images.reshape(*pixels.shape[:-3], *images.shape[1:])
+
+
+class Trunk(nn.Module):
+    """A small convolutional network over images, batched or not.
 
     Args:
         height: of the image, pixels.
         width: of the image, pixels.
-        pool: side of the average-pooling cells in front, pixels.
         channels: of the two convolutions.
         features: size of the output.
 
@@ -28,12 +46,11 @@ class PixelTrunk(nn.Module):
         ValueError: for an image of which the convolutions leave nothing.
     """
 
-    def __init__(self, height: int, width: int, pool: int = 2, channels: Sequence[int] = (16, 32), features: int = 128):
+    def __init__(self, height: int, width: int, channels: Sequence[int] = (16, 32), features: int = 128):
         super().__init__()
-        if min(height, width) < 8 * pool:
-            raise ValueError(f"image: expected sides of at least 8 · pool = {8 * pool} pixels, got {height} × {width}")
+        if min(height, width) < 8:
+            raise ValueError(f"image: expected sides of at least 8 · pool pixels, got {height} × {width} after pooling")
         first, second = channels
-        self.pool = nn.AvgPool2d(pool)
         self.convolutions = nn.Sequential(
             nn.Conv2d(3, first, 4, stride=2),
             nn.ReLU(),
@@ -41,14 +58,13 @@ class PixelTrunk(nn.Module):
             nn.ReLU(),
             nn.Flatten(),
         )
-        flat = self.convolutions(self.pool(torch.zeros(1, 3, height, width))).shape[1]
+        flat = self.convolutions(torch.zeros(1, 3, height, width)).shape[1]
         self.head = nn.Sequential(nn.Linear(flat, features), nn.ReLU())
 
-    def forward(self, pixels: Tensor) -> Tensor:
-        """Encode images: [..., H, W, 3] uint8 -> [..., features] float32."""
-        images = pixels.reshape(-1, *pixels.shape[-3:]).permute(0, 3, 1, 2).contiguous().float()
-        features = self.convolutions(self.pool(images) / 255.0 - 0.5)  # scaled once there are fewer of them
-        return self.head(features).reshape(*pixels.shape[:-3], -1)
+    def forward(self, image: Tensor) -> Tensor:
+        """Encode images: [..., 3, H, W] float32 -> [..., features] float32."""
+        features = self.head(self.convolutions(image.reshape(-1, *image.shape[-3:])))
+        return features.reshape(*image.shape[:-3], -1)
 
 
 def actor_critic(
@@ -58,19 +74,19 @@ def actor_critic(
     channels: Sequence[int] = (16, 32),
     features: int = 128,
 ) -> ActorValueOperator:
-    """Actor and critic over one trunk: ``pixels`` -> ``hidden`` -> ``logits``, ``action`` and ``state_value``.
+    """Actor and critic over one trunk: ``pixels`` -> ``image`` -> ``hidden`` -> ``action`` and ``state_value``.
 
     Args:
         image_shape: (H, W, 3).
         actions: number of discrete actions.
-        pool: see ``PixelTrunk``.
-        channels: see ``PixelTrunk``.
-        features: see ``PixelTrunk``.
+        pool: see ``Shrink``.
+        channels: see ``Trunk``.
+        features: see ``Trunk``.
 
     Returns:
         Operator whose ``get_policy_operator()`` acts, and whose heads share the ``hidden`` that the trunk computed.
     """
-    trunk = PixelTrunk(image_shape[0], image_shape[1], pool, channels, features)
+    trunk = Trunk(image_shape[0] // pool, image_shape[1] // pool, channels, features)
     policy, value = nn.Linear(features, actions), nn.Linear(features, 1)
     layers = [module for module in trunk.modules() if isinstance(module, (nn.Conv2d, nn.Linear))]
     for layer, gain in [*((layer, 2**0.5) for layer in layers), (policy, 0.01), (value, 1.0)]:
@@ -88,7 +104,10 @@ def actor_critic(
         ),
     )
     return ActorValueOperator(
-        TensorDictModule(trunk, in_keys=["pixels"], out_keys=["hidden"]),
+        TensorDictSequential(
+            TensorDictModule(Shrink(pool), in_keys=["pixels"], out_keys=["image"]),
+            TensorDictModule(trunk, in_keys=["image"], out_keys=["hidden"]),
+        ),
         head,
         ValueOperator(value, in_keys=["hidden"]),
     )

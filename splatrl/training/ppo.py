@@ -87,6 +87,7 @@ class PPO:
             )
         self.env, self.model, self.loss, self.optim = env, model, loss, optim
         self.frames_per_batch, self.total_frames = frames_per_batch, total_frames
+        self.trunk = model.module[0].select_subsequence(in_keys=["image"], out_keys=["hidden"])
         self.objective = ClipPPOLoss(
             model.get_policy_head(),
             model.get_value_head(),
@@ -138,7 +139,7 @@ class PPO:
 
     def _learn(self, batch: TensorDictBase) -> dict[str, float]:
         batch["advantage"], batch["value_target"] = self._advantages(batch)
-        used = ["pixels", "action", "action_log_prob", "advantage", "value_target", "state_value"]
+        used = ["image", "action", "action_log_prob", "advantage", "value_target", "state_value"]
         frames = batch.reshape(-1).select(*used)
         sums: dict[str, Tensor] = {}
         updates = 0
@@ -179,7 +180,7 @@ class PPO:
                 group["lr"] = self.optim.lr * max(left, 0.0)
 
     def _update(self, frames: TensorDictBase) -> dict[str, Tensor]:
-        frames = self.model.module[0](frames)  # the trunk once; both heads read its output
+        frames = self.trunk(frames)  # once; both heads read its output
         losses = self.objective(frames)
         total = losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]
         self.optimizer.zero_grad()

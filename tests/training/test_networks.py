@@ -5,7 +5,8 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from splatrl.training import PixelTrunk, actor_critic
+from splatrl.training import actor_critic
+from splatrl.training.networks import Shrink
 
 HEIGHT, WIDTH, ACTIONS, FEATURES = 14, 20, 5, 24
 
@@ -28,6 +29,7 @@ def test_it_writes_action_and_value_for_any_batch(model: torch.nn.Module, batch:
     shapes = {key: value.shape for key, value in td.items()}
     assert shapes == {
         "pixels": (*batch, HEIGHT, WIDTH, 3),
+        "image": (*batch, 3, HEIGHT, WIDTH),
         "hidden": (*batch, FEATURES),
         "logits": (*batch, ACTIONS),
         "action": batch,
@@ -76,24 +78,22 @@ def test_the_heads_read_what_the_trunk_wrote(model: torch.nn.Module) -> None:
     assert torch.equal(logits, whole["logits"])
 
 
-def test_pooling_takes_the_mean_of_its_cells() -> None:
-    torch.manual_seed(0)
-    trunk = PixelTrunk(HEIGHT * 2, WIDTH * 2, pool=2, channels=(4, 7), features=FEATURES)
-    small = images(3)["pixels"]
-    large = small.repeat_interleave(2, 1).repeat_interleave(2, 2)
-    plain = PixelTrunk(HEIGHT, WIDTH, pool=1, channels=(4, 7), features=FEATURES)
-    plain.load_state_dict(trunk.state_dict())
-    torch.testing.assert_close(trunk(large), plain(small), atol=1e-5, rtol=1e-5)
+def test_shrinking_takes_the_mean_of_its_cells() -> None:
+    small = images(2, 3)["pixels"]
+    large = small.repeat_interleave(2, -3).repeat_interleave(2, -2)
+    shrunk = Shrink(2)(large)
+    torch.testing.assert_close(shrunk, Shrink(1)(small))
+    torch.testing.assert_close(shrunk[1, 2], small[1, 2].permute(2, 0, 1) / 255 - 0.5)
 
 
 @pytest.mark.parametrize(("height", "width", "pool"), [(16, 15, 2), (7, 20, 1)])
 def test_an_image_that_is_too_small_is_refused(height: int, width: int, pool: int) -> None:
-    with pytest.raises(
-        ValueError, match=rf"image: expected sides of at least 8 · pool = {8 * pool} pixels, got {height}"
-    ):
-        PixelTrunk(height, width, pool)
+    with pytest.raises(ValueError, match=rf"expected sides of at least 8 · pool pixels, got {height // pool} × "):
+        actor_critic((height, width, 3), ACTIONS, pool)
 
 
 @pytest.mark.parametrize("pool", [1, 2, 3])
 def test_the_smallest_image_is_seen(pool: int) -> None:
-    assert PixelTrunk(8 * pool, 9 * pool, pool)(torch.zeros(8 * pool, 9 * pool, 3, dtype=torch.uint8)).shape == (128,)
+    pixels = torch.zeros(2, 8 * pool, 9 * pool, 3, dtype=torch.uint8)
+    td = actor_critic((8 * pool, 9 * pool, 3), ACTIONS, pool)(TensorDict({"pixels": pixels}, [2]))
+    assert td["hidden"].shape == (2, 128)
