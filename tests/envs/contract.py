@@ -52,6 +52,7 @@ class EnvContract(ABC):
     @pytest.mark.parametrize("method", ["reset", "step"])
     def test_a_wrong_batch_size_is_refused(self, method: str) -> None:
         env, larger = self.make((3,)), self.make((5,))
+        assert env.batch_locked
         td = larger.rand_action(larger.reset())
         with pytest.raises(RuntimeError, match="batch"):
             getattr(env, method)(td)
@@ -93,6 +94,7 @@ class EnvContract(ABC):
                 assert torch.equal(batch[key][:, 1:][goes_on], batch["next", key][:, :-1][goes_on]), key
         begins = batch["step_count"][:, 1:][~goes_on]
         assert (begins == 0).all()
+        assert torch.equal(batch["next", "level"], batch["level"])  # an episode keeps the level that it began at
 
     def test_a_rollout_goes_on_where_another_stopped(self) -> None:
         env = self.make((3,))
@@ -119,6 +121,13 @@ class EnvContract(ABC):
         first = env.reset()["state"]
         env.set_seed(2)
         assert not torch.equal(first, env.reset()["state"])
+
+    def test_a_reset_that_is_not_to_take_the_state_draws_its_own(self) -> None:
+        td = self.make((16,)).reset()
+        first = td["state"].clone()
+        again = self.make((16,), seed=1).reset(td, set_state=False)
+        assert not torch.equal(again["state"], first)
+        assert torch.equal(again["state"], self.make((16,), seed=1).reset()["state"])
 
     def test_an_episode_can_begin_at_a_given_state(self) -> None:
         env = self.make((3,))

@@ -22,8 +22,9 @@ def test_the_goal_is_27_lattice_poses() -> None:
     assert sorted({int(i) for i in reached[:, 2]}) == [0, 1, 7]
 
 
-def test_a_goal_between_lattice_poses_is_8_of_them() -> None:
-    task = Grid(tiny_motion(), goal=(0.25, 0.75, 22.5))
+@pytest.mark.parametrize("goal", [(0.25, 0.75, 22.5), (0.45, 0.95, 4.5), (0.55, 1.05, -4.5)])
+def test_a_goal_between_lattice_poses_is_8_of_them(goal: tuple[float, float, float]) -> None:
+    task = Grid(tiny_motion(), goal)
     assert task.reached(task.motion.states()).sum() == 2 * 2 * 2
 
 
