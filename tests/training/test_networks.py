@@ -71,19 +71,19 @@ def test_the_heads_read_what_the_trunk_wrote(model: torch.nn.Module) -> None:
     whole = model(images(4))
     value = model.get_value_operator()(images(4))
     head = model.get_value_head()(whole.select("hidden"))
-    assert torch.equal(value["state_value"], whole["state_value"]) and torch.equal(
-        value["state_value"], head["state_value"]
-    )
+    assert torch.equal(value["state_value"], whole["state_value"])
+    assert torch.equal(value["state_value"], head["state_value"])
     logits = model.get_policy_head()(whole.select("hidden"))["logits"]
     assert torch.equal(logits, whole["logits"])
 
 
-def test_shrinking_takes_the_mean_of_its_cells() -> None:
-    small = images(2, 3)["pixels"]
-    large = small.repeat_interleave(2, -3).repeat_interleave(2, -2)
-    shrunk = Shrink(2)(large)
-    torch.testing.assert_close(shrunk, Shrink(1)(small))
-    torch.testing.assert_close(shrunk[1, 2], small[1, 2].permute(2, 0, 1) / 255 - 0.5)
+def test_shrinking_takes_the_mean_of_each_cell() -> None:
+    pixels = torch.zeros(2, 4, 6, 3, dtype=torch.uint8)
+    pixels[1, 2:, 4:, 0] = torch.tensor([[255, 0], [0, 255]])
+    pixels[0, 0, 0, 2] = 255
+    expected = torch.full((2, 3, 2, 3), -0.5)
+    expected[1, 0, 1, 2], expected[0, 2, 0, 0] = 0.0, -0.25
+    torch.testing.assert_close(Shrink(2)(pixels), expected)
 
 
 @pytest.mark.parametrize(("height", "width", "pool"), [(16, 15, 2), (7, 20, 1)])
