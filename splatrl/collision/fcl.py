@@ -5,6 +5,7 @@ from typing import Any
 import fcl
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.bodies import Body, Box, Capsule, Sphere
@@ -53,7 +54,11 @@ class FclChecker:
 
     def collides(self, body_to_world: Tensor) -> Tensor:
         """Whether the body touches a solid voxel: see ``Checker.collides``."""
-        return self._hits(checked_poses("body_to_world", body_to_world)).to(body_to_world.device)
+        poses = checked_poses("body_to_world", body_to_world).numpy()
+        hits = torch.zeros(len(poses), dtype=torch.bool)
+        for row in self._near(poses):
+            hits[row] = self._hit(poses[row])
+        return hits.to(body_to_world.device)
 
     def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
         """The share of each move up to the last free step: see ``Checker.touched_fraction``.
@@ -66,14 +71,17 @@ class FclChecker:
             self.body.radius,
             0.5 * self.occupancy.resolution,
         )
-        fraction = torch.ones(start.shape[0])
-        rows = torch.arange(start.shape[0])
-        index = 0
-        while len(rows):
-            hit = self._hits(move.at(rows, index))
-            fraction[rows[hit]] = max(index - 1, 0) / move.steps[rows[hit]]
-            rows = rows[~hit & (move.steps[rows] > index)]
-            index += 1
+        rows = torch.arange(len(move.steps)).repeat_interleave(move.steps + 1)
+        index = torch.arange(len(rows)) - (move.steps + 1).cumsum(0)[rows] + move.steps[rows] + 1
+        poses = move.at(rows, index).numpy()
+        first: dict[int, int] = {}  # row of a move -> index of the first of its poses that hits
+        for near in self._near(poses):
+            row = int(rows[near])
+            if row not in first and self._hit(poses[near]):
+                first[row] = int(index[near])
+        fraction = torch.ones(len(move.steps))
+        for row, step in first.items():
+            fraction[row] = max(step - 1, 0) / move.steps[row]
         return fraction.to(start.device)
 
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
@@ -84,17 +92,19 @@ class FclChecker:
         """A lower bound of the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
         return torch.from_numpy(self._field.clearance(points)).float().to(points.device)
 
-    def _hits(self, poses: Tensor) -> Tensor:
-        """Whether the body touches something at rigid poses [M, 4, 4] float64: [M] bool."""
-        hits = torch.zeros(len(poses), dtype=torch.bool)
-        array = poses.numpy()
-        # FCL takes an octree without nodes for a solid one; it is never asked, as clearance is infinite there
-        for row in np.flatnonzero(self._field.clearance(array[:, :3, 3]) <= self.body.radius + _SLACK):
-            self._body_object.setTranslation(array[row, :3, 3])
-            self._body_object.setRotation(array[row, :3, :3])
-            result = fcl.CollisionResult()  # a used one keeps its hit
-            hits[row] = bool(fcl.collide(self._body_object, self._octree, self._request, result))
-        return hits
+    def _near(self, poses: NDArray[np.float64]) -> list[int]:
+        """Rows of poses [M, 4, 4] that FCL has to look at.
+
+        It takes an octree without nodes for a solid one, and is never asked then, as clearance is infinite.
+        """
+        return np.flatnonzero(self._field.clearance(poses[:, :3, 3]) <= self.body.radius + _SLACK).tolist()
+
+    def _hit(self, pose: NDArray[np.float64]) -> bool:
+        """Whether the body touches something at a rigid pose [4, 4]."""
+        self._body_object.setTranslation(pose[:3, 3])
+        self._body_object.setRotation(pose[:3, :3])
+        result = fcl.CollisionResult()  # a used one keeps its hit
+        return bool(fcl.collide(self._body_object, self._octree, self._request, result))
 
 
 def _fcl_shape(body: Body) -> Any:

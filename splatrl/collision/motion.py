@@ -74,21 +74,19 @@ class Move:
         travel = (end - start)[:, :3, 3].norm(dim=1) + 2.0 * self._arc * radius
         self.steps = (travel / max_travel).ceil().clamp(min=1).long()
 
-    def at(self, rows: Tensor, index: int) -> Tensor:
-        """The poses of index ``index`` of some rows.
+    def at(self, rows: Tensor, index: Tensor) -> Tensor:
+        """Poses on the way.
 
         Args:
-            rows: [M] int64.
-            index: 0 for the start; at most the smallest of ``steps[rows]``, whose pose is the end.
+            rows: [M] int64, which moves.
+            index: [M] int64, 0 for the start; at most ``steps[rows]``, whose pose is the end.
 
         Returns:
             body_to_world [M, 4, 4] float64.
         """
         steps = self.steps[rows]
         # both shares are quotients, and so are swapped by going back; `index / steps` would multiply by a reciprocal
-        before, after = (
-            part.double().div(steps).unsqueeze(1) for part in (steps - index, torch.full_like(steps, index))
-        )
+        before, after = (part.double().div(steps).unsqueeze(1) for part in (steps - index, index))
         start, end, arc = self._start[rows], self._end[rows], self._arc[rows].unsqueeze(1)
         slight = arc < 1e-6  # where the sine of an angle is the angle
         quats = self._start_quats[rows] * torch.where(slight, before, torch.sin(before * arc))

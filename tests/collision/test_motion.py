@@ -18,7 +18,7 @@ def random_poses(count: int, seed: int, reach: float = 1.0) -> torch.Tensor:
 
 def path(move: Move, row: int) -> torch.Tensor:
     """All poses of one row: [steps + 1, 4, 4]."""
-    return torch.cat([move.at(torch.tensor([row]), index) for index in range(int(move.steps[row]) + 1)])
+    return torch.cat([move.at(torch.tensor([row]), torch.tensor([index])) for index in range(int(move.steps[row]) + 1)])
 
 
 def test_rigid_poses_pass_as_float64():
