@@ -111,15 +111,19 @@ class SplatEnv(EnvBase):
             level = self.curriculum.level.expand(len(rows), 1)
         offset = None if tensordict is None else tensordict.get("camera_offset", None)
         pixels = self._pixels(state, None if offset is None else offset[rows])
-        fresh = self._full_reset_spec_zero()
-        for key, value in {"state": state, "level": level, "pixels": pixels}.items():
-            fresh[key][rows] = value
-        fresh["touched_fraction"].fill_(1.0)
-        return fresh
-
-    def _full_reset_spec_zero(self) -> TensorDictBase:
-        zero = self.observation_spec.zero()
-        return zero.update(self.full_done_spec.zero())
+        begun = {"state": state, "level": level, "pixels": pixels}
+        count = torch.zeros(self.numel(), 1, dtype=torch.int64, device=self.device)
+        values = {
+            **{key: value.new_zeros(self.numel(), *value.shape[1:]) for key, value in begun.items()},
+            "step_count": count,
+            "episode_return": count.float(),
+            "outcome": count.clone(),
+            "touched_fraction": torch.ones_like(count, dtype=torch.float32),
+            **{key: count.bool() for key in ("done", "terminated", "truncated")},
+        }
+        for key, value in begun.items():
+            values[key][rows] = value  # the rest of the batch is TorchRL's to fill in
+        return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         state, action = tensordict["state"], tensordict["action"]
