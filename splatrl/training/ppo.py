@@ -25,7 +25,8 @@ class LossSettings:
         ppo_epochs: passes over each batch.
         mini_batch_size: frames in a gradient step.
         critic_coeff: weight of the value loss.
-        entropy_coeff: weight of the entropy bonus.
+        entropy_coeff: weight of the entropy bonus at the start.
+        anneal_entropy: whether that weight falls linearly to zero at the end of training.
         reward_scale: rewards are multiplied by it for learning, and nowhere else.
     """
 
@@ -36,6 +37,7 @@ class LossSettings:
     mini_batch_size: int
     critic_coeff: float
     entropy_coeff: float
+    anneal_entropy: bool
     reward_scale: float
 
 
@@ -174,10 +176,12 @@ class PPO:
         )
 
     def _anneal(self) -> None:
+        left = max(1.0 - (self.frames - self.frames_per_batch) / self.total_frames, 0.0)
         if self.optim.anneal_lr:
-            left = 1.0 - (self.frames - self.frames_per_batch) / self.total_frames
             for group in self.optimizer.param_groups:
-                group["lr"] = self.optim.lr * max(left, 0.0)
+                group["lr"] = self.optim.lr * left
+        if self.loss.anneal_entropy:
+            self.objective.entropy_coeff.fill_(self.loss.entropy_coeff * left)
 
     def _update(self, frames: TensorDictBase) -> dict[str, Tensor]:
         frames = self.trunk(frames)  # once; both heads read its output

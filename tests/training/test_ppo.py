@@ -24,6 +24,7 @@ LOSS = LossSettings(
     mini_batch_size=32,
     critic_coeff=0.5,
     entropy_coeff=0.01,
+    anneal_entropy=False,
     reward_scale=0.1,
 )
 OPTIM = OptimSettings(lr=1e-3, eps=1e-5, max_grad_norm=0.5, anneal_lr=False)
@@ -123,19 +124,22 @@ def test_the_report_counts_the_episodes_of_the_batch() -> None:
     assert report["success"] > 0 and report["collision"] > 0  # else this shows too little
 
 
-def test_the_rate_falls_linearly_to_the_end() -> None:
-    ppo = learner(tiny_env([4]), total_frames=64 * 4, anneal_lr=True)
-    rates = []
+@pytest.mark.parametrize("anneal", [True, False])
+def test_rate_and_entropy_bonus_fall_linearly_to_the_end_if_asked(anneal: bool) -> None:
+    ppo = learner(tiny_env([4]), total_frames=64 * 4, anneal_lr=anneal, anneal_entropy=anneal)
+    rates, bonuses = [], []
     for _ in range(4):
         ppo.iterate()
-        rates.append(ppo.optimizer.param_groups[0]["lr"])
-    assert rates == pytest.approx([1e-3, 0.75e-3, 0.5e-3, 0.25e-3])
+        rates.append(ppo.optimizer.param_groups[0]["lr"] / OPTIM.lr)
+        bonuses.append(ppo.objective.entropy_coeff.item() / LOSS.entropy_coeff)
+    assert rates == pytest.approx([1, 0.75, 0.5, 0.25] if anneal else [1] * 4)
+    assert bonuses == pytest.approx(rates)
 
 
 def test_a_resumed_training_is_the_same_to_the_byte(tmp_path: Path) -> None:
     def fresh(seed: int) -> PPO:
         env = tiny_env([4], seed=seed, max_steps=10, first=1, threshold=0.01, window=5)
-        return learner(env, seed, total_frames=64 * 8, anneal_lr=True)
+        return learner(env, seed, total_frames=64 * 8, anneal_lr=True, anneal_entropy=True)
 
     whole = fresh(0)
     reports = [whole.iterate() for _ in range(4)]
