@@ -125,7 +125,7 @@ class PPO:
                 tensordict=start,
                 break_when_any_done=False,
             )
-            self.carried = self.env.maybe_reset(self.env.step_mdp(batch[:, -1].clone()))
+            self.carried = self.env.step_mdp(batch[:, -1].clone())  # the next rollout resets what is done
         return batch
 
     def _episodes(self, batch: TensorDictBase) -> dict[str, float]:
