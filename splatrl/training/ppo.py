@@ -67,10 +67,10 @@ class PPO:
         loss: settings of the loss.
         optim: settings of the optimiser.
         frames_per_batch: frames between updates, a multiple of the env's batch.
-        total_frames: frames of the whole training, for annealing.
+        total_frames: frames that the whole training may use; the last batch ends at or before them.
 
     Raises:
-        ValueError: for batch sizes that do not divide.
+        ValueError: for batch sizes that do not divide, or a total below one batch.
     """
 
     def __init__(
@@ -87,6 +87,10 @@ class PPO:
                 f"collector.frames_per_batch: expected a multiple of env.num_envs = {env.numel()}, "
                 f"got {frames_per_batch}"
             )
+        if total_frames < frames_per_batch:
+            raise ValueError(
+                f"collector.total_frames: expected at least frames_per_batch = {frames_per_batch}, got {total_frames}"
+            )
         self.env, self.model, self.loss, self.optim = env, model, loss, optim
         self.frames_per_batch, self.total_frames = frames_per_batch, total_frames
         self.trunk = model.module[0].select_subsequence(in_keys=["image"], out_keys=["hidden"])
@@ -101,6 +105,11 @@ class PPO:
         self.optimizer = torch.optim.Adam(model.parameters(), lr=optim.lr, eps=optim.eps)
         self.frames = 0
         self.carried: TensorDictBase | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether another batch would go beyond ``total_frames``."""
+        return self.frames + self.frames_per_batch > self.total_frames
 
     def iterate(self) -> dict[str, float]:
         """Collect one batch and learn from it.

@@ -61,20 +61,20 @@ class Trainer:
             self.load_state_dict(load_checkpoint(path))
 
     def fit(self) -> None:
-        """Train until ``total_frames``, with a progress bar."""
-        total = self.ppo.total_frames
+        """Train until the frames are used, with a progress bar."""
+        batch = self.ppo.frames_per_batch
+        total = self.ppo.total_frames // batch * batch
         began = time.monotonic() - self.seconds
         with tqdm(total=total, initial=self.ppo.frames, unit="frame", desc="train", dynamic_ncols=True) as bar:
-            while self.ppo.frames < total:
+            while not self.ppo.finished:
                 before = self.ppo.frames
                 row = self.ppo.iterate()
                 row["level"] = int(self.ppo.env.curriculum.level)
-                last = self.ppo.frames >= total
-                if last or _crossed(before, self.ppo.frames, self.test_interval):
+                if self.ppo.finished or _crossed(before, self.ppo.frames, self.test_interval):
                     row["test_success"] = self.test()
                 self.seconds = row["seconds"] = time.monotonic() - began
                 self._note(row)
-                if last or _crossed(before, self.ppo.frames, self.checkpoint_interval):
+                if self.ppo.finished or _crossed(before, self.ppo.frames, self.checkpoint_interval):
                     self.save()
                 bar.update(self.ppo.frames - before)
                 bar.set_postfix(success=f"{self._recent('success'):.2f}", level=f"{row['level'] + 1}/{self.levels}")

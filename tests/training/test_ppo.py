@@ -183,3 +183,13 @@ def test_a_batch_that_the_robots_do_not_divide_is_refused() -> None:
         ValueError, match=r"collector\.frames_per_batch: expected a multiple of env\.num_envs = 3, got 64"
     ):
         learner(tiny_env([3]))
+
+
+def test_a_training_never_uses_more_frames_than_it_has() -> None:
+    ppo = learner(tiny_env([4]), total_frames=64 * 3 - 1)
+    used = []
+    while not ppo.finished:
+        used.append(ppo.iterate()["frames"])
+    assert used == [64, 128]
+    with pytest.raises(ValueError, match=r"collector\.total_frames: expected at least frames_per_batch = 64, got 63"):
+        learner(tiny_env([4]), total_frames=63)
