@@ -10,6 +10,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import OverrideParseException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
@@ -57,7 +58,10 @@ def check_overrides(name: str, arguments: Sequence[str]) -> None:
         SystemExit: with a message that names the key, its nearest neighbour and all valid ones.
     """
     plain = [a for a in arguments if "=" in a and not a.startswith(("-", "+", "~", "hydra"))]
-    keys = [override.key_or_group for override in OverridesParser.create().parse_overrides(plain)]
+    try:
+        keys = [override.key_or_group for override in OverridesParser.create().parse_overrides(plain)]
+    except OverrideParseException:
+        return  # Hydra itself tells where the grammar breaks
     groups = [a.split(",")[0] for a, key in zip(plain, keys, strict=True) if (conf_dir() / key).is_dir()]
     known = load_config(groups, name)
     for key in keys:
@@ -111,6 +115,17 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
     return OmegaConf.merge(cfg, OmegaConf.from_dotlist(changes))  # type: ignore[return-value]
 
 
+def require_values(cfg: DictConfig) -> None:
+    """Refuse a config in which a value is still to be given.
+
+    Raises:
+        ValueError: names the keys.
+    """
+    missing = sorted(OmegaConf.missing_keys(cfg))
+    if missing:
+        raise ValueError(f"expected a value for {', '.join(missing)}; give it as {missing[0]}=...")
+
+
 @dataclass(frozen=True)
 class World:
     """Everything that envs of one configuration share.
@@ -146,7 +161,12 @@ class World:
 
 
 def build_world(cfg: DictConfig) -> World:
-    """Build scene, robot, task, collision, renderer and plan from a config."""
+    """Build scene, robot, task, collision, renderer and plan from a config.
+
+    Raises:
+        ValueError: for a value that is still to be given, or that one of them refuses.
+    """
+    require_values(cfg)
     scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
     occupancy = instantiate(cfg.collision.occupancy)(scene)
     checker = instantiate(cfg.collision.checker)(occupancy, robot.body)

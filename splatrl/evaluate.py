@@ -10,7 +10,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
-from splatrl.configuration import World, build_world, check_overrides, conf_dir, run_config
+from splatrl.configuration import World, build_world, check_overrides, conf_dir, require_values, run_config
 from splatrl.evaluation.pictures import Pictures
 from splatrl.evaluation.report import summarise, write_json
 from splatrl.evaluation.rollouts import run_episodes
@@ -75,6 +75,7 @@ def _words(summary: dict[str, Any], folder: Path, files: list[Path]) -> str:
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="evaluate")
 def run(cfg: DictConfig) -> None:
     """Evaluate the run folder ``cfg.run`` with its own config."""
+    require_values(cfg)
     folder = Path(cfg.run)
     own = run_config(folder)
     for key in ("checkpoint", "repeats", "seed"):

@@ -9,7 +9,15 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from splatrl.configuration import World, build_world, check_overrides, conf_dir, resumed_config, save_config
+from splatrl.configuration import (
+    World,
+    build_world,
+    check_overrides,
+    conf_dir,
+    require_values,
+    resumed_config,
+    save_config,
+)
 from splatrl.evaluate import evaluate
 from splatrl.evaluation.rollouts import run_episodes
 from splatrl.training import PPO, Trainer
@@ -55,8 +63,9 @@ def run(cfg: DictConfig) -> None:
     folder = Path(resume or HydraConfig.get().runtime.output_dir)
     if resume:
         cfg = resumed_config(folder, HydraConfig.get().overrides.task)
-    elif (folder / "config.yaml").exists():
+    elif any(folder.glob("checkpoints/*.pt")):
         raise ValueError(f"hydra.run.dir: expected a new folder, got a run; go on with it by resume={folder}")
+    require_values(cfg)
     save_config(cfg, folder)
     torch.set_num_threads(cfg.threads)
     world = build_world(cfg)

@@ -54,6 +54,15 @@ def test_a_mistyped_key_stops_with_the_valid_ones() -> None:
         check_overrides("train", ["evaluation.seed.x=1"])
 
 
+def test_a_value_that_nobody_gave_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"expected a value for scene\.path; give it as scene\.path=\.\.\."):
+        build_world(load_config(["scene=kitchen"]))
+
+
+def test_grammar_is_left_to_hydra() -> None:
+    check_overrides("train", ["task.goal=[0.0"])
+
+
 def test_right_overrides_pass_sweeps_and_hydra_options_among_them() -> None:
     check_overrides("train", ["-m", "seed=0,1", "curriculum=distance,none", "hydra.run.dir=x", "+extra=1", "~logger"])
     check_overrides("train", ["scene=kitchen", "scene.path=/a/b.spz", "--cfg", "job"])

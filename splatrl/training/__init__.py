@@ -2,7 +2,8 @@
 
 from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
 from splatrl.training.networks import actor_critic
-from splatrl.training.ppo import PPO, LossSettings, OptimSettings
+from splatrl.training.ppo import PPO
+from splatrl.training.settings import LossSettings, OptimSettings
 from splatrl.training.trainer import Trainer
 
 __all__ = [

@@ -1,6 +1,5 @@
 """Proximal policy optimisation (Schulman et al. 2017) on one batched env, resumable to the byte."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -12,50 +11,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value.functional import vec_generalized_advantage_estimate
 
 from splatrl.envs.tasks import Outcome
-
-
-@dataclass(frozen=True)
-class LossSettings:
-    """Settings of the loss, with the keys of TorchRL's examples.
-
-    Attributes:
-        gamma: discount.
-        gae_lambda: of generalised advantage estimation.
-        clip_epsilon: how far the probability ratio may go.
-        ppo_epochs: passes over each batch.
-        mini_batch_size: frames in a gradient step.
-        critic_coeff: weight of the value loss.
-        entropy_coeff: weight of the entropy bonus at the start.
-        anneal_entropy: whether that weight falls linearly to zero at the end of training.
-        reward_scale: rewards are multiplied by it for learning, and nowhere else.
-    """
-
-    gamma: float
-    gae_lambda: float
-    clip_epsilon: float
-    ppo_epochs: int
-    mini_batch_size: int
-    critic_coeff: float
-    entropy_coeff: float
-    anneal_entropy: bool
-    reward_scale: float
-
-
-@dataclass(frozen=True)
-class OptimSettings:
-    """Settings of Adam.
-
-    Attributes:
-        lr: learning rate at the start.
-        eps: Adam's epsilon.
-        max_grad_norm: gradients are clipped to it.
-        anneal_lr: whether the rate falls linearly to zero at the end of training.
-    """
-
-    lr: float
-    eps: float
-    max_grad_norm: float
-    anneal_lr: bool
+from splatrl.training.settings import LossSettings, OptimSettings
 
 
 class PPO:

@@ -1,0 +1,74 @@
+"""What an experimenter sets about the learning, with the keys of TorchRL's examples."""
+
+import math
+from dataclasses import dataclass
+
+
+def _require(name: str, value: object, low: float, high: float = math.inf, whole: bool = False) -> None:
+    kinds = (int,) if whole else (int, float)
+    if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:
+        kind = "whole number" if whole else "number"
+        limit = f"of at least {low}" if high == math.inf else f"from {low} to {high}"
+        raise ValueError(f"{name}: expected a {kind} {limit}, got {value!r}")
+
+
+@dataclass(frozen=True)
+class LossSettings:
+    """Settings of the loss.
+
+    Attributes:
+        gamma: discount.
+        gae_lambda: of generalised advantage estimation.
+        clip_epsilon: how far the probability ratio may go.
+        ppo_epochs: passes over each batch.
+        mini_batch_size: frames in a gradient step.
+        critic_coeff: weight of the value loss.
+        entropy_coeff: weight of the entropy bonus at the start.
+        anneal_entropy: whether that weight falls linearly to zero at the end of training.
+        reward_scale: rewards are multiplied by it for learning, and nowhere else.
+
+    Raises:
+        ValueError: names the value that is out of range.
+    """
+
+    gamma: float
+    gae_lambda: float
+    clip_epsilon: float
+    ppo_epochs: int
+    mini_batch_size: int
+    critic_coeff: float
+    entropy_coeff: float
+    anneal_entropy: bool
+    reward_scale: float
+
+    def __post_init__(self) -> None:
+        for name in ("gamma", "gae_lambda"):
+            _require(f"loss.{name}", getattr(self, name), 0.0, 1.0)
+        for name in ("clip_epsilon", "critic_coeff", "entropy_coeff", "reward_scale"):
+            _require(f"loss.{name}", getattr(self, name), 0.0)
+        for name in ("ppo_epochs", "mini_batch_size"):
+            _require(f"loss.{name}", getattr(self, name), 1, whole=True)
+
+
+@dataclass(frozen=True)
+class OptimSettings:
+    """Settings of Adam.
+
+    Attributes:
+        lr: learning rate at the start.
+        eps: Adam's epsilon.
+        max_grad_norm: gradients are clipped to it.
+        anneal_lr: whether the rate falls linearly to zero at the end of training.
+
+    Raises:
+        ValueError: names the value that is out of range.
+    """
+
+    lr: float
+    eps: float
+    max_grad_norm: float
+    anneal_lr: bool
+
+    def __post_init__(self) -> None:
+        for name in ("lr", "eps", "max_grad_norm"):
+            _require(f"optim.{name}", getattr(self, name), 0.0)
