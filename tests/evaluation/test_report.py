@@ -1,0 +1,38 @@
+"""What episodes add up to."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from splatrl.envs.tasks import Outcome
+from splatrl.evaluation import Episodes, summarise
+from splatrl.evaluation.report import write_json
+
+
+def episodes(outcomes: list[Outcome], lengths: list[int]) -> Episodes:
+    count = len(outcomes)
+    return Episodes(
+        torch.zeros(count, 3), torch.tensor(outcomes), torch.tensor(lengths), torch.arange(count, dtype=torch.float32)
+    )
+
+
+def test_rates_are_over_all_episodes_and_paths_repeat_with_their_start() -> None:
+    sampled = episodes([Outcome.GOAL, Outcome.COLLISION, Outcome.GOAL, Outcome.OUT_OF_BOUNDS], [2, 9, 6, 1])
+    argmax = episodes([Outcome.TIMEOUT, Outcome.GOAL], [200, 3])
+    summary = summarise(sampled, argmax, torch.tensor([2, 3]))  # starts 0, 0, 1, 1
+    assert summary["success_rate"] == 0.5
+    assert summary["spl"] == pytest.approx((2 / 2 + 3 / 6) / 4)
+    assert (summary["collision_rate"], summary["out_of_bounds_rate"], summary["timeout_rate"]) == (0.25, 0.25, 0)
+    assert (summary["mean_return"], summary["mean_length"], summary["episodes"]) == (1.5, 4.5, 4)
+    assert (summary["success_rate_argmax"], summary["spl_argmax"], summary["timeout_rate_argmax"]) == (0.5, 0.5, 0.5)
+
+
+def test_json_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "evaluation.json"
+    write_json(path, {"success_rate": 0.5})
+    with pytest.raises(TypeError):
+        write_json(path, {"success_rate": torch.zeros(1)})
+    assert json.loads(path.read_text()) == {"success_rate": 0.5}
+    assert list(tmp_path.iterdir()) == [path]

@@ -1,0 +1,84 @@
+"""Episodes from given starts."""
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+
+from splatrl.envs.tasks import Outcome
+from splatrl.evaluation.rollouts import Episodes, run_episodes
+from tests.tiny import tiny_env, tiny_plan
+
+
+class Planner:
+    """Walks the shortest path, or with some probability anywhere."""
+
+    def __init__(self, slip: float = 0.0):
+        self.plan, self.slip = tiny_plan(), slip
+        self.motion = tiny_env([1]).task.motion
+
+    def __call__(self, td: TensorDictBase) -> TensorDictBase:
+        after = self.plan.successors[self.motion.index(td["state"])]
+        far = torch.where(after < 0, 10**6, self.plan.distance[after.clamp_min(0)])
+        best = far.argmin(1)
+        slips = torch.rand(len(best)) < self.slip
+        td["action"] = torch.where(slips, torch.randint(0, 6, best.shape), best)
+        return td
+
+
+def starts() -> torch.Tensor:
+    plan = tiny_plan()
+    return plan.states[plan.start_rows]
+
+
+@pytest.mark.parametrize("robots", [1, 7, 64])
+def test_the_planner_reaches_the_goal_from_every_start_in_the_fewest_steps(robots: int) -> None:
+    plan = tiny_plan()
+    some = starts()[::3]
+    shortest = plan.distance[plan.start_rows][::3]
+    finished = []
+    episodes = run_episodes(tiny_env([robots], max_steps=50), Planner(), some, progress=finished.append)
+    assert episodes.success.all()
+    assert torch.equal(episodes.length, shortest)
+    assert episodes.spl(shortest) == 1.0
+    torch.testing.assert_close(episodes.episode_return, 50 - 0.2 * (shortest - 1).float())
+    assert sum(finished) == len(some)
+
+
+def test_every_outcome_is_counted_for_the_start_that_it_belongs_to() -> None:
+    some = starts()[:40]
+    forward = run_episodes(tiny_env([6], max_steps=9), lambda td: td.set("action", torch.zeros(6).long()), some)
+    alone = [
+        run_episodes(tiny_env([1], max_steps=9), lambda td: td.set("action", torch.zeros(1).long()), start[None])
+        for start in some
+    ]
+    assert forward.outcome.tolist() == [int(one.outcome) for one in alone]
+    assert forward.length.tolist() == [int(one.length) for one in alone]
+    assert len(set(forward.outcome.tolist())) > 2
+    assert sum(forward.rate(outcome) for outcome in Outcome) == pytest.approx(1.0)
+
+
+def test_a_seed_gives_the_same_episodes_and_leaves_the_global_generator_alone() -> None:
+    torch.manual_seed(3)
+    before = torch.get_rng_state()
+    first, again, other = (
+        run_episodes(tiny_env([8], max_steps=9), Planner(0.5), starts()[:50], seed=seed) for seed in (0, 0, 1)
+    )
+    assert torch.equal(torch.get_rng_state(), before)
+    assert torch.equal(first.length, again.length) and torch.equal(first.outcome, again.outcome)
+    assert not torch.equal(first.length, other.length)
+
+
+def test_evaluating_tells_no_curriculum() -> None:
+    env = tiny_env([4], first=1, window=1, threshold=0.01)
+    run_episodes(env, Planner(), starts()[:20])
+    assert env.curriculum.level == 0
+
+
+def test_spl_weighs_success_by_the_shortest_over_the_taken_path() -> None:
+    outcome = torch.tensor([Outcome.GOAL, Outcome.GOAL, Outcome.TIMEOUT, Outcome.COLLISION])
+    length = torch.tensor([4, 8, 20, 1])
+    episodes = Episodes(torch.zeros(4, 3), outcome, length, torch.zeros(4))
+    assert episodes.spl(torch.tensor([4, 2, 5, 3])) == pytest.approx((1 + 2 / 8) / 4)
+    assert episodes.spl(torch.tensor([5, 2, 5, 3])) == pytest.approx((1 + 2 / 8) / 4)  # never above 1 each
+    assert episodes.success.tolist() == [True, True, False, False]
+    assert episodes.rate(Outcome.TIMEOUT) == 0.25
