@@ -112,7 +112,9 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
     groups = [o for o in changes if (conf_dir() / o.split("=")[0]).is_dir()]
     if groups:
         raise ValueError(f"resume={folder}: expected changes of single keys, got {', '.join(groups)}")
-    return OmegaConf.merge(cfg, OmegaConf.from_dotlist(changes))  # type: ignore[return-value]
+    merged = OmegaConf.merge(cfg, OmegaConf.from_dotlist(changes))
+    assert isinstance(merged, DictConfig), type(merged)
+    return merged
 
 
 def require_values(cfg: DictConfig) -> None:

@@ -44,7 +44,7 @@ class SplatEnv(EnvBase):
         device: of every tensor that it takes and gives.
 
     Raises:
-        ValueError: for a batch size that is not one positive number.
+        ValueError: for a batch size that is not one positive number, or a given state that the task does not have.
     """
 
     batch_locked = True
@@ -104,7 +104,7 @@ class SplatEnv(EnvBase):
         rows = torch.arange(self.numel(), device=self.device) if rows is None else rows.flatten().nonzero().squeeze(1)
         if set_state:
             assert tensordict is not None
-            state = tensordict["state"][rows]
+            state = self._checked_state(tensordict["state"][rows])
             level = torch.full_like(state[:, :1], -1, dtype=torch.int64)  # given by hand: of no level
         else:
             state = self.curriculum.sample(len(rows), self.generator)
@@ -124,6 +124,16 @@ class SplatEnv(EnvBase):
         for key, value in begun.items():
             values[key][rows] = value  # the rest of the batch is TorchRL's to fill in
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
+
+    def _checked_state(self, state: Tensor) -> Tensor:
+        """States from outside: a wrong one would otherwise wrap around or end far away."""
+        spec = self.task.motion.state_spec
+        if not spec.expand(len(state), *spec.shape).is_in(state):
+            wrong = [row for row, one in enumerate(state) if not spec.is_in(one)]
+            limits = f" from {spec.low.tolist()} to {spec.high.tolist()}" if isinstance(spec, Bounded) else ""
+            got = f"{state.dtype} {state[wrong[0]].tolist()} in row {wrong[0]}"
+            raise ValueError(f"state: expected {spec.dtype}{limits}, got {got}")
+        return state
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         state, action = tensordict["state"], tensordict["action"]

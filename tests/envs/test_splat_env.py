@@ -204,3 +204,16 @@ def test_two_processes_collect_in_a_world_that_each_builds_from_its_path(tmp_pat
     assert [batch.numel() for batch in batches] == [60, 60]
     assert all((batch["next", "step_count"] == batch["step_count"] + 1).all() for batch in batches)
     assert all(batch["pixels"].float().std() > 10 for batch in batches)
+
+
+@pytest.mark.parametrize(
+    ("state", "got"),
+    [
+        (torch.tensor([[0, 0, 0], [4, 6, 8], [5, 0, 0]]), r"torch.int64 \[4, 6, 8\] in row 1"),
+        (torch.tensor([[-1, 0, 0], [0, 0, 0], [0, 0, 0]]), r"torch.int64 \[-1, 0, 0\] in row 0"),
+        (torch.zeros(3, 3), r"torch.float32 \[0.0, 0.0, 0.0\] in row 0"),
+    ],
+)
+def test_a_state_that_the_task_does_not_have_is_refused(state: Tensor, got: str) -> None:
+    with pytest.raises(ValueError, match=rf"state: expected torch.int64 from \[0, 0, 0\] to \[4, 6, 7\], got {got}"):
+        tiny_env([3]).reset(TensorDict({"state": state}, [3]), set_state=True)
