@@ -15,6 +15,8 @@ from splatrl.files import replacing
 from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
 from splatrl.training.ppo import PPO
 
+BACKENDS = ("csv", "tensorboard", "wandb")
+
 
 class Trainer:
     """Runs PPO to its total of frames, and leaves a run folder from which it can go on.
@@ -29,6 +31,9 @@ class Trainer:
         checkpoint_interval: frames between checkpoints.
         backend: csv, or a logger of TorchRL's (tensorboard, wandb) beside it.
         exp_name: name of the run for that logger.
+
+    Raises:
+        ValueError: for another backend.
     """
 
     def __init__(
@@ -41,6 +46,8 @@ class Trainer:
         backend: str = "csv",
         exp_name: str = "splatrl",
     ):
+        if backend not in BACKENDS:
+            raise ValueError(f"logger.backend: expected one of {', '.join(BACKENDS)}, got {backend}")
         self.ppo, self.folder, self.test = ppo, folder, test
         self.test_interval, self.checkpoint_interval = test_interval, checkpoint_interval
         self.logger = None if backend == "csv" else get_logger(backend, str(folder), exp_name)
