@@ -10,7 +10,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import OverrideParseException
+from hydra.errors import HydraException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
@@ -57,15 +57,19 @@ def check_overrides(name: str, arguments: Sequence[str]) -> None:
     Raises:
         SystemExit: with a message that names the key, its nearest neighbour and all valid ones.
     """
+
+    def is_group(key: str) -> bool:
+        return (conf_dir() / key).is_dir()
+
     plain = [a for a in arguments if "=" in a and not a.startswith(("-", "+", "~", "hydra"))]
     try:
         keys = [override.key_or_group for override in OverridesParser.create().parse_overrides(plain)]
-    except OverrideParseException:
-        return  # Hydra itself tells where the grammar breaks
-    groups = [a.split(",")[0] for a, key in zip(plain, keys, strict=True) if (conf_dir() / key).is_dir()]
-    known = load_config(groups, name)
+        groups = [a.split(",")[0] for a, key in zip(plain, keys, strict=True) if is_group(key)]
+        known = load_config(groups, name)
+    except HydraException:
+        return  # Hydra itself tells where the grammar breaks and which options a group has
     for key in keys:
-        if (conf_dir() / key).is_dir():
+        if is_group(key):
             continue
         *parents, leaf = key.split(".")
         node = OmegaConf.select(known, ".".join(parents)) if parents else known

@@ -59,8 +59,9 @@ def test_a_value_that_nobody_gave_is_named(tmp_path: Path) -> None:
         build_world(load_config(["scene=kitchen"]))
 
 
-def test_grammar_is_left_to_hydra() -> None:
-    check_overrides("train", ["task.goal=[0.0"])
+@pytest.mark.parametrize("argument", ["task.goal=[0.0", "scene=kitchn"])
+def test_grammar_and_the_options_of_groups_are_left_to_hydra(argument: str) -> None:
+    check_overrides("train", [argument])
 
 
 def test_right_overrides_pass_sweeps_and_hydra_options_among_them() -> None:
