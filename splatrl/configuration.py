@@ -22,7 +22,7 @@ from splatrl.envs.splat_env import SplatEnv
 from splatrl.envs.tasks import Task
 from splatrl.files import replacing
 from splatrl.renderers.base import Renderer
-from splatrl.scenes.scene import Scene
+from splatrl.scenes.scene import BACKYARD, Scene
 
 OmegaConf.register_new_resolver("splatrl.run_dir", lambda resume, fresh: resume or fresh, replace=True)
 
@@ -82,7 +82,10 @@ def check_overrides(name: str, arguments: Sequence[str]) -> None:
 
 
 def save_config(cfg: DictConfig, folder: Path) -> None:
-    """Write ``config.yaml`` into a run folder: all that resuming and evaluating need to know."""
+    """Write ``config.yaml`` into a run folder: all that resuming and evaluating need to know, from wherever."""
+    cfg = cfg.copy()
+    if cfg.scene.path != BACKYARD:
+        cfg.scene.path = str(Path(cfg.scene.path).expanduser().absolute())
     with replacing(folder / "config.yaml") as stream:
         stream.write(OmegaConf.to_yaml(cfg).encode())
 

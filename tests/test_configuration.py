@@ -77,6 +77,14 @@ def test_a_resumed_config_is_the_saved_one_with_single_keys_changed(tmp_path: Pa
         resumed_config(tmp_path, ["scene=kitchen"])
 
 
+def test_a_saved_config_finds_its_scene_from_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    save_config(load_config(["scene=file", "scene.path=scenes/garden.ply"]), tmp_path)
+    assert run_config(tmp_path).scene.path == str(tmp_path / "scenes" / "garden.ply")
+    save_config(load_config(), tmp_path)
+    assert run_config(tmp_path).scene.path == "backyard"
+
+
 def test_a_folder_without_a_run_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=f"{tmp_path}: expected a run folder"):
         run_config(tmp_path)
