@@ -13,6 +13,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from torchrl.modules import ActorValueOperator
 
 from splatrl.collision.base import Checker
 from splatrl.collision.occupancy import Occupancy
@@ -181,6 +182,12 @@ def build_world(cfg: DictConfig) -> World:
     checker = instantiate(cfg.collision.checker)(occupancy, robot.body)
     renderer = instantiate(cfg.renderer.memory)(instantiate(cfg.renderer.exact)(scene.gaussians))
     return World(scene, occupancy, checker, renderer, robot, task, plan(task.motion, checker, task.reached))
+
+
+def build_model(cfg: DictConfig, env: SplatEnv) -> ActorValueOperator:
+    """Build the actor and critic for an env; its first weights come from PyTorch's global generator."""
+    image_shape, actions = env.observation_spec["pixels"].shape[1:], env.action_spec.space.n
+    return instantiate(cfg.network)(image_shape, actions).to(cfg.device)
 
 
 def make_env(

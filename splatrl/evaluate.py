@@ -6,11 +6,10 @@ from typing import Any
 
 import hydra
 import torch
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
-from splatrl.configuration import World, build_world, check_overrides, conf_dir, require_values, run_config
+from splatrl.configuration import World, build_model, build_world, check_overrides, conf_dir, require_values, run_config
 from splatrl.evaluation.pictures import Pictures
 from splatrl.evaluation.report import summarise, write_json
 from splatrl.evaluation.rollouts import run_episodes
@@ -32,7 +31,7 @@ def evaluate(cfg: DictConfig, folder: Path, world: World) -> dict[str, Any]:
     starts = world.plan.states[world.plan.start_rows]
     repeated = starts.repeat_interleave(settings.repeats, 0)
     env = world.env(min(settings.batch_size, len(repeated)), device=cfg.device)
-    model = instantiate(cfg.network)(env.observation_spec["pixels"].shape[1:], env.action_spec.space.n).to(cfg.device)
+    model = build_model(cfg, env)
     model.load_state_dict(state["ppo"]["model"])
     policy = model.get_policy_operator()
     with tqdm(total=len(repeated) + len(starts), unit="episode", desc="evaluate", dynamic_ncols=True) as bar:

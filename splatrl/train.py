@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 
 from splatrl.configuration import (
     World,
+    build_model,
     build_world,
     check_overrides,
     conf_dir,
@@ -34,7 +35,7 @@ def make_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
     curriculum = instantiate(cfg.curriculum)(world.plan)
     env = world.env(cfg.env.num_envs, curriculum, cfg.seed, cfg.device)
     torch.manual_seed(cfg.seed)
-    model = instantiate(cfg.network)(env.observation_spec["pixels"].shape[1:], env.action_spec.space.n).to(cfg.device)
+    model = build_model(cfg, env)
     collector = cfg.collector
     ppo = PPO(
         env, model, instantiate(cfg.loss), instantiate(cfg.optim), collector.frames_per_batch, collector.total_frames
