@@ -20,7 +20,9 @@ def main() -> None:
     """Render two views, and set the run's success map beside them."""
     renderer = NativeRenderer(load_scene("backyard").gaussians)
 
-    def view(position: tuple[float, ...], target: tuple[float, ...], fov_deg: float, width: int, height: int) -> Image:
+    def view(
+        position: tuple[float, ...], target: tuple[float, ...], fov_deg: float, width: int, height: int
+    ) -> Image.Image:
         K = intrinsics(math.radians(fov_deg), width, height)
         return Image.fromarray(renderer.pixels(Cameras(look_at(position, target)[None], K, width, height))[0].numpy())
 

@@ -110,7 +110,8 @@ class SplatEnv(EnvBase):
             state = self.curriculum.sample(len(rows), self.generator)
             level = self.curriculum.level.expand(len(rows), 1)
         offset = None if tensordict is None else tensordict.get("camera_offset", None)
-        pixels = self._pixels(state, None if offset is None else offset[rows])
+        poses = self.task.motion.body_to_world(state)
+        pixels = self._pixels(poses, None if offset is None else offset[rows])
         begun = {"state": state, "level": level, "pixels": pixels}
         count = torch.zeros(self.numel(), 1, dtype=torch.int64, device=self.device)
         values = {
@@ -139,18 +140,20 @@ class SplatEnv(EnvBase):
         state, action = tensordict["state"], tensordict["action"]
         motion = self.task.motion
         ahead = motion.advance(state, action)
-        touched = self.checker.touched_fraction(motion.body_to_world(state), motion.body_to_world(ahead))
+        start, end = motion.body_to_world(state), motion.body_to_world(ahead)
+        touched = self.checker.touched_fraction(start, end)
         hit = touched < 1
         reward, terminated, outcome = self.task.judge(state, action, ahead, hit)
         blocked = hit | ~motion.inside(ahead)
         state = torch.where(blocked.view(-1, *[1] * (state.ndim - 1)), state, ahead)
+        poses = torch.where(blocked.view(-1, 1, 1), start, end)
         step_count = tensordict["step_count"] + 1
         truncated = (step_count >= self.task.max_steps) & ~terminated
         outcome = torch.where(truncated, Outcome.TIMEOUT, outcome)
         level, done = tensordict["level"], terminated | truncated
         self.curriculum.record(level.flatten(), done.flatten(), (outcome == Outcome.GOAL).flatten())
         values = {
-            "pixels": self._pixels(state, tensordict.get("camera_offset", None)),
+            "pixels": self._pixels(poses, tensordict.get("camera_offset", None)),
             "state": state,
             "step_count": step_count,
             "episode_return": tensordict["episode_return"] + reward,
@@ -164,8 +167,7 @@ class SplatEnv(EnvBase):
         }
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
-    def _pixels(self, state: Tensor, camera_offset: Tensor | None) -> Tensor:
-        body_to_world = self.task.motion.body_to_world(state)
+    def _pixels(self, body_to_world: Tensor, camera_offset: Tensor | None) -> Tensor:
         return self.renderer.pixels(self.robot.cameras(body_to_world, camera_offset))
 
     def _set_seed(self, seed: int | None) -> None:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from splatrl.envs.splat_env import SplatEnv
 from splatrl.envs.tasks import Outcome
+from splatrl.evaluation.rollouts import acting
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,6 @@ class Recording:
     outcome: Outcome
 
 
-@torch.no_grad()
 def record_episodes(
     env: SplatEnv,
     policy: Callable[[TensorDictBase], TensorDictBase],
@@ -55,10 +54,8 @@ def record_episodes(
     """
     if env.numel() != len(starts):
         raise ValueError(f"env: expected as many robots as starts, {len(starts)}, got {env.numel()}")
-    kind = ExplorationType.RANDOM if sampled else ExplorationType.DETERMINISTIC
     steps: list[TensorDictBase] = []
-    with torch.random.fork_rng(devices=[]), set_exploration_type(kind):
-        torch.manual_seed(seed)
+    with acting(sampled, seed):
         given = TensorDict({"state": starts}, batch_size=env.batch_size, device=env.device)
         now = env.reset(given, set_state=True)
         running = torch.ones(len(starts), dtype=torch.bool)

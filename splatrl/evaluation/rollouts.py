@@ -1,6 +1,7 @@
 """Episodes from given starts, and what they add up to."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
@@ -47,7 +48,18 @@ class Episodes:
         return (self.success * ratio).mean().item()
 
 
-@torch.no_grad()
+@contextmanager
+def acting(sampled: bool, seed: int) -> Iterator[None]:
+    """A block in which policies act, sampled from ``seed`` or by their mode.
+
+    It tracks no gradients, and PyTorch's global generator is afterwards as it was.
+    """
+    kind = ExplorationType.RANDOM if sampled else ExplorationType.DETERMINISTIC
+    with torch.random.fork_rng(devices=[]), set_exploration_type(kind), torch.no_grad():
+        torch.manual_seed(seed)
+        yield
+
+
 def run_episodes(
     env: SplatEnv,
     policy: Callable[[TensorDictBase], TensorDictBase],
@@ -72,9 +84,7 @@ def run_episodes(
     result = Episodes(starts, *(torch.zeros(count, dtype=t) for t in (torch.int64, torch.int64, torch.float32)))
     episode = torch.arange(rows)  # which episode each robot is in; from count on it is idle
     waiting = rows
-    kind = ExplorationType.RANDOM if sampled else ExplorationType.DETERMINISTIC
-    with torch.random.fork_rng(devices=[]), set_exploration_type(kind):
-        torch.manual_seed(seed)
+    with acting(sampled, seed):
         state = starts[episode.clamp_max(count - 1)]
         td = env.reset(TensorDict({"state": state}, batch_size=[rows], device=env.device), set_state=True)
         while (episode < count).any():

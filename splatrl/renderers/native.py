@@ -14,7 +14,7 @@ from splatrl.scenes.gaussians import Gaussians
 
 
 class NativeRenderer:
-    """Renders the same images as ``ReferenceRenderer``, hundreds of times faster, on the CPU.
+    """Renders the same images as ``ReferenceRenderer`` at the speed that training needs, on the CPU.
 
     Frame i has the same bytes alone, in any batch, in any order and with any number of threads. Instruction sets may
     differ in the last bits; ``SPLATRL_ISA=avx512|avx2|baseline`` forces one for the renderers made after it is set.
