@@ -2,22 +2,34 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdlib>
 #include <memory>
 #include <new>
 
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
+
 namespace splatrl {
 
-struct AlignedDelete {
-    void operator()(void* memory) const { ::operator delete(memory, std::align_val_t(64)); }
+struct Free {
+    void operator()(void* memory) const { std::free(memory); }
 };
 
 template <class T>
-using Buffer = std::unique_ptr<T[], AlignedDelete>;
+using Buffer = std::unique_ptr<T[], Free>;
 
+// Large buffers ask for huge pages, where the system has them: scattered access pays less for translation.
 template <class T>
 Buffer<T> make_buffer(size_t count) {
-    const size_t bytes = (count > 0 ? count : 1) * sizeof(T);
-    return Buffer<T>(static_cast<T*>(::operator new(bytes, std::align_val_t(64))));
+    constexpr size_t HUGE_PAGE = size_t(1) << 21;
+    const size_t bytes = (count > 0 ? count : 1) * sizeof(T), alignment = bytes > HUGE_PAGE / 2 ? HUGE_PAGE : 64;
+    void* memory = std::aligned_alloc(alignment, (bytes + alignment - 1) / alignment * alignment);
+    if (memory == nullptr) throw std::bad_alloc();
+#if defined(__linux__)
+    if (alignment == HUGE_PAGE) madvise(memory, bytes, MADV_HUGEPAGE);
+#endif
+    return Buffer<T>(static_cast<T*>(memory));
 }
 
 }  // namespace splatrl

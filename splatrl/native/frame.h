@@ -1,4 +1,4 @@
-// From the accumulated blocks of a frame to images.
+// From the accumulated blocks of a tile to images.
 #pragma once
 
 #include <cstdint>
@@ -15,7 +15,8 @@ struct Images {
     uint8_t* pixels;  // [height, width, 3]
 };
 
-// This is compiled once, without contraction, so `pixels` is the rounding of `rgb` on every instruction set.
-void write_images(const float* frame, const Camera& camera, const float background[3], const Images& images);
+// Write the pixels of a tile. This is compiled once, without contraction, so `pixels` is the rounding of `rgb` on every
+// instruction set.
+void write_images(const float* blocks, int width, const Tile& tile, const Images& images);
 
 }  // namespace splatrl

@@ -8,72 +8,108 @@
 namespace splatrl {
 
 constexpr int GROUP = 16;    // Gaussians that are projected at once; the lanes of a vector
-constexpr int CLUSTER = 256; // Gaussians that are culled at once
+constexpr int CLUSTER = 256; // Gaussians that are culled at once; its groups are the lanes of a vector
 constexpr int BLOCK = 4;     // a block is 4×4 pixels; the lanes of a vector
+constexpr int TILE = 64;     // a tile is at most 64×64 pixels: its lists and pixels stay in the second-level cache
+constexpr int ACROSS = TILE / BLOCK, BLOCKS = ACROSS * ACROSS;  // blocks of a tile
+constexpr int WASTE = BLOCKS, LISTS = WASTE + 3 * GROUP;  // lists of a tile; those behind WASTE are not blended
+constexpr uint32_t SLAB = 2048;  // splats that are dealt to blocks at once
 
 // One group in memory: [GEOMETRY][GROUP] floats.
 enum Geometry { MEAN = 0, AXES = 3, LOG2_OPACITY = 12, GEOMETRY = 13 };
 
-// Bounds of the Gaussians of a cluster, world frame, metres.
-struct Cluster {
+// Bounds of some Gaussians, world frame, metres.
+struct Bounds {
     float center[3], radius;  // a sphere around the means
     float reach;              // the most standard deviations at which one of them shows
     float reach_scale;        // the largest product of that and its longest axis, metres
+};
+
+struct Cluster {
+    Bounds bounds;
+    alignas(64) float groups_bounds[6][GROUP];  // of each of its groups, in the order of the members of Bounds
     uint32_t first_group, groups;
 };
 
 struct SceneView {
     const float* geometry;          // [groups, GEOMETRY, GROUP]
-    const float* colors;            // [groups, 3 · harmonics, GROUP]; final colours where harmonics is 1
+    const uint16_t* colors;         // [groups, 3 · harmonics, GROUP] half floats; final colours where harmonics is 1
     const uint32_t* original_index; // [groups · GROUP]
     const Cluster* clusters;
     uint32_t cluster_count;
     int degree;
+    float background[3];            // the colours of splats are relative to it
 };
 
-// A visible Gaussian, as blending reads it: twelve words.
-struct alignas(16) Splat {
+// A visible Gaussian: half a cache line.
+struct alignas(32) Splat {
     float x, y, l11, l12, l22, log2_opacity;
-    float red, green, blue;
+    uint16_t color[4];  // half floats; the fourth is nothing
+};
+
+// The same as blending reads it: a cache line.
+struct alignas(64) SlabSplat {
+    float x, y, l11, l12, l22, log2_opacity;
+    float red, green, blue, nothing;
     float depth;
-    float depth_rest;          // what single precision leaves of the depth: it decides between equal depths
-    uint32_t original_index;   // in the scene: it decides between what is still equal
 };
 
-// The blocks that a splat can show on.
+// The lists that a splat is dealt to. Nearly all splats are on at most 2×2 blocks of a tile: those name a list each, and
+// for blocks that they are not on lists of the waste. A splat on more has LARGE, the first block, and how many blocks
+// there are to the right of it and below.
 struct Patch {
-    uint32_t first;          // its top left block
-    uint16_t across, down;   // at least 1
+    uint16_t lists[4];
 };
+constexpr uint16_t LARGE = 0xffff;
 
-struct Pair {
-    uint32_t block, splat;
+// What decides between splats whose depths are the same number of single precision.
+struct Tie {
+    float depth_rest;         // what single precision leaves of the depth
+    uint32_t original_index;  // in the scene: it decides between what is still equal
 };
 
 // Accumulated per block: [CHANNELS][BLOCK · BLOCK] floats.
-enum Channel { RED, GREEN, BLUE, ALPHA, DEPTH, TRANSMITTANCE, CHANNELS };
+enum Channel { RED, GREEN, BLUE, TRANSMITTANCE, DEPTH, ALPHA, CHANNELS };
 
 constexpr uint32_t SPARE = 16;  // items at the end of an array that may be touched without being counted
+constexpr uint32_t LIST = SLAB + 2 * SPARE;  // not a power of two, so that lists do not share cache sets
 
-// Memory that a worker keeps from frame to frame.
+// Memory that a worker keeps from frame to frame. The arrays of splats hold [groups · GROUP + SPARE].
 struct Scratch {
-    Splat* splats;           // [groups · GROUP + SPARE]
-    Patch* patches;          // [groups · GROUP + SPARE] of each splat
-    uint64_t* keys;          // [groups · GROUP + SPARE] depth in the high, splat in the low half
-    uint64_t* sorted;        // the same size
-    Pair* pairs;             // [pair_capacity + SPARE]
-    uint32_t* lists;         // [pair_capacity + SPARE] splats, block by block, nearest first
-    uint32_t* list_ends;     // [blocks + 1]
-    uint8_t* finished;       // [blocks]
-    float* frame;            // [blocks, CHANNELS, 16]
-    uint32_t pair_capacity;  // at least the number of blocks
+    uint32_t* groups;        // [groups + SPARE] in view
+    Splat* splats;
+    Patch* patches;
+    Tie* ties;
+    uint64_t* keys;          // depth in the high, splat in the low half
+    uint64_t* sorted;        // also [groups · GROUP + SPARE]
+    uint32_t* tied;          // the same
+    SlabSplat* slab;         // [SLAB] nearest first
+    uint16_t* lists;         // [LISTS, LIST] splats of the slab on each block, nearest first
+    float* pixels;           // [BLOCKS, CHANNELS, BLOCK · BLOCK]
 };
 
-// Renders one frame into scratch.frame and returns the number of visible Gaussians.
-using RenderFrame = uint32_t (*)(const SceneView&, const Camera&, bool antialiased, bool with_depth, const Scratch&);
+// A part of an image, whole blocks from (left, top); pixels, the lower and right edge not counted.
+struct Tile {
+    int left, top, right, bottom;
+};
 
-namespace baseline { extern const RenderFrame render_frame; }
-namespace avx2 { extern const RenderFrame render_frame; }
-namespace avx512 { extern const RenderFrame render_frame; }
+// What a tile took; tiles add up. `blended` counts pairs of a splat and a block.
+struct Effort {
+    uint32_t projected, visible, blended;
+    float project_ms, sort_ms, blend_ms;
+
+    void operator+=(const Effort& other) {
+        projected += other.projected, visible += other.visible, blended += other.blended;
+        project_ms += other.project_ms, sort_ms += other.sort_ms, blend_ms += other.blend_ms;
+    }
+};
+
+// Renders a tile of a frame into scratch.pixels.
+using RenderTile = Effort (*)(const SceneView&, const Camera&, const Tile&, bool antialiased, bool with_depth,
+                               const Scratch&);
+
+namespace baseline { extern const RenderTile render_tile; }
+namespace avx2 { extern const RenderTile render_tile; }
+namespace avx512 { extern const RenderTile render_tile; }
 
 }  // namespace splatrl

@@ -6,11 +6,15 @@
 #include <cstdint>
 #include <cstring>
 
+#if defined(__SSE2__)
+#include <immintrin.h>
+#elif defined(__aarch64__)
+#include <arm_neon.h>
+#endif
+
 #if defined(__AVX512F__)
-#include <immintrin.h>
 #define SPLATRL_REGISTER 16
-#elif defined(__AVX__)
-#include <immintrin.h>
+#elif defined(__AVX2__)
 #define SPLATRL_REGISTER 8
 #else
 #define SPLATRL_REGISTER 4
@@ -29,6 +33,10 @@ typedef int32_t IntPart __attribute__((vector_size(4 * SPLATRL_REGISTER)));
 
 struct Lanes {
     FloatPart part[PARTS];
+};
+
+struct IntLanes {
+    IntPart part[PARTS];
 };
 
 #define FOR_PARTS for (int p = 0; p < PARTS; ++p)
@@ -80,27 +88,28 @@ LANE_INLINE Lanes operator-(const Lanes& a) {
     return out;
 }
 
-LANE_INLINE Lanes min(const Lanes& a, float b) {
+LANE_INLINE Lanes min(const Lanes& a, const Lanes& b) {
     Lanes out;
-    const FloatPart bound = splat_part(b);
 #if defined(__AVX512F__)
-    out.part[0] = (FloatPart)_mm512_maskz_min_ps(0xffff, (__m512)a.part[0], (__m512)bound);
+    out.part[0] = (FloatPart)_mm512_maskz_min_ps(0xffff, (__m512)a.part[0], (__m512)b.part[0]);
 #else
-    FOR_PARTS out.part[p] = a.part[p] < bound ? a.part[p] : bound;
+    FOR_PARTS out.part[p] = a.part[p] < b.part[p] ? a.part[p] : b.part[p];
 #endif
     return out;
 }
 
-LANE_INLINE Lanes max(const Lanes& a, float b) {
+LANE_INLINE Lanes max(const Lanes& a, const Lanes& b) {
     Lanes out;
-    const FloatPart bound = splat_part(b);
 #if defined(__AVX512F__)
-    out.part[0] = (FloatPart)_mm512_maskz_max_ps(0xffff, (__m512)a.part[0], (__m512)bound);
+    out.part[0] = (FloatPart)_mm512_maskz_max_ps(0xffff, (__m512)a.part[0], (__m512)b.part[0]);
 #else
-    FOR_PARTS out.part[p] = a.part[p] > bound ? a.part[p] : bound;
+    FOR_PARTS out.part[p] = a.part[p] > b.part[p] ? a.part[p] : b.part[p];
 #endif
     return out;
 }
+
+LANE_INLINE Lanes min(const Lanes& a, float b) { return min(a, lanes(b)); }
+LANE_INLINE Lanes max(const Lanes& a, float b) { return max(a, lanes(b)); }
 
 // `value` where `tested` >= `bound`, else 0.
 LANE_INLINE Lanes select_if_at_least(const Lanes& tested, float bound, const Lanes& value) {
@@ -110,11 +119,30 @@ LANE_INLINE Lanes select_if_at_least(const Lanes& tested, float bound, const Lan
     return out;
 }
 
-// `value` where `tested` > `bound`, else 0.
-LANE_INLINE Lanes select_if_above(const Lanes& tested, float bound, const Lanes& value) {
+#if defined(__AVX512F__)
+typedef __mmask16 LaneMask;
+#else
+typedef IntLanes LaneMask;
+#endif
+
+LANE_INLINE LaneMask above(const Lanes& a, float bound) {
+#if defined(__AVX512F__)
+    return _mm512_cmp_ps_mask((__m512)a.part[0], _mm512_set1_ps(bound), _CMP_GT_OQ);
+#else
+    LaneMask out;
+    FOR_PARTS out.part[p] = a.part[p] > splat_part(bound);
+    return out;
+#endif
+}
+
+// a + b · c where the mask is set, else a.
+LANE_INLINE Lanes add_product_where(const LaneMask& mask, const Lanes& a, const Lanes& b, float c) {
     Lanes out;
-    const FloatPart limit = splat_part(bound);
-    FOR_PARTS out.part[p] = tested.part[p] > limit ? value.part[p] : FloatPart{};
+#if defined(__AVX512F__)
+    out.part[0] = (FloatPart)_mm512_mask3_fmadd_ps((__m512)b.part[0], _mm512_set1_ps(c), (__m512)a.part[0], mask);
+#else
+    FOR_PARTS out.part[p] = a.part[p] + (FloatPart)((IntPart)b.part[p] & mask.part[p]) * c;
+#endif
     return out;
 }
 
@@ -122,9 +150,13 @@ LANE_INLINE Lanes select_if_above(const Lanes& tested, float bound, const Lanes&
 LANE_INLINE uint32_t bits_above(const Lanes& a, const Lanes& b) {
 #if defined(__AVX512F__)
     return _mm512_cmp_ps_mask((__m512)a.part[0], (__m512)b.part[0], _CMP_GT_OQ);
-#elif defined(__AVX__)
+#elif defined(__AVX2__)
     return uint32_t(_mm256_movemask_ps(_mm256_cmp_ps((__m256)a.part[0], (__m256)b.part[0], _CMP_GT_OQ))) |
            uint32_t(_mm256_movemask_ps(_mm256_cmp_ps((__m256)a.part[1], (__m256)b.part[1], _CMP_GT_OQ))) << 8;
+#elif defined(__SSE2__)
+    uint32_t bits = 0;
+    FOR_PARTS bits |= uint32_t(_mm_movemask_ps(_mm_cmpgt_ps((__m128)a.part[p], (__m128)b.part[p]))) << (4 * p);
+    return bits;
 #else
     uint32_t bits = 0;
     for (int i = 0; i < LANES; ++i) bits |= uint32_t(a.part[i / 4][i % 4] > b.part[i / 4][i % 4]) << i;
@@ -132,54 +164,52 @@ LANE_INLINE uint32_t bits_above(const Lanes& a, const Lanes& b) {
 #endif
 }
 
-LANE_INLINE Lanes sqrt(const Lanes& a) {
+// 1 / a and 1 / sqrt(a) to the last bit or two, for normal a > 0: an estimate and one step of Newton's method.
+LANE_INLINE Lanes reciprocal(const Lanes& a) {
     Lanes out;
 #if defined(__AVX512F__)
-    out.part[0] = (FloatPart)_mm512_maskz_sqrt_ps(0xffff, (__m512)a.part[0]);
-#elif defined(__AVX__)
-    FOR_PARTS out.part[p] = (FloatPart)_mm256_sqrt_ps((__m256)a.part[p]);
+    FOR_PARTS {
+        const FloatPart r = (FloatPart)_mm512_maskz_rcp14_ps(0xffff, (__m512)a.part[p]);
+        out.part[p] = r * (2.0f - a.part[p] * r);
+    }
 #else
-    FOR_PARTS for (int i = 0; i < SPLATRL_REGISTER; ++i) out.part[p][i] = __builtin_sqrtf(a.part[p][i]);
+    FOR_PARTS out.part[p] = 1.0f / a.part[p];
 #endif
     return out;
 }
 
-// The largest integer <= a, for a in [0, 2^31).
+LANE_INLINE Lanes reciprocal_sqrt(const Lanes& a) {
+    Lanes out;
+    FOR_PARTS {
+#if defined(__AVX512F__)
+        const FloatPart r = (FloatPart)_mm512_maskz_rsqrt14_ps(0xffff, (__m512)a.part[p]);
+#elif defined(__AVX2__)
+        const FloatPart r = (FloatPart)_mm256_rsqrt_ps((__m256)a.part[p]);
+#elif defined(__SSE2__)
+        const FloatPart r = (FloatPart)_mm_rsqrt_ps((__m128)a.part[p]);
+#elif defined(__aarch64__)
+        const FloatPart estimate = (FloatPart)vrsqrteq_f32((float32x4_t)a.part[p]);
+        const FloatPart r = estimate * (1.5f - 0.5f * a.part[p] * estimate * estimate);
+#else
+        FloatPart r;
+        for (int i = 0; i < SPLATRL_REGISTER; ++i) r[i] = 1.0f / __builtin_sqrtf(a.part[p][i]);
+#endif
+        out.part[p] = r * (1.5f - 0.5f * a.part[p] * r * r);
+    }
+    return out;
+}
+
+// The largest integer <= a, and the smallest >= a, for a in [0, 2^31).
 LANE_INLINE Lanes floor(const Lanes& a) {
     Lanes out;
     FOR_PARTS out.part[p] = __builtin_convertvector(__builtin_convertvector(a.part[p], IntPart), FloatPart);
     return out;
 }
 
-typedef float Quad __attribute__((vector_size(16)));
-typedef int32_t QuadIndex __attribute__((vector_size(16)));
-
-LANE_INLINE Quad pick(const Quad& a, const Quad& b, const QuadIndex& from) {
-#if defined(__clang__)
-    Quad out;
-    for (int i = 0; i < 4; ++i) out[i] = from[i] < 4 ? a[from[i]] : b[from[i] - 4];
+LANE_INLINE Lanes ceil(const Lanes& a) {
+    Lanes out = floor(a);
+    FOR_PARTS out.part[p] += a.part[p] > out.part[p] ? splat_part(1.0f) : FloatPart{};
     return out;
-#else
-    return __builtin_shuffle(a, b, from);
-#endif
-}
-
-// rows[lane][column] = columns[column][lane], four by four.
-template <int COLUMNS>
-LANE_INLINE void transpose(const Lanes (&columns)[COLUMNS], float (*rows)[COLUMNS]) {
-    static_assert(COLUMNS % 4 == 0, "whole quads");
-    for (int column = 0; column < COLUMNS; column += 4)
-        for (int lane = 0; lane < LANES; lane += 4) {
-            Quad in[4];
-            for (int i = 0; i < 4; ++i)
-                std::memcpy(&in[i], reinterpret_cast<const float*>(&columns[column + i]) + lane, sizeof(Quad));
-            constexpr QuadIndex LOW{0, 4, 1, 5}, HIGH{2, 6, 3, 7}, FIRST{0, 1, 4, 5}, SECOND{2, 3, 6, 7};
-            const Quad low_ab = pick(in[0], in[1], LOW), low_cd = pick(in[2], in[3], LOW);
-            const Quad high_ab = pick(in[0], in[1], HIGH), high_cd = pick(in[2], in[3], HIGH);
-            const Quad out[4] = {pick(low_ab, low_cd, FIRST), pick(low_ab, low_cd, SECOND),
-                                 pick(high_ab, high_cd, FIRST), pick(high_ab, high_cd, SECOND)};
-            for (int i = 0; i < 4; ++i) std::memcpy(&rows[lane + i][column], &out[i], sizeof(Quad));
-        }
 }
 
 // 2^a for a in [-126, 126], anything beyond, relative error 2e-7: 2^(a - round(a)) by a polynomial, then the exponent.
@@ -199,18 +229,17 @@ LANE_INLINE Lanes exp2(const Lanes& a) {
 
 // log2(a) for normal a > 0, absolute error 1e-7 plus rounding: exponent, and the atanh series of the mantissa.
 LANE_INLINE Lanes log2(const Lanes& a) {
-    Lanes out;
+    Lanes above, below, whole;
     FOR_PARTS {
         const IntPart bits = (IntPart)a.part[p];
         const IntPart exponent = (bits - 0x3f3504f3) >> 23;  // the mantissa is in [√½, √2)
         const FloatPart mantissa = (FloatPart)(bits - (exponent << 23));
-        const FloatPart s = (mantissa - 1.0f) / (mantissa + 1.0f);
-        const FloatPart q = s * s;
-        const FloatPart series =
-            (((0.32059889f * q + 0.41219858f) * q + 0.57707802f) * q + 0.96179669f) * q + 2.88539008f;
-        out.part[p] = series * s + __builtin_convertvector(exponent, FloatPart);
+        above.part[p] = mantissa - 1.0f;
+        below.part[p] = mantissa + 1.0f;
+        whole.part[p] = __builtin_convertvector(exponent, FloatPart);
     }
-    return out;
+    const Lanes s = above * reciprocal(below), q = s * s;
+    return ((((0.32059889f * q + 0.41219858f) * q + 0.57707802f) * q + 0.96179669f) * q + 2.88539008f) * s + whole;
 }
 
 }  // namespace SPLATRL_ISA

@@ -10,15 +10,13 @@ namespace splatrl {
 
 namespace {
 
-constexpr uint32_t PAIRS = 1 << 16;  // a slab stays within the second-level cache
-
-RenderFrame kernel_of(Isa isa) {
+RenderTile kernel_of(Isa isa) {
     switch (isa) {
 #ifdef SPLATRL_X86
-        case Isa::avx512: return avx512::render_frame;
-        case Isa::avx2: return avx2::render_frame;
+        case Isa::avx512: return avx512::render_tile;
+        case Isa::avx2: return avx2::render_tile;
 #endif
-        default: return baseline::render_frame;
+        default: return baseline::render_tile;
     }
 }
 
@@ -38,6 +36,20 @@ Camera camera_of(const float* pose, const float* K, int width, int height) {
     return camera;
 }
 
+// Frames are cut into tiles, which take no account of each other: large frames so that a tile's memory stays small, and
+// small ones where they are fewer than the threads.
+std::vector<Tile> tiles_of(size_t batch, int width, int height, size_t threads) {
+    const int rows = (height + BLOCK - 1) / BLOCK;
+    const size_t least = batch == 0 || batch >= threads ? 1 : (threads + batch - 1) / batch;
+    const int down = std::max((height + TILE - 1) / TILE, int(std::min(least, size_t(rows))));
+    std::vector<Tile> tiles;
+    for (int row = 0; row < down; ++row)
+        for (int left = 0; left < width; left += TILE)
+            tiles.push_back({left, int(int64_t(rows) * row / down) * BLOCK, std::min(left + TILE, width),
+                             std::min(int(int64_t(rows) * (row + 1) / down) * BLOCK, height)});
+    return tiles;
+}
+
 template <class T>
 T* offset(T* images, size_t items) {
     return images == nullptr ? nullptr : images + items;
@@ -46,36 +58,27 @@ T* offset(T* images, size_t items) {
 }  // namespace
 
 struct Renderer::Workspace {
-    size_t blocks = 0;
+    Buffer<uint32_t> groups, tied;
     Buffer<Splat> splats;
     Buffer<Patch> patches;
-    Buffer<uint32_t> lists, list_ends;
+    Buffer<Tie> ties;
     Buffer<uint64_t> keys, sorted;
-    Buffer<Pair> pairs;
-    Buffer<uint8_t> finished;
-    Buffer<float> frame;
-    Scratch scratch{};
+    Buffer<SlabSplat> slab = make_buffer<SlabSplat>(SLAB);
+    Buffer<uint16_t> lists = make_buffer<uint16_t>(LISTS * LIST);
+    Buffer<float> pixels = make_buffer<float>(BLOCKS * CHANNELS * BLOCK * BLOCK);
 
     explicit Workspace(size_t capacity)
-        : splats(make_buffer<Splat>(capacity + SPARE)),
+        : groups(make_buffer<uint32_t>(capacity / GROUP + SPARE)),
+          tied(make_buffer<uint32_t>(capacity + SPARE)),
+          splats(make_buffer<Splat>(capacity + SPARE)),
           patches(make_buffer<Patch>(capacity + SPARE)),
+          ties(make_buffer<Tie>(capacity + SPARE)),
           keys(make_buffer<uint64_t>(capacity + SPARE)),
           sorted(make_buffer<uint64_t>(capacity + SPARE)) {}
 
-    const Scratch& prepare(int width, int height) {
-        const size_t needed = size_t((width + BLOCK - 1) / BLOCK) * size_t((height + BLOCK - 1) / BLOCK);
-        const uint32_t capacity = std::max(PAIRS, uint32_t(needed));
-        if (needed > blocks) {
-            pairs = make_buffer<Pair>(capacity + SPARE);
-            lists = make_buffer<uint32_t>(capacity + SPARE);
-            list_ends = make_buffer<uint32_t>(needed + 1);
-            finished = make_buffer<uint8_t>(needed);
-            frame = make_buffer<float>(needed * CHANNELS * BLOCK * BLOCK);
-            blocks = needed;
-        }
-        scratch = {splats.get(), patches.get(),   keys.get(),     sorted.get(), pairs.get(),
-                   lists.get(),  list_ends.get(), finished.get(), frame.get(),  capacity};
-        return scratch;
+    Scratch scratch() const {
+        return {groups.get(), splats.get(), patches.get(), ties.get(), keys.get(), sorted.get(),
+                tied.get(),   slab.get(),   lists.get(),   pixels.get()};
     }
 };
 
@@ -105,26 +108,32 @@ private:
     std::unique_ptr<Workspace> workspace_;
 };
 
-Renderer::Renderer(Scene scene, bool antialiased, std::array<float, 3> background, Isa isa)
-    : scene_(std::move(scene)), antialiased_(antialiased), background_(background), render_frame_(kernel_of(isa)) {}
+Renderer::Renderer(Scene scene, bool antialiased, Isa isa)
+    : scene_(std::move(scene)), antialiased_(antialiased), render_tile_(kernel_of(isa)) {}
 
 Renderer::~Renderer() = default;
 
 void Renderer::render(const float* camera_to_world, const float* K, size_t batch, int width, int height,
-                      size_t threads, const Images& images, int32_t* visible) {
-    const size_t workers = std::max<size_t>(1, std::min(threads, batch));
+                      size_t threads, const Images& images, Effort* efforts) {
+    const size_t area = size_t(width) * size_t(height);
+    const std::vector<Tile> tiles = tiles_of(batch, width, height, threads);
+    const size_t workers = std::max<size_t>(1, std::min(threads, batch * tiles.size()));
     std::vector<std::unique_ptr<Loan>> loans;
     for (size_t worker = 0; worker < workers; ++worker) loans.push_back(std::make_unique<Loan>(*this));
     const SceneView view = scene_.view();
-    const size_t area = size_t(width) * size_t(height);
-    parallel_for(batch, workers, [&](size_t worker, size_t row) {
-        const Scratch& scratch = (**loans[worker]).prepare(width, height);
+    std::vector<Effort> parts(batch * tiles.size());
+    parallel_for(parts.size(), workers, [&](size_t worker, size_t item) {
+        const size_t row = item / tiles.size();
+        const Tile& tile = tiles[item % tiles.size()];
+        const Scratch scratch = (**loans[worker]).scratch();
         const Camera camera = camera_of(camera_to_world + 16 * row, K + 9 * row, width, height);
-        visible[row] = int32_t(render_frame_(view, camera, antialiased_, images.depth != nullptr, scratch));
+        parts[item] = render_tile_(view, camera, tile, antialiased_, images.depth != nullptr, scratch);
         const Images own{offset(images.rgb, 3 * area * row), offset(images.depth, area * row),
                          offset(images.alpha, area * row), offset(images.pixels, 3 * area * row)};
-        write_images(scratch.frame, camera, background_.data(), own);
+        write_images(scratch.pixels, width, tile, own);
     });
+    std::fill(efforts, efforts + batch, Effort{});
+    for (size_t item = 0; item < parts.size(); ++item) efforts[item / tiles.size()] += parts[item];
 }
 
 }  // namespace splatrl

@@ -1,7 +1,6 @@
 // Renders batches of cameras over threads, frame by frame, with the kernels of one instruction set.
 #pragma once
 
-#include <array>
 #include <memory>
 #include <mutex>
 #include <vector>
@@ -14,13 +13,13 @@ namespace splatrl {
 
 class Renderer {
 public:
-    Renderer(Scene scene, bool antialiased, std::array<float, 3> background, Isa isa);
+    Renderer(Scene scene, bool antialiased, Isa isa);
     ~Renderer();
 
     // camera_to_world [batch, 4, 4] and K [batch, 3, 3] row-major; the images of the batch lie one after another.
-    // visible [batch] takes how many Gaussians each frame blended.
+    // efforts [batch] takes what each frame took.
     void render(const float* camera_to_world, const float* K, size_t batch, int width, int height, size_t threads,
-                const Images& images, int32_t* visible);
+                const Images& images, Effort* efforts);
 
 private:
     struct Workspace;
@@ -28,8 +27,7 @@ private:
 
     Scene scene_;
     bool antialiased_;
-    std::array<float, 3> background_;
-    RenderFrame render_frame_;
+    RenderTile render_tile_;
     std::mutex mutex_;
     std::vector<std::unique_ptr<Workspace>> idle_;  // kept: fresh memory costs a page fault every 4 KiB
 };

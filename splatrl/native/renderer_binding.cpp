@@ -16,7 +16,20 @@ using Tensor = nb::ndarray<T, nb::shape<SHAPE...>, nb::c_contig, nb::device::cpu
 
 using Poses = Tensor<const float, -1, 4, 4>;
 using Lenses = Tensor<const float, -1, 3, 3>;
-using Counts = Tensor<int32_t, -1>;
+// Of each frame: projected, visible, blended, project_ms, sort_ms, blend_ms.
+using Efforts = Tensor<float, -1, 6>;
+
+void render(Renderer& renderer, const Poses& camera_to_world, const Lenses& K, int width, int height, size_t threads,
+            const Images& images, const Efforts& efforts) {
+    const nb::gil_scoped_release release;
+    std::vector<Effort> taken(camera_to_world.shape(0));
+    renderer.render(camera_to_world.data(), K.data(), taken.size(), width, height, threads, images, taken.data());
+    float* to = efforts.data();
+    for (const Effort& effort : taken)
+        for (float value : {float(effort.projected), float(effort.visible), float(effort.blended), effort.project_ms,
+                            effort.sort_ms, effort.blend_ms})
+            *to++ = value;
+}
 
 }  // namespace
 
@@ -27,31 +40,29 @@ void bind_renderer(nb::module_& m) {
             [](Renderer* self, Tensor<const float, -1, 3> means, Tensor<const float, -1, 3, 3> axes,
                Tensor<const float, -1> opacities, Tensor<const float, -1, -1, 3> sh, int degree, bool antialiased,
                std::array<float, 3> background) {
-                new (self) Renderer(
-                    Scene(means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0), degree), antialiased,
-                    background, choose_isa());
+                new (self) Renderer(Scene(means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0),
+                                          degree, background),
+                                    antialiased, choose_isa());
             },
             nb::arg("means"), nb::arg("axes"), nb::arg("opacities"), nb::arg("sh"), nb::arg("degree"),
             nb::arg("antialiased"), nb::arg("background"))
         .def(
             "render",
             [](Renderer& self, Poses camera_to_world, Lenses K, Tensor<float, -1, -1, -1, 3> rgb,
-               Tensor<float, -1, -1, -1> depth, Tensor<float, -1, -1, -1> alpha, Counts visible, size_t threads) {
-                const nb::gil_scoped_release release;
-                self.render(camera_to_world.data(), K.data(), rgb.shape(0), int(rgb.shape(2)), int(rgb.shape(1)),
-                            threads, {rgb.data(), depth.data(), alpha.data(), nullptr}, visible.data());
+               Tensor<float, -1, -1, -1> depth, Tensor<float, -1, -1, -1> alpha, Efforts efforts, size_t threads) {
+                render(self, camera_to_world, K, int(rgb.shape(2)), int(rgb.shape(1)), threads,
+                       {rgb.data(), depth.data(), alpha.data(), nullptr}, efforts);
             },
             nb::arg("camera_to_world"), nb::arg("K"), nb::arg("rgb"), nb::arg("depth"), nb::arg("alpha"),
-            nb::arg("visible"), nb::arg("threads"))
+            nb::arg("efforts"), nb::arg("threads"))
         .def(
             "pixels",
-            [](Renderer& self, Poses camera_to_world, Lenses K, Tensor<uint8_t, -1, -1, -1, 3> pixels, Counts visible,
+            [](Renderer& self, Poses camera_to_world, Lenses K, Tensor<uint8_t, -1, -1, -1, 3> pixels, Efforts efforts,
                size_t threads) {
-                const nb::gil_scoped_release release;
-                self.render(camera_to_world.data(), K.data(), pixels.shape(0), int(pixels.shape(2)),
-                            int(pixels.shape(1)), threads, {nullptr, nullptr, nullptr, pixels.data()}, visible.data());
+                render(self, camera_to_world, K, int(pixels.shape(2)), int(pixels.shape(1)), threads,
+                       {nullptr, nullptr, nullptr, pixels.data()}, efforts);
             },
-            nb::arg("camera_to_world"), nb::arg("K"), nb::arg("pixels"), nb::arg("visible"), nb::arg("threads"));
+            nb::arg("camera_to_world"), nb::arg("K"), nb::arg("pixels"), nb::arg("efforts"), nb::arg("threads"));
 }
 
 }  // namespace splatrl

@@ -1,6 +1,7 @@
 // The Gaussians of a scene in the order and layout that the kernels read.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <vector>
 
@@ -11,9 +12,11 @@ namespace splatrl {
 
 class Scene {
 public:
+    // The colours are kept relative to the background.
     // means [N, 3], axes [N, 3, 3] (columns are the axes times the standard deviations), opacities [N],
     // sh [N, harmonics, 3]; all finite, in the world frame, metres.
-    Scene(const float* means, const float* axes, const float* opacities, const float* sh, size_t count, int degree);
+    Scene(const float* means, const float* axes, const float* opacities, const float* sh, size_t count, int degree,
+          std::array<float, 3> background);
 
     SceneView view() const;
     size_t capacity() const { return groups_ * GROUP; }
@@ -25,7 +28,9 @@ private:
 
     size_t count_, groups_;
     int degree_;
-    Buffer<float> geometry_, colors_;
+    std::array<float, 3> background_;
+    Buffer<float> geometry_;
+    Buffer<uint16_t> colors_;
     Buffer<uint32_t> original_index_;
     std::vector<Cluster> clusters_;
 };

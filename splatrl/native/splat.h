@@ -1,7 +1,7 @@
 // The mathematics of a splat, for one number or a vector of them, on any processor.
 //
-// `F` is a number type: float, or Lanes of sixteen floats. Overloads of sqrt, log2, min, max and select for it are
-// found where a template is used. The formulas are those of renderers/reference.py, with one change for precision:
+// `F` is a number type: float, or Lanes of sixteen floats. Overloads of reciprocal, reciprocal_sqrt, log2, exp2, min,
+// max and select for it are found where a template is used. The formulas are those of renderers/reference.py, with one change for precision:
 // covariances are kept as factors A (Σ = A Aᵀ), from which determinants come without cancellation.
 #pragma once
 
@@ -18,7 +18,7 @@ constexpr float DILATION = 0.3f;              // square pixels
 constexpr float MAX_ALPHA = 0.999f;
 constexpr float MIN_TRANSMITTANCE = 1e-4f;
 constexpr float LOG2_INVISIBLE = -7.99435344f;  // log2(1 / 255)
-constexpr float HALF_LOG2_E = 0.72134752f;
+constexpr float HALF_LOG2_E = 0.72134752f, ROOT_HALF_LOG2_E = 0.84932180f;
 constexpr float SH_C0 = 0.28209479177387814f;
 
 struct Camera {
@@ -54,7 +54,7 @@ SPLAT_INLINE Vector<F> rotate(const float* rotation, F x, F y, F z) {
 template <bool ANTIALIASED, class F>
 SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const F* axes, F log2_opacity) {
     const Vector<F> mean = rotate(camera.rotation, offset.x, offset.y, offset.z);
-    const F inverse_depth = 1.0f / mean.z;
+    const F inverse_depth = reciprocal(max(mean.z, NEAR_DEPTH));
     const F slope_x = mean.x * inverse_depth, slope_y = mean.y * inverse_depth;
     const F scale_x = camera.fx * inverse_depth, scale_y = camera.fy * inverse_depth;
     const F bent_x = min(max(slope_x, camera.slope_left), camera.slope_right);
@@ -82,16 +82,19 @@ SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const 
     out.y = slope_y * camera.fy + camera.cy;
     out.depth = mean.z;
     out.log2_opacity = log2_opacity;
-    if (ANTIALIASED) out.log2_opacity = log2_opacity + 0.5f * log2(max(bare_determinant / determinant, 1e-30f));
+    const F inverse_determinant = reciprocal(determinant);
+    if (ANTIALIASED) out.log2_opacity = log2_opacity + 0.5f * log2(max(bare_determinant * inverse_determinant, 1e-30f));
     // The Cholesky factor of the inverse covariance: no cancellation, however thin the needle.
-    const F inverse_yy = 1.0f / yy;
-    out.l11 = sqrt(HALF_LOG2_E * (yy / determinant));
-    out.l12 = -(out.l11 * (xy * inverse_yy));
-    out.l22 = sqrt(HALF_LOG2_E * inverse_yy);
+    const F root_xx = xx * reciprocal_sqrt(xx), inverse_root_yy = reciprocal_sqrt(yy), root_yy = yy * inverse_root_yy;
+    const F l11 = ROOT_HALF_LOG2_E * (root_yy * reciprocal_sqrt(determinant));
+    out.l11 = l11;
+    out.l12 = -(l11 * (xy * (inverse_root_yy * inverse_root_yy)));
+    out.l22 = ROOT_HALF_LOG2_E * inverse_root_yy;
     // alpha = 1/255 where (u² + v²) = log2_opacity - LOG2_INVISIBLE; the box of that ellipse, a hair wider.
-    const F reach = max(out.log2_opacity - LOG2_INVISIBLE, 0.0f) * (1.0002f / HALF_LOG2_E);
-    out.extent_x = sqrt(reach * xx);
-    out.extent_y = sqrt(reach * yy);
+    const F squared_reach = max(out.log2_opacity - LOG2_INVISIBLE, 1e-30f) * (1.0002f / HALF_LOG2_E);
+    const F reach = squared_reach * reciprocal_sqrt(squared_reach);
+    out.extent_x = reach * root_xx;
+    out.extent_y = reach * root_yy;
     return out;
 }
 
@@ -127,15 +130,6 @@ SPLAT_INLINE F alpha_at(F dx, F dy, float l11, float l12, float l22, float log2_
     const F u = dx * l11 + dy * l12, v = dy * l22;
     const F exponent = log2_opacity - u * u - v * v;
     return select_if_at_least(exponent, LOG2_INVISIBLE, min(exp2(exponent), MAX_ALPHA));
-}
-
-// Blend one splat over a pixel, front to back. Returns its share of the pixel: 0 from where the transmittance would
-// fall to MIN_TRANSMITTANCE. The transmittance goes on falling, so what is finished stays finished.
-template <class F>
-SPLAT_INLINE F blend_share(F alpha, F& transmittance) {
-    const F share = transmittance * alpha;
-    transmittance = transmittance - share;
-    return select_if_above(transmittance, MIN_TRANSMITTANCE, share);
 }
 
 }  // namespace splatrl

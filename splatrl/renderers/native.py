@@ -58,8 +58,8 @@ class NativeRenderer:
         """Colour, depth and alpha of each camera, float32, on the cameras' device."""
         shape = (len(cameras), cameras.height, cameras.width)
         rgb, depth, alpha = torch.empty(*shape, 3), torch.empty(shape), torch.empty(shape)
-        visible = torch.empty(len(cameras), dtype=torch.int32)
-        self._core.render(*_checked(cameras), rgb, depth, alpha, visible, self.threads)
+        efforts = torch.empty(len(cameras), 6)
+        self._core.render(*_checked(cameras), rgb, depth, alpha, efforts, self.threads)
         device = cameras.camera_to_world.device
         return RenderOutput(rgb.to(device), depth.to(device), alpha.to(device))
 
@@ -69,13 +69,13 @@ class NativeRenderer:
 
     def visible(self, cameras: Cameras) -> Tensor:
         """How many Gaussians can show in each view, those hidden by others included: [B] int32."""
-        return self._draw(cameras)[1]
+        return self._draw(cameras)[1][:, 1].int()
 
     def _draw(self, cameras: Cameras) -> tuple[Tensor, Tensor]:
         pixels = torch.empty(len(cameras), cameras.height, cameras.width, 3, dtype=torch.uint8)
-        visible = torch.empty(len(cameras), dtype=torch.int32)
-        self._core.pixels(*_checked(cameras), pixels, visible, self.threads)
-        return pixels, visible
+        efforts = torch.empty(len(cameras), 6)
+        self._core.pixels(*_checked(cameras), pixels, efforts, self.threads)
+        return pixels, efforts
 
 
 def usable_cores() -> int:

@@ -1,138 +1,153 @@
-// From sorted splats to a frame: slabs of them are dealt to the blocks that they touch, then each block is blended
-// with its pixels in registers. Blocks that are finished take no more splats.
+// From sorted splats to a tile, slab by slab: the splats of a slab are laid out nearest first and dealt to the blocks
+// that they touch, then each block is blended with its pixels in registers. Blocks that are finished take no more.
 #pragma once
 
 #include "kernel.h"
 #include "lanes.h"
+#include "pack.h"
 
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Items whose splats are fetched ahead: enough for the second-level cache to answer. What is fetched past the end of a
-// list is never used.
-constexpr uint32_t AHEAD = 12;
-static_assert(AHEAD <= SPARE, "the arrays have room to read ahead");
+// Items that are fetched ahead: enough for the caches to answer. What is fetched past the end of a list is never used.
+constexpr uint32_t FETCH = 16, AHEAD = 4;
+static_assert(FETCH <= SPARE && AHEAD <= SPARE, "the arrays have room to read ahead");
 
-LANE_INLINE void start_frame(const Scratch& scratch, uint32_t blocks) {
-    for (uint32_t block = 0; block < blocks; ++block) {
-        float* channels = scratch.frame + size_t(block) * CHANNELS * LANES;
-        for (int channel = 0; channel < CHANNELS; ++channel)
-            store(channels + channel * LANES, lanes(channel == TRANSMITTANCE ? 1.0f : 0.0f));
-        scratch.finished[block] = 0;
+// Lists of the splats on each block, and which blocks take no more.
+struct Blocks {
+    uint16_t* lists;
+    uint32_t lengths[LISTS];
+    bool finished[BLOCKS];
+
+    void add(uint32_t block, uint32_t splat) {
+        const uint32_t length = lengths[block];
+        lists[block * LIST + length] = uint16_t(splat);
+        lengths[block] = length + 1;
+    }
+};
+
+// Nothing drawn yet; pixels outside the tile are finished from the start.
+template <bool WITH_DEPTH>
+LANE_INLINE void start_tile(float* pixels, Blocks& blocks, const Tile& tile, const float* background) {
+    const Lanes start[CHANNELS] = {lanes(background[RED]), lanes(background[GREEN]), lanes(background[BLUE]),
+                                   lanes(1.0f),            lanes(0.0f),              lanes(0.0f)};
+    for (int block = 0; block < LISTS; ++block) blocks.lengths[block] = 0;
+    for (int block = 0; block < BLOCKS; ++block) {
+        const int left = tile.left + block % ACROSS * BLOCK, top = tile.top + block / ACROSS * BLOCK;
+        blocks.finished[block] = left >= tile.right || top >= tile.bottom;
+        if (blocks.finished[block]) continue;
+        float* channels = pixels + block * CHANNELS * LANES;
+        for (int channel = 0; channel < (WITH_DEPTH ? CHANNELS : DEPTH); ++channel)
+            store(channels + channel * LANES, start[channel]);
+        if (left + BLOCK <= tile.right && top + BLOCK <= tile.bottom) continue;
+        for (int lane = 0; lane < LANES; ++lane)
+            if (left + lane % BLOCK >= tile.right || top + lane / BLOCK >= tile.bottom)
+                channels[TRANSMITTANCE * LANES + lane] = 0.0f;
     }
 }
 
-// Lanes outside the image start finished.
-LANE_INLINE void close_margins(const Scratch& scratch, const Camera& camera, int across, int down) {
-    for (int row = 0; row < down; ++row)
-        for (int column = 0; column < across; ++column) {
-            if ((row + 1) * BLOCK <= camera.height && (column + 1) * BLOCK <= camera.width) continue;
-            float* transmittance =
-                scratch.frame + (size_t(row * across + column) * CHANNELS + TRANSMITTANCE) * LANES;
-            for (int lane = 0; lane < LANES; ++lane)
-                if (row * BLOCK + lane / BLOCK >= camera.height || column * BLOCK + lane % BLOCK >= camera.width)
-                    transmittance[lane] = 0.0f;
+// Lay out the splats of a slab, nearest first, with their colours in single precision, and deal them to their blocks.
+template <bool WITH_DEPTH>
+LANE_INLINE void deal(const Scratch& scratch, const uint64_t* keys, uint32_t count, Blocks& blocks) {
+    const Splat* splats = scratch.splats;
+    const Patch* patches = scratch.patches;
+    SlabSplat* slab = scratch.slab;
+    for (uint32_t i = 0; i < count; ++i) {
+        const uint32_t ahead = uint32_t(keys[i + FETCH]), from = uint32_t(keys[i]);
+        __builtin_prefetch(&splats[ahead]);
+        __builtin_prefetch(&patches[ahead]);
+        std::memcpy(&slab[i], &splats[from], 6 * sizeof(float));
+        store_four_halves(&slab[i].red, splats[from].color);
+        if (WITH_DEPTH) {
+            const uint32_t depth_bits = uint32_t(keys[i] >> 32);
+            std::memcpy(&slab[i].depth, &depth_bits, sizeof(depth_bits));
         }
-}
-
-// Write the pairs of a slab: splats from `next` on, until they are all dealt or the pairs are full.
-// Nearly all patches are at most 2×2 blocks: those are written without a branch, and counted where they exist.
-LANE_INLINE uint32_t emit_pairs(const Scratch& scratch, const uint64_t* keys, uint32_t count, uint32_t row,
-                                uint32_t& next) {
-    const uint8_t* finished = scratch.finished;
-    Pair* pairs = scratch.pairs;
-    uint32_t written = 0;
-    for (; next < count; ++next) {
-        const uint32_t splat = uint32_t(keys[next]);
-        __builtin_prefetch(&scratch.patches[uint32_t(keys[next + AHEAD])]);
-        const Patch patch = scratch.patches[splat];
-        const uint32_t first = patch.first, across = patch.across, down = patch.down;
-        if (written + across * down > scratch.pair_capacity) break;
-        if (across <= 2 && down <= 2) {
-            const uint32_t right = across - 1, below = (down - 1) * row;
-            pairs[written] = {first, splat};
-            written += !finished[first];
-            pairs[written] = {first + right, splat};
-            written += right & !finished[first + right];
-            pairs[written] = {first + below, splat};
-            written += (down - 1) & !finished[first + below];
-            pairs[written] = {first + below + right, splat};
-            written += right & (down - 1) & !finished[first + below + right];
+        const Patch patch = patches[from];
+        if (patch.lists[0] != LARGE) {
+            for (int corner = 0; corner < 4; ++corner) blocks.add(patch.lists[corner], i);
             continue;
         }
-        for (uint32_t line = first; line < first + down * row; line += row)
-            for (uint32_t block = line; block < line + across; ++block) {
-                pairs[written] = {block, splat};
-                written += !finished[block];
-            }
+        const uint32_t first = patch.lists[1], right = patch.lists[2], down = patch.lists[3];
+        for (uint32_t line = first; line <= first + down * ACROSS; line += ACROSS)
+            for (uint32_t block = line; block <= line + right; ++block) blocks.add(block, i);
     }
-    return written;
 }
 
-// Deal the pairs to the lists of their blocks, keeping their order.
-LANE_INLINE void deal(const Scratch& scratch, uint32_t pairs, uint32_t blocks) {
-    uint32_t* ends = scratch.list_ends;
-    for (uint32_t block = 0; block <= blocks; ++block) ends[block] = 0;
-    for (uint32_t i = 0; i < pairs; ++i) ++ends[scratch.pairs[i].block + 1];
-    for (uint32_t block = 0; block < blocks; ++block) ends[block + 1] += ends[block];
-    for (uint32_t i = 0; i < pairs; ++i) scratch.lists[ends[scratch.pairs[i].block]++] = scratch.pairs[i].splat;
-}
-
-// Blend a list of splats over one block. Returns whether all its pixels are finished.
+// Blend a list of splats over one block, front to back. Returns whether all its pixels are finished.
+// A splat's share of a pixel is 0 from where the transmittance would fall to MIN_TRANSMITTANCE. The transmittance goes
+// on falling, so what is finished stays finished.
 template <bool WITH_DEPTH>
-LANE_INLINE bool blend_block(const Scratch& scratch, const uint32_t* item, const uint32_t* end, float left, float top,
+LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const uint16_t* end, float left, float top,
                              float* channels) {
-    alignas(64) float columns[LANES], rows[LANES];
-    for (int lane = 0; lane < LANES; ++lane) {
-        columns[lane] = left + float(lane % BLOCK) + 0.5f;
-        rows[lane] = top + float(lane / BLOCK) + 0.5f;
-    }
-    const Lanes x = load(columns), y = load(rows);
+    alignas(64) static constexpr float COLUMNS[LANES] = {0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, 2.5f, 3.5f,
+                                                         0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, 2.5f, 3.5f};
+    alignas(64) static constexpr float ROWS[LANES] = {0.5f, 0.5f, 0.5f, 0.5f, 1.5f, 1.5f, 1.5f, 1.5f,
+                                                      2.5f, 2.5f, 2.5f, 2.5f, 3.5f, 3.5f, 3.5f, 3.5f};
+    const Lanes x = load(COLUMNS) + left, y = load(ROWS) + top;
     Lanes red = load(channels + RED * LANES), green = load(channels + GREEN * LANES);
-    Lanes blue = load(channels + BLUE * LANES), alpha = load(channels + ALPHA * LANES);
-    Lanes depth = load(channels + DEPTH * LANES), transmittance = load(channels + TRANSMITTANCE * LANES);
-    for (uint32_t counter = 1; item < end; ++item, ++counter) {
-        __builtin_prefetch(&scratch.splats[item[AHEAD]]);
-        const Splat& splat = scratch.splats[*item];
-        const Lanes opacity =
-            alpha_at(x - splat.x, y - splat.y, splat.l11, splat.l12, splat.l22, splat.log2_opacity);
-        const Lanes share = blend_share(opacity, transmittance);
-        red = red + share * splat.red;
-        green = green + share * splat.green;
-        blue = blue + share * splat.blue;
-        alpha = alpha + share;
-        if (WITH_DEPTH) depth = depth + share * splat.depth;
-        if (counter % 4 == 0 && bits_above(transmittance, lanes(MIN_TRANSMITTANCE)) == 0) break;
+    Lanes blue = load(channels + BLUE * LANES), transmittance = load(channels + TRANSMITTANCE * LANES);
+    Lanes depth = load(channels + DEPTH * LANES), alpha = load(channels + ALPHA * LANES);
+    for (; item < end; ++item) {
+        __builtin_prefetch(&slab[item[AHEAD]]);
+        const SlabSplat& splat = slab[*item];
+        const Lanes share = transmittance * alpha_at(x - splat.x, y - splat.y, splat.l11, splat.l12, splat.l22,
+                                                     splat.log2_opacity);
+        transmittance = transmittance - share;
+        const LaneMask counted = above(transmittance, MIN_TRANSMITTANCE);
+        red = add_product_where(counted, red, share, splat.red);
+        green = add_product_where(counted, green, share, splat.green);
+        blue = add_product_where(counted, blue, share, splat.blue);
+        if (WITH_DEPTH) {
+            depth = add_product_where(counted, depth, share, splat.depth);
+            alpha = add_product_where(counted, alpha, share, 1.0f);
+        }
     }
-    const bool finished = bits_above(transmittance, lanes(MIN_TRANSMITTANCE)) == 0;
     store(channels + RED * LANES, red);
     store(channels + GREEN * LANES, green);
     store(channels + BLUE * LANES, blue);
-    store(channels + ALPHA * LANES, alpha);
-    store(channels + DEPTH * LANES, depth);
     store(channels + TRANSMITTANCE * LANES, transmittance);
-    return finished;
+    if (WITH_DEPTH) {
+        store(channels + DEPTH * LANES, depth);
+        store(channels + ALPHA * LANES, alpha);
+    }
+    return bits_above(transmittance, lanes(MIN_TRANSMITTANCE)) == 0;
 }
 
+// Blend what has been dealt to the blocks. Returns whether all of them are finished; adds to `blended` how often a splat
+// was blended over a block.
 template <bool WITH_DEPTH>
-static void blend_frame(const Camera& camera, const uint64_t* keys, uint32_t count, const Scratch& scratch) {
-    const int across = (camera.width + BLOCK - 1) / BLOCK, down = (camera.height + BLOCK - 1) / BLOCK;
-    const uint32_t blocks = uint32_t(across * down);
-    start_frame(scratch, blocks);
-    close_margins(scratch, camera, across, down);
-    for (uint32_t next = 0; next < count;) {
-        const uint32_t pairs = emit_pairs(scratch, keys, count, uint32_t(across), next);
-        deal(scratch, pairs, blocks);
-        const uint32_t* item = scratch.lists;
-        for (uint32_t block = 0; block < blocks; ++block) {
-            const uint32_t* end = scratch.lists + scratch.list_ends[block];
-            if (item == end) continue;
-            const float left = float(int(block) % across * BLOCK), top = float(int(block) / across * BLOCK);
-            float* channels = scratch.frame + size_t(block) * CHANNELS * LANES;
-            scratch.finished[block] = blend_block<WITH_DEPTH>(scratch, item, end, left, top, channels);
-            item = end;
+LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, Blocks& blocks, uint32_t& blended) {
+    bool all_finished = true;
+    for (int block = 0; block < BLOCKS; ++block) {
+        const uint32_t length = blocks.lengths[block];
+        blocks.lengths[block] = 0;
+        if (blocks.finished[block]) continue;
+        if (length > 0) {
+            const uint16_t* item = scratch.lists + block * LIST;
+            blocks.finished[block] = blend_block<WITH_DEPTH>(
+                scratch.slab, item, item + length, float(tile.left + block % ACROSS * BLOCK),
+                float(tile.top + block / ACROSS * BLOCK), scratch.pixels + block * CHANNELS * LANES);
+            blended += length;
         }
+        all_finished = all_finished && blocks.finished[block];
     }
+    for (int waste = WASTE; waste < LISTS; ++waste) blocks.lengths[waste] = 0;
+    return all_finished;
+}
+
+// Returns how often a splat was blended over a block.
+template <bool WITH_DEPTH>
+static uint32_t blend_tile(const Tile& tile, const float* background, const uint64_t* keys, uint32_t count,
+                           const Scratch& scratch) {
+    Blocks blocks;
+    blocks.lists = scratch.lists;
+    start_tile<WITH_DEPTH>(scratch.pixels, blocks, tile, background);
+    uint32_t blended = 0;
+    for (uint32_t next = 0; next < count; next += SLAB) {
+        deal<WITH_DEPTH>(scratch, keys + next, count - next < SLAB ? count - next : SLAB, blocks);
+        if (blend_blocks<WITH_DEPTH>(scratch, tile, blocks, blended)) break;
+    }
+    return blended;
 }
 
 }  // namespace SPLATRL_ISA

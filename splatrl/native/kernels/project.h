@@ -3,11 +3,12 @@
 
 #include "kernel.h"
 #include "lanes.h"
+#include "pack.h"
 
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Whether nothing of a cluster can show on the image: everything in it is behind the near plane, or further beside an
+// Whether nothing of some Gaussians can show on a tile: everything is behind the near plane, or further beside an
 // edge than it reaches. An edge is a plane through the camera; the reach follows the projected covariance with its
 // bounded Jacobian and its dilation, so the test never drops what the projection would show.
 struct Frustum {
@@ -17,15 +18,15 @@ struct Frustum {
     float forward[3];
 };
 
-LANE_INLINE Frustum frustum_of(const Camera& camera) {
+LANE_INLINE Frustum frustum_of(const Camera& camera, const Tile& tile) {
     const float far_x = camera.slope_right > -camera.slope_left ? camera.slope_right : -camera.slope_left;
     const float far_y = camera.slope_bottom > -camera.slope_top ? camera.slope_bottom : -camera.slope_top;
     const float slant_x = camera.fx * __builtin_sqrtf(1.0f + far_x * far_x);
     const float slant_y = camera.fy * __builtin_sqrtf(1.0f + far_y * far_y);
-    const float edges[4][3] = {{camera.fx, 0.0f, camera.cx - float(camera.width)},
-                               {-camera.fx, 0.0f, -camera.cx},
-                               {0.0f, camera.fy, camera.cy - float(camera.height)},
-                               {0.0f, -camera.fy, -camera.cy}};
+    const float edges[4][3] = {{camera.fx, 0.0f, camera.cx - float(tile.right)},
+                               {-camera.fx, 0.0f, float(tile.left) - camera.cx},
+                               {0.0f, camera.fy, camera.cy - float(tile.bottom)},
+                               {0.0f, -camera.fy, float(tile.top) - camera.cy}};
     Frustum out;
     for (int edge = 0; edge < 4; ++edge) {
         float squared = 0.0f;
@@ -42,128 +43,160 @@ LANE_INLINE Frustum frustum_of(const Camera& camera) {
     return out;
 }
 
-LANE_INLINE bool misses(const Frustum& frustum, const Camera& camera, const Cluster& cluster) {
-    float offset[3], depth = 0.0f;
-    for (int axis = 0; axis < 3; ++axis) {
-        offset[axis] = cluster.center[axis] - camera.position[axis];
-        depth += offset[axis] * frustum.forward[axis];
-    }
-    if (depth + cluster.radius < NEAR_DEPTH) return true;
-    const float deepest = depth + cluster.radius;
+LANE_INLINE float max(float a, float b) { return a > b ? a : b; }
+
+// Positive where Gaussians within these bounds miss the tile. `F` is float, or Lanes for sixteen bounds at once.
+template <class F>
+LANE_INLINE F missed_by(const Frustum& frustum, const Camera& camera, const F* center, F radius, F reach,
+                        F reach_scale) {
+    const Vector<F> offset{center[0] - camera.position[0], center[1] - camera.position[1],
+                           center[2] - camera.position[2]};
+    const F depth = offset.x * frustum.forward[0] + offset.y * frustum.forward[1] + offset.z * frustum.forward[2];
+    const F deepest = depth + radius;
+    F missed = NEAR_DEPTH - deepest;
     for (int edge = 0; edge < 4; ++edge) {
-        float outside = -frustum.lengths[edge] * cluster.radius;
-        for (int axis = 0; axis < 3; ++axis) outside += offset[axis] * frustum.normals[edge][axis];
+        const float* normal = frustum.normals[edge];
+        const F outside = offset.x * normal[0] + offset.y * normal[1] + offset.z * normal[2] -
+                          frustum.lengths[edge] * radius;
         // sqrt(σ² + dilation) <= σ + sqrt(dilation)
-        const float reached = cluster.reach_scale * frustum.slants[edge] + cluster.reach * 0.5478f * deepest;
-        if (outside > reached * 1.001f) return true;
+        const F reached = reach_scale * frustum.slants[edge] + reach * 0.5478f * deepest;
+        missed = max(missed, outside - 1.001f * reached);
     }
-    return false;
+    return missed;
 }
 
-LANE_INLINE void shade(const SceneView& scene, uint32_t group, const Vector<Lanes>& offset, Lanes* rgb) {
+LANE_INLINE bool misses(const Frustum& frustum, const Camera& camera, const Bounds& bounds) {
+    return missed_by(frustum, camera, bounds.center, bounds.radius, bounds.reach, bounds.reach_scale) > 0.0f;
+}
+
+// The groups of a cluster that do not miss the tile, as bits.
+LANE_INLINE uint32_t groups_in_view(const Frustum& frustum, const Camera& camera, const Cluster& cluster) {
+    Lanes bounds[6];
+    for (int i = 0; i < 6; ++i) bounds[i] = load(cluster.groups_bounds[i]);
+    const Lanes missed = missed_by(frustum, camera, bounds, bounds[3], bounds[4], bounds[5]);
+    return ~bits_above(missed, lanes(0.0f)) & ((2u << (cluster.groups - 1)) - 1);
+}
+
+// Colours relative to the background, as half floats.
+LANE_INLINE void shade(const SceneView& scene, uint32_t group, const Vector<Lanes>& offset, IntLanes* rgb) {
     const int harmonics = (scene.degree + 1) * (scene.degree + 1);
-    const float* colors = scene.colors + size_t(group) * 3 * harmonics * GROUP;
+    const uint16_t* colors = scene.colors + size_t(group) * 3 * harmonics * GROUP;
     if (scene.degree == 0) {
-        for (int channel = 0; channel < 3; ++channel) rgb[channel] = load(colors + channel * GROUP);
+        for (int channel = 0; channel < 3; ++channel) rgb[channel] = load_shorts(colors + channel * GROUP);
         return;
     }
     const Lanes squared = offset.x * offset.x + offset.y * offset.y + offset.z * offset.z;
-    const Lanes inverse = 1.0f / sqrt(max(squared, 1e-30f));
-    Lanes basis[16];
+    const Lanes inverse = reciprocal_sqrt(max(squared, 1e-30f));
+    Lanes basis[16], sums[3];
     sh_basis(scene.degree, offset.x * inverse, offset.y * inverse, offset.z * inverse, basis);
-    for (int channel = 0; channel < 3; ++channel) rgb[channel] = lanes(0.5f);
+    for (int channel = 0; channel < 3; ++channel) sums[channel] = lanes(0.5f);
     for (int i = 0; i < harmonics; ++i)
         for (int channel = 0; channel < 3; ++channel)
-            rgb[channel] = rgb[channel] + basis[i] * load(colors + (3 * i + channel) * GROUP);
-    for (int channel = 0; channel < 3; ++channel) rgb[channel] = max(rgb[channel], 0.0f);
+            sums[channel] = sums[channel] + basis[i] * load_halves(colors + (3 * i + channel) * GROUP);
+    for (int channel = 0; channel < 3; ++channel)
+        rgb[channel] = to_halves(max(sums[channel], 0.0f) - scene.background[channel]);
 }
 
-// The first and last block whose pixel centres the interval middle ± extent touches, where it touches the image.
-// The first is rounded down from just below the first centre: a block too many costs time, never a pixel.
-LANE_INLINE void blocks_between(const Lanes& middle, const Lanes& extent, int size, Lanes& first, Lanes& last) {
-    first = floor((max(middle - extent - 0.5f, 0.0f) + 0.999f) * (1.0f / BLOCK));
-    last = floor(min(middle + extent - 0.5f, float(size - 1)) * (1.0f / BLOCK));
+// The first and the last pixel whose centre is in [middle - extent, middle + extent] and which is in [low, high]; the
+// last is before the first where there is none.
+LANE_INLINE void pixels_between(const Lanes& middle, const Lanes& extent, int low, int high, Lanes& first, Lanes& last) {
+    first = ceil(max(middle - extent - 0.5f, float(low)));
+    last = floor(max(min(middle + extent - 0.5f, float(high)) + 1.0f, 0.0f)) - 1.0f;
 }
 
 // Depths in double precision, split into two floats: the order of two Gaussians must not hang on a rounding.
-LANE_INLINE void exact_depths(const float* means, const Camera& camera, float* depths, float* rests) {
+LANE_INLINE void exact_depths(const float* means, const Camera& camera, Lanes& depths, Lanes& rests) {
     const float *forward = camera.rotation + 6, *position = camera.position;
+    alignas(64) float near[GROUP], rest[GROUP];
     for (int lane = 0; lane < GROUP; ++lane) {
         const double depth = double(forward[0]) * (double(means[lane]) - double(position[0])) +
                              double(forward[1]) * (double(means[GROUP + lane]) - double(position[1])) +
                              double(forward[2]) * (double(means[2 * GROUP + lane]) - double(position[2]));
-        depths[lane] = float(depth);
-        rests[lane] = float(depth - double(depths[lane]));
+        near[lane] = float(depth);
+        rest[lane] = float(depth - double(near[lane]));
     }
+    depths = load(near), rests = load(rest);
 }
 
-LANE_INLINE uint32_t visible_lanes(const Footprint<Lanes>& print, const Camera& camera) {
-    const Lanes first_center = lanes(0.5f);
-    const Lanes last_column = lanes(float(camera.width) - 0.5f), last_row = lanes(float(camera.height) - 0.5f);
-    const uint32_t hidden = bits_above(lanes(NEAR_DEPTH), print.depth) |
-                            bits_above(first_center, print.x + print.extent_x) |
-                            bits_above(first_center, print.y + print.extent_y) |
-                            bits_above(print.x - print.extent_x, last_column) |
-                            bits_above(print.y - print.extent_y, last_row);
-    return bits_above(print.log2_opacity, lanes(LOG2_INVISIBLE)) & ~hidden;
-}
-
-// Append the visible lanes to the splats. Each lane is written, and the next one writes over it unless it is visible.
-LANE_INLINE uint32_t append(const Lanes (&fields)[12], const float* first, const float* across, const float* down,
-                            uint32_t visible, const Scratch& scratch, uint32_t count) {
-    alignas(64) float rows[GROUP][12];
-    transpose(fields, rows);
-    for (int lane = 0; lane < GROUP; ++lane) {
-        std::memcpy(&scratch.splats[count], rows[lane], sizeof(Splat));
-        scratch.patches[count] = {uint32_t(first[lane]), uint16_t(across[lane]), uint16_t(down[lane])};
-        uint32_t depth_bits;
-        std::memcpy(&depth_bits, &rows[lane][9], sizeof(depth_bits));
-        scratch.keys[count] = uint64_t(depth_bits) << 32 | count;
-        count += visible >> lane & 1;
+// The patches of sixteen splats that show on the pixels of these columns and rows.
+LANE_INLINE void patches_of(const Tile& tile, const Lanes& left, const Lanes& right, const Lanes& top,
+                            const Lanes& bottom, IntLanes& low, IntLanes& high) {
+    const IntLanes first_column = to_ints((left - float(tile.left)) * (1.0f / BLOCK));
+    const IntLanes first_row = to_ints((top - float(tile.top)) * (1.0f / BLOCK));
+    const IntLanes last_column = to_ints((right - float(tile.left)) * (1.0f / BLOCK));
+    const IntLanes last_row = to_ints((bottom - float(tile.top)) * (1.0f / BLOCK));
+    alignas(64) static constexpr uint32_t TURNS[GROUP] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+    const IntLanes turns = load_ints(TURNS);  // lists of the waste take turns: none waits for the splat before it
+    FOR_PARTS {
+        const IntPart first = first_row.part[p] * ACROSS + first_column.part[p], waste = turns.part[p] + WASTE;
+        const IntPart right_by = last_column.part[p] - first_column.part[p], down_by = last_row.part[p] - first_row.part[p];
+        const IntPart second = right_by == 0 ? waste : first + 1, third = down_by == 0 ? waste + GROUP : first + ACROSS;
+        const IntPart fourth = (right_by == 0) | (down_by == 0) ? waste + 2 * GROUP : first + (ACROSS + 1);
+        const IntPart large = (right_by | down_by) > 1;
+        low.part[p] = large ? LARGE | first << 16 : first | second << 16;
+        high.part[p] = large ? right_by | down_by << 16 : third | fourth << 16;
     }
-    return count;
 }
 
 template <bool ANTIALIASED>
-LANE_INLINE uint32_t project_group(const SceneView& scene, const Camera& camera, uint32_t group, const Scratch& scratch,
-                                   uint32_t count) {
+LANE_INLINE uint32_t project_group(const SceneView& scene, const Camera& camera, const Tile& tile, uint32_t group,
+                                   const Scratch& scratch, uint32_t count) {
     const float* geometry = scene.geometry + size_t(group) * GEOMETRY * GROUP;
     const Vector<Lanes> offset{load(geometry) - camera.position[0], load(geometry + GROUP) - camera.position[1],
                                load(geometry + 2 * GROUP) - camera.position[2]};
     Lanes axes[9];
     for (int i = 0; i < 9; ++i) axes[i] = load(geometry + (AXES + i) * GROUP);
     const Footprint<Lanes> print = project<ANTIALIASED>(camera, offset, axes, load(geometry + LOG2_OPACITY * GROUP));
-    const uint32_t visible = visible_lanes(print, camera);
+    Lanes left, right, top, bottom;
+    pixels_between(print.x, print.extent_x, tile.left, tile.right - 1, left, right);
+    pixels_between(print.y, print.extent_y, tile.top, tile.bottom - 1, top, bottom);
+    const uint32_t hidden =
+        bits_above(lanes(NEAR_DEPTH), print.depth) | bits_above(left, right) | bits_above(top, bottom);
+    const uint32_t visible = bits_above(print.log2_opacity, lanes(LOG2_INVISIBLE)) & ~hidden;
     if (visible == 0) return count;
 
-    Lanes rgb[3];
+    IntLanes rgb[3];
     shade(scene, group, offset, rgb);
-    alignas(64) float depths[GROUP], rests[GROUP];
+    Lanes depths, rests;
     exact_depths(geometry, camera, depths, rests);
-    Lanes left, right, top, bottom;
-    blocks_between(print.x, print.extent_x, camera.width, left, right);
-    blocks_between(print.y, print.extent_y, camera.height, top, bottom);
-    alignas(64) float first[GROUP], across[GROUP], down[GROUP];
-    const int row = (camera.width + BLOCK - 1) / BLOCK;
-    store(first, top * float(row) + left);
-    store(across, max(right - left + 1.0f, 1.0f));
-    store(down, max(bottom - top + 1.0f, 1.0f));
-    const Lanes fields[12] = {print.x, print.y, print.l11, print.l12,    print.l22,   print.log2_opacity,
-                              rgb[0],  rgb[1],  rgb[2],    load(depths), load(rests),
-                              load(reinterpret_cast<const float*>(scene.original_index + group * GROUP))};
-    return append(fields, first, across, down, visible, scratch, count);
+    Record record{{print.x, print.y, print.l11, print.l12, print.l22, print.log2_opacity,
+                   from_bits(join_halves(rgb[0], rgb[1])), from_bits(rgb[2])},
+                  {}, {}, depths, rests, load_ints(scene.original_index + group * GROUP)};
+    patches_of(tile, left, right, top, bottom, record.patch_low, record.patch_high);
+    return append(record, visible, scratch, count);
 }
 
-template <bool ANTIALIASED>
-static uint32_t project_scene(const SceneView& scene, const Camera& camera, const Scratch& scratch) {
-    const Frustum frustum = frustum_of(camera);
+// The groups that may show on a tile, in the order of the scene.
+LANE_INLINE uint32_t cull(const SceneView& scene, const Camera& camera, const Tile& tile, uint32_t* groups) {
+    const Frustum frustum = frustum_of(camera, tile);
     uint32_t count = 0;
     for (uint32_t c = 0; c < scene.cluster_count; ++c) {
         const Cluster& cluster = scene.clusters[c];
-        if (misses(frustum, camera, cluster)) continue;
-        for (uint32_t group = cluster.first_group; group < cluster.first_group + cluster.groups; ++group)
-            count = project_group<ANTIALIASED>(scene, camera, group, scratch, count);
+        if (misses(frustum, camera, cluster.bounds)) continue;
+        for (uint32_t left = groups_in_view(frustum, camera, cluster); left != 0; left &= left - 1)
+            groups[count++] = cluster.first_group + uint32_t(__builtin_ctz(left));
     }
+    for (uint32_t i = 0; i < SPARE; ++i) groups[count + i] = 0;
+    return count;
+}
+
+LANE_INLINE void fetch_group(const SceneView& scene, uint32_t group) {
+    const char* geometry = reinterpret_cast<const char*>(scene.geometry + size_t(group) * GEOMETRY * GROUP);
+    for (int line = 0; line < GEOMETRY; ++line) __builtin_prefetch(geometry + 64 * line);
+}
+
+// Returns how many splats there are; `projected` takes how many Gaussians were projected.
+template <bool ANTIALIASED>
+static uint32_t project_scene(const SceneView& scene, const Camera& camera, const Tile& tile, const Scratch& scratch,
+                              uint32_t& projected) {
+    constexpr uint32_t AHEAD_GROUPS = 3;
+    const uint32_t groups = cull(scene, camera, tile, scratch.groups);
+    uint32_t count = 0;
+    for (uint32_t i = 0; i < groups; ++i) {
+        fetch_group(scene, scratch.groups[i + AHEAD_GROUPS]);
+        count = project_group<ANTIALIASED>(scene, camera, tile, scratch.groups[i], scratch, count);
+    }
+    projected = groups * GROUP;
     return count;
 }
 

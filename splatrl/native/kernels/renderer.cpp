@@ -1,4 +1,6 @@
-// One frame, start to end, for one instruction set.
+// One tile, start to end, for one instruction set.
+#include <chrono>
+
 #include "kernels/blend.h"
 #include "kernels/project.h"
 #include "kernels/sort.h"
@@ -6,19 +8,27 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-static uint32_t frame(const SceneView& scene, const Camera& camera, bool antialiased, bool with_depth,
-                      const Scratch& scratch) {
-    const uint32_t count =
-        antialiased ? project_scene<true>(scene, camera, scratch) : project_scene<false>(scene, camera, scratch);
-    const uint64_t* keys = sort_by_depth(scratch, count);
-    if (with_depth)
-        blend_frame<true>(camera, keys, count, scratch);
-    else
-        blend_frame<false>(camera, keys, count, scratch);
-    return count;
+static Effort render_one(const SceneView& scene, const Camera& camera, const Tile& tile, bool antialiased, bool with_depth,
+                    const Scratch& scratch) {
+    using Clock = std::chrono::steady_clock;
+    using Milliseconds = std::chrono::duration<float, std::milli>;
+    Effort effort{};
+    const auto start = Clock::now();
+    const auto project = antialiased ? project_scene<true> : project_scene<false>;
+    effort.visible = project(scene, camera, tile, scratch, effort.projected);
+    const auto projected = Clock::now();
+    const uint64_t* keys = sort_by_depth(scratch, effort.visible);
+    const auto sorted = Clock::now();
+    const auto blend = with_depth ? blend_tile<true> : blend_tile<false>;
+    effort.blended = blend(tile, scene.background, keys, effort.visible, scratch);
+    const auto blended = Clock::now();
+    effort.project_ms = Milliseconds(projected - start).count();
+    effort.sort_ms = Milliseconds(sorted - projected).count();
+    effort.blend_ms = Milliseconds(blended - sorted).count();
+    return effort;
 }
 
-extern const RenderFrame render_frame = frame;
+extern const RenderTile render_tile = render_one;
 
 }  // namespace SPLATRL_ISA
 }  // namespace splatrl

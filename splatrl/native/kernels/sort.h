@@ -8,52 +8,69 @@ namespace splatrl {
 namespace SPLATRL_ISA {
 
 // Whether splat `a` is blended before splat `b`: by depth in double precision, then in the order of the scene.
-LANE_INLINE bool before(const Scratch& scratch, uint64_t a, uint64_t b) {
+LANE_INLINE bool before(const Tie* ties, uint64_t a, uint64_t b) {
     if (a >> 32 != b >> 32) return a < b;
-    const Splat &first = scratch.splats[uint32_t(a)], &second = scratch.splats[uint32_t(b)];
+    const Tie &first = ties[uint32_t(a)], &second = ties[uint32_t(b)];
     if (first.depth_rest != second.depth_rest) return first.depth_rest < second.depth_rest;
     return first.original_index < second.original_index;
 }
 
-static void sift_down(const Scratch& scratch, uint64_t* heap, uint32_t root, uint32_t count) {
+static void sift_down(const Tie* ties, uint64_t* heap, uint32_t root, uint32_t count) {
     const uint64_t key = heap[root];
     for (uint32_t child = 2 * root + 1; child < count; child = 2 * root + 1) {
-        if (child + 1 < count && before(scratch, heap[child], heap[child + 1])) ++child;
-        if (!before(scratch, key, heap[child])) break;
+        if (child + 1 < count && before(ties, heap[child], heap[child + 1])) ++child;
+        if (!before(ties, key, heap[child])) break;
         heap[root] = heap[child];
         root = child;
     }
     heap[root] = key;
 }
 
-// Order keys whose depths are the same number of single precision: insertion for the usual few, a heap for walls.
-static void order_run(const Scratch& scratch, uint64_t* run, uint32_t count) {
-    if (count > 24) {
-        for (uint32_t root = count / 2; root-- > 0;) sift_down(scratch, run, root, count);
-        for (uint32_t last = count - 1; last > 0; --last) {
-            const uint64_t farthest = run[0];
-            run[0] = run[last];
-            run[last] = farthest;
-            sift_down(scratch, run, 0, last);
-        }
-        return;
-    }
-    for (uint32_t i = 1; i < count; ++i) {
-        const uint64_t key = run[i];
-        uint32_t j = i;
-        for (; j > 0 && before(scratch, key, run[j - 1]); --j) run[j] = run[j - 1];
-        run[j] = key;
+// Order keys by a heap: for walls of equal depth.
+static void order_by_heap(const Tie* ties, uint64_t* keys, uint32_t count) {
+    for (uint32_t root = count / 2; root-- > 0;) sift_down(ties, keys, root, count);
+    for (uint32_t last = count - 1; last > 0; --last) {
+        const uint64_t farthest = keys[0];
+        keys[0] = keys[last];
+        keys[last] = farthest;
+        sift_down(ties, keys, 0, last);
     }
 }
 
 // Order runs of keys that agree in the bits that were sorted by. Single precision alone leaves many where Gaussians
-// lie on a grid, as in quantised files.
-static void order_ties(const Scratch& scratch, uint64_t* keys, uint32_t count, uint32_t low, int unsorted) {
-    const auto digits = [low, unsorted](uint64_t key) { return (uint32_t(key >> 32) - low) >> unsorted; };
-    for (uint32_t first = 0, next = 1; next <= count; ++next) {
-        if (next < count && digits(keys[next]) == digits(keys[first])) continue;
-        if (next - first > 1) order_run(scratch, keys + first, next - first);
-        first = next;
+// lie on a grid, as in quantised files. `found` has room for `count` numbers.
+static void order_ties(const Tie* ties, uint64_t* keys, uint32_t count, uint32_t low, int unsorted, uint32_t* found) {
+    constexpr uint32_t LONG = 24, FETCH_TIES = 8;
+    uint32_t tied = 0;  // those that agree with the key before them
+    uint32_t last = count > 0 ? (uint32_t(keys[0] >> 32) - low) >> unsorted : 0;
+    for (uint32_t i = 1; i < count; ++i) {
+        const uint32_t digits = (uint32_t(keys[i] >> 32) - low) >> unsorted;
+        found[tied] = i;
+        tied += digits == last;
+        last = digits;
+    }
+    for (uint32_t i = 0; i < tied; ++i) {
+        if (i + FETCH_TIES < tied) {
+            const uint64_t* ahead = keys + found[i + FETCH_TIES];
+            __builtin_prefetch(&ties[uint32_t(ahead[-1])]);
+            __builtin_prefetch(&ties[uint32_t(ahead[0])]);
+        }
+        const uint32_t at = found[i];
+        uint32_t more = 1;
+        while (i + more < tied && found[i + more] == at + more) ++more;
+        if (more > LONG) {
+            order_by_heap(ties, keys + at - 1, more + 1);
+            i += more - 1;
+            continue;
+        }
+        const uint32_t first = at - 1;
+        for (uint32_t place = at; place < at + more; ++place) {
+            const uint64_t key = keys[place];
+            uint32_t j = place;
+            for (; j > first && before(ties, key, keys[j - 1]); --j) keys[j] = keys[j - 1];
+            keys[j] = key;
+        }
+        i += more - 1;
     }
 }
 
@@ -87,7 +104,7 @@ static const uint64_t* sort_by_depth(const Scratch& scratch, uint32_t count) {
         sorted[starts[0][((uint32_t(keys[i] >> 32) - low) >> unsorted) % VALUES]++] = keys[i];
     for (uint32_t i = 0; i < count; ++i)
         keys[starts[1][((uint32_t(sorted[i] >> 32) - low) >> unsorted) / VALUES]++] = sorted[i];
-    order_ties(scratch, keys, count, low, unsorted);
+    order_ties(scratch.ties, keys, count, low, unsorted, scratch.tied);
     return keys;
 }
 
