@@ -180,7 +180,7 @@ def build_world(cfg: DictConfig) -> World:
     scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
     occupancy = instantiate(cfg.collision.occupancy)(scene)
     checker = instantiate(cfg.collision.checker)(occupancy, robot.body)
-    renderer = instantiate(cfg.renderer.memory)(instantiate(cfg.renderer.exact)(scene.gaussians))
+    renderer = instantiate(cfg.renderer.memory)(instantiate(cfg.renderer.views)(scene))
     return World(scene, occupancy, checker, renderer, robot, task, plan(task.motion, checker, task.reached))
 
 

@@ -18,6 +18,9 @@ constexpr uint32_t SLAB = 2048;  // splats that are dealt to blocks at once
 // One group in memory: [GEOMETRY][GROUP] floats.
 enum Geometry { MEAN = 0, AXES = 3, LOG2_OPACITY = 12, GEOMETRY = 13 };
 
+// And for groups of merged Gaussians: how many one stands for, and the sum of their opacities.
+enum Merged { MEMBERS, SUM, MERGING };
+
 // Bounds of some Gaussians, world frame, metres.
 struct Bounds {
     float center[3], radius;  // a sphere around the means
@@ -25,32 +28,43 @@ struct Bounds {
     float reach_scale;        // the largest product of that and its longest axis, metres
 };
 
+// A node of the tree over a scene, in preorder: the children of an inner node follow it.
 struct Cluster {
-    Bounds bounds;
-    alignas(64) float groups_bounds[6][GROUP];  // of each of its groups, in the order of the members of Bounds
+    Bounds bounds;   // of all below it
+    float error;     // metres by which what it shows is displaced: 0 in a leaf, infinite where it shows nothing
     uint32_t first_group, groups;
+    uint32_t skip;   // the cluster behind all below this one
+};
+
+// Bounds of the groups of a cluster: the members of Bounds, one after another.
+struct alignas(64) GroupBounds {
+    float members[6][GROUP];
 };
 
 struct SceneView {
-    const float* geometry;          // [groups, GEOMETRY, GROUP]
-    const uint16_t* colors;         // [groups, 3 · harmonics, GROUP] half floats; final colours where harmonics is 1
-    const uint32_t* original_index; // [groups · GROUP]
-    const Cluster* clusters;
+    const float* geometry;            // [groups, GEOMETRY, GROUP]
+    const float* merging;             // [groups - first_merged, MERGING, GROUP]
+    const uint16_t* colors;           // [groups, 3 · harmonics, GROUP] half floats; final colours where harmonics is 1
+    const uint32_t* original_index;   // [groups · GROUP]
+    const Cluster* clusters;          // in preorder
+    const GroupBounds* group_bounds;  // of each cluster
     uint32_t cluster_count;
+    uint32_t first_merged;            // groups from here on hold merged Gaussians
     int degree;
-    float background[3];            // the colours of splats are relative to it
+    float background[3];              // the colours of splats are relative to it
+    float tolerance;                  // pixels by which what is shown may be displaced
 };
 
 // A visible Gaussian: half a cache line.
 struct alignas(32) Splat {
     float x, y, l11, l12, l22, log2_opacity;
-    uint16_t color[4];  // half floats; the fourth is nothing
+    uint16_t color[4];  // half floats: red, green, blue, the most that alpha can be
 };
 
 // The same as blending reads it: a cache line.
 struct alignas(64) SlabSplat {
     float x, y, l11, l12, l22, log2_opacity;
-    float red, green, blue, nothing;
+    float red, green, blue, peak;
     float depth;
 };
 

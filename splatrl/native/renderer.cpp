@@ -108,8 +108,8 @@ private:
     std::unique_ptr<Workspace> workspace_;
 };
 
-Renderer::Renderer(Scene scene, bool antialiased, Isa isa)
-    : scene_(std::move(scene)), antialiased_(antialiased), render_tile_(kernel_of(isa)) {}
+Renderer::Renderer(Scene scene, bool antialiased, float tolerance, Isa isa)
+    : scene_(std::move(scene)), antialiased_(antialiased), tolerance_(tolerance), render_tile_(kernel_of(isa)) {}
 
 Renderer::~Renderer() = default;
 
@@ -120,7 +120,7 @@ void Renderer::render(const float* camera_to_world, const float* K, size_t batch
     const size_t workers = std::max<size_t>(1, std::min(threads, batch * tiles.size()));
     std::vector<std::unique_ptr<Loan>> loans;
     for (size_t worker = 0; worker < workers; ++worker) loans.push_back(std::make_unique<Loan>(*this));
-    const SceneView view = scene_.view();
+    const SceneView view = scene_.view(tolerance_);
     std::vector<Effort> parts(batch * tiles.size());
     parallel_for(parts.size(), workers, [&](size_t worker, size_t item) {
         const size_t row = item / tiles.size();

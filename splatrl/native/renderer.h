@@ -13,7 +13,7 @@ namespace splatrl {
 
 class Renderer {
 public:
-    Renderer(Scene scene, bool antialiased, Isa isa);
+    Renderer(Scene scene, bool antialiased, float tolerance, Isa isa);
     ~Renderer();
 
     // camera_to_world [batch, 4, 4] and K [batch, 3, 3] row-major; the images of the batch lie one after another.
@@ -27,6 +27,7 @@ private:
 
     Scene scene_;
     bool antialiased_;
+    float tolerance_;
     RenderTile render_tile_;
     std::mutex mutex_;
     std::vector<std::unique_ptr<Workspace>> idle_;  // kept: fresh memory costs a page fault every 4 KiB

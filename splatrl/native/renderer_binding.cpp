@@ -1,8 +1,10 @@
 #include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
 
+#include "arrays.h"
 #include "bindings.h"
+#include "levels_binding.h"
 #include "renderer.h"
 
 namespace nb = nanobind;
@@ -10,9 +12,6 @@ namespace nb = nanobind;
 namespace splatrl {
 
 namespace {
-
-template <class T, long... SHAPE>
-using Tensor = nb::ndarray<T, nb::shape<SHAPE...>, nb::c_contig, nb::device::cpu>;
 
 using Poses = Tensor<const float, -1, 4, 4>;
 using Lenses = Tensor<const float, -1, 3, 3>;
@@ -39,13 +38,15 @@ void bind_renderer(nb::module_& m) {
             "__init__",
             [](Renderer* self, Tensor<const float, -1, 3> means, Tensor<const float, -1, 3, 3> axes,
                Tensor<const float, -1> opacities, Tensor<const float, -1, -1, 3> sh, int degree, bool antialiased,
-               std::array<float, 3> background) {
-                new (self) Renderer(Scene(means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0),
-                                          degree, background),
-                                    antialiased, choose_isa());
+               std::array<float, 3> background, std::optional<nb::dict> levels, float tolerance) {
+                const GaussianArrays gaussians{means.data(), axes.data(),    opacities.data(),
+                                               sh.data(),    means.shape(0), degree};
+                const Levels tree = levels ? levels_of(*levels, gaussians)
+                                           : build_levels(gaussians, CLUSTER, GROUP, false);
+                new (self) Renderer(Scene(gaussians, tree, background), antialiased, tolerance, choose_isa());
             },
             nb::arg("means"), nb::arg("axes"), nb::arg("opacities"), nb::arg("sh"), nb::arg("degree"),
-            nb::arg("antialiased"), nb::arg("background"))
+            nb::arg("antialiased"), nb::arg("background"), nb::arg("levels").none(), nb::arg("tolerance"))
         .def(
             "render",
             [](Renderer& self, Poses camera_to_world, Lenses K, Tensor<float, -1, -1, -1, 3> rgb,

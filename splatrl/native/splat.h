@@ -17,7 +17,8 @@ constexpr float NEAR_DEPTH = 0.01f;           // metres
 constexpr float DILATION = 0.3f;              // square pixels
 constexpr float MAX_ALPHA = 0.999f;
 constexpr float MIN_TRANSMITTANCE = 1e-4f;
-constexpr float LOG2_INVISIBLE = -7.99435344f;  // log2(1 / 255)
+constexpr float LOG2_INVISIBLE_CLASSIC = -7.99435344f;      // log2(1 / 255): a grey level
+constexpr float LOG2_INVISIBLE_ANTIALIASED = -9.99435344f;  // a quarter of it: far surfaces are many faint Gaussians
 constexpr float HALF_LOG2_E = 0.72134752f, ROOT_HALF_LOG2_E = 0.84932180f;
 constexpr float SH_C0 = 0.28209479177387814f;
 
@@ -29,13 +30,13 @@ struct Camera {
     int width, height;
 };
 
-// A Gaussian on the image: alpha(p) = 2^(log2_opacity - u² - v²), u = l11 dx + l12 dy, v = l22 dy, (dx, dy) = p - mean.
+// A Gaussian on the image: alpha(p) = min(peak, 2^(log2_opacity - u² - v²)), u = l11 dx + l12 dy, v = l22 dy, (dx, dy) = p - mean.
 template <class F>
 struct Footprint {
     F x, y, depth;        // pixels, pixels, metres
     F l11, l12, l22;      // 1 / pixels
-    F log2_opacity;
-    F extent_x, extent_y; // half the box in which alpha can reach 1/255, pixels
+    F log2_opacity, peak;
+    F extent_x, extent_y; // half the box in which it can show, pixels
 };
 
 template <class F>
@@ -49,10 +50,30 @@ SPLAT_INLINE Vector<F> rotate(const float* rotation, F x, F y, F z) {
             x * rotation[6] + y * rotation[7] + z * rotation[8]};
 }
 
-// Project a Gaussian whose mean is `offset` from the camera (world axes) and whose scaled axes are the columns of
-// `axes` (row-major 3×3). Meaningful where depth >= NEAR_DEPTH. EWA: eq. 29 to 31 of Zwicker et al. 2001.
-template <bool ANTIALIASED, class F>
-SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const F* axes, F log2_opacity) {
+// What a merged Gaussian stands for: so many Gaussians of equal mass, whose opacities have this sum.
+template <class F>
+struct Merging {
+    F members, sum;
+};
+
+// The opacity of n Gaussians that lie within one, each x / n of it, is 1 - (1 - x g / n)^n where that one's fall-off is
+// g: a peak and a fall-off with a flat top. min(peak, 2^log2_opacity g) has the same peak and the same integral, which is
+// peak (1 + ln(2^log2_opacity / peak)); the ratio in the logarithm is a rational fit, within 5 % for any x and n.
+template <class F>
+SPLAT_INLINE void merge_opacities(F x, F members, F& log2_opacity, F& peak) {
+    const F share = reciprocal(members);
+    const F opacity = 1.0f - exp2(max(members * log2(1.0f - min(x * share, MAX_ALPHA)), -60.0f));
+    const F y = x * (1.0f - share);
+    const F ratio = 1.0f + y * (0.25f + 0.0475f * y * reciprocal(1.0f + 0.07f * y));
+    peak = min(opacity, MAX_ALPHA);
+    log2_opacity = log2(max(opacity * ratio, 1e-12f));
+}
+
+// Project a Gaussian whose mean is `offset` from the camera (world axes) and whose covariance has the factor `axes`
+// (row-major 3×3). Meaningful where depth >= NEAR_DEPTH. EWA: eq. 29 to 31 of Zwicker et al. 2001.
+template <bool ANTIALIASED, bool MERGED, class F>
+SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const F* axes, F log2_opacity,
+                                  Merging<F> merging) {
     const Vector<F> mean = rotate(camera.rotation, offset.x, offset.y, offset.z);
     const F inverse_depth = reciprocal(max(mean.z, NEAR_DEPTH));
     const F slope_x = mean.x * inverse_depth, slope_y = mean.y * inverse_depth;
@@ -82,15 +103,26 @@ SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const 
     out.y = slope_y * camera.fy + camera.cy;
     out.depth = mean.z;
     out.log2_opacity = log2_opacity;
-    const F inverse_determinant = reciprocal(determinant);
-    if (ANTIALIASED) out.log2_opacity = log2_opacity + 0.5f * log2(max(bare_determinant * inverse_determinant, 1e-30f));
+    out.peak = log2_opacity * 0.0f + MAX_ALPHA;
+    const F inverse_root = reciprocal_sqrt(determinant);
+    if (ANTIALIASED)
+        out.log2_opacity = log2_opacity + 0.5f * log2(max(bare_determinant * (inverse_root * inverse_root), 1e-30f));
+    if (MERGED) {
+        F mass = exp2(max(out.log2_opacity, -60.0f));
+        if (!ANTIALIASED) {  // each member was dilated
+            const F bare = max(bare_determinant, 1e-20f);
+            mass = (mass * (bare * reciprocal_sqrt(bare)) + DILATION * merging.sum) * inverse_root;
+        }
+        merge_opacities(mass, merging.members, out.log2_opacity, out.peak);
+    }
     // The Cholesky factor of the inverse covariance: no cancellation, however thin the needle.
     const F root_xx = xx * reciprocal_sqrt(xx), inverse_root_yy = reciprocal_sqrt(yy), root_yy = yy * inverse_root_yy;
-    const F l11 = ROOT_HALF_LOG2_E * (root_yy * reciprocal_sqrt(determinant));
+    const F l11 = ROOT_HALF_LOG2_E * (root_yy * inverse_root);
     out.l11 = l11;
     out.l12 = -(l11 * (xy * (inverse_root_yy * inverse_root_yy)));
     out.l22 = ROOT_HALF_LOG2_E * inverse_root_yy;
-    // alpha = 1/255 where (u² + v²) = log2_opacity - LOG2_INVISIBLE; the box of that ellipse, a hair wider.
+    // alpha is invisible where (u² + v²) = log2_opacity - LOG2_INVISIBLE; the box of that ellipse, a hair wider.
+    constexpr float LOG2_INVISIBLE = ANTIALIASED ? LOG2_INVISIBLE_ANTIALIASED : LOG2_INVISIBLE_CLASSIC;
     const F squared_reach = max(out.log2_opacity - LOG2_INVISIBLE, 1e-30f) * (1.0002f / HALF_LOG2_E);
     const F reach = squared_reach * reciprocal_sqrt(squared_reach);
     out.extent_x = reach * root_xx;
@@ -124,12 +156,13 @@ SPLAT_INLINE void sh_basis(int degree, F x, F y, F z, F* basis) {
     basis[15] = -0.5900435899266435f * (x * (xx - 3.0f * yy));
 }
 
-// The opacity of a splat at a pixel, 0 below 1/255.
-template <class F>
-SPLAT_INLINE F alpha_at(F dx, F dy, float l11, float l12, float l22, float log2_opacity) {
+// The opacity of a splat at a pixel, 0 where it is invisible.
+template <bool ANTIALIASED, class F>
+SPLAT_INLINE F alpha_at(F dx, F dy, float l11, float l12, float l22, float log2_opacity, float peak) {
     const F u = dx * l11 + dy * l12, v = dy * l22;
     const F exponent = log2_opacity - u * u - v * v;
-    return select_if_at_least(exponent, LOG2_INVISIBLE, min(exp2(exponent), MAX_ALPHA));
+    constexpr float LOG2_INVISIBLE = ANTIALIASED ? LOG2_INVISIBLE_ANTIALIASED : LOG2_INVISIBLE_CLASSIC;
+    return select_if_at_least(exponent, LOG2_INVISIBLE, min(exp2(exponent), peak));
 }
 
 }  // namespace splatrl

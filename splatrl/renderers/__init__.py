@@ -2,7 +2,7 @@
 
 from splatrl.renderers.base import Renderer, RenderOutput
 from splatrl.renderers.lattice import LatticeRenderer
-from splatrl.renderers.native import NativeRenderer
+from splatrl.renderers.native import Effort, NativeRenderer
 from splatrl.renderers.reference import ReferenceRenderer
 
-__all__ = ["LatticeRenderer", "NativeRenderer", "ReferenceRenderer", "RenderOutput", "Renderer"]
+__all__ = ["Effort", "LatticeRenderer", "NativeRenderer", "ReferenceRenderer", "RenderOutput", "Renderer"]

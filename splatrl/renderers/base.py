@@ -7,6 +7,8 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.scene import Scene
 
 
 class RenderOutput(NamedTuple):
@@ -39,6 +41,11 @@ class Renderer(Protocol):
 def to_pixels(rgb: Tensor) -> Tensor:
     """Quantise colours: [..., 3] float in [0, 1] -> [..., 3] uint8, rounded to nearest, halves up."""
     return (255.0 * rgb + 0.5).floor().to(torch.uint8)
+
+
+def gaussians_of(scene: Scene | Gaussians) -> Gaussians:
+    """The Gaussians that a renderer is given, in a scene or bare."""
+    return scene.gaussians if isinstance(scene, Scene) else scene
 
 
 def require_finite(cameras: Cameras) -> None:

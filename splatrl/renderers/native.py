@@ -1,7 +1,8 @@
-"""The renderer for processors: exact, C++, one frame per core."""
+"""The renderer for processors: C++, exact or with level of detail, one frame per core."""
 
 import os
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -9,36 +10,68 @@ from torch import Tensor
 from splatrl.cameras import Cameras
 from splatrl.geometry import quats_to_rotations
 from splatrl.native import _core
-from splatrl.renderers.base import RenderOutput, checked_background, require_finite
+from splatrl.renderers.base import RenderOutput, checked_background, gaussians_of, require_finite
+from splatrl.renderers.lod import build_levels, cached_levels
 from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.scene import Scene
+
+
+class Effort(NamedTuple):
+    """What each frame of a batch took.
+
+    Attributes:
+        projected: [B] int32, Gaussians that were projected.
+        visible: [B] int32, those of them that can show, the ones hidden by others included.
+        blended: [B] int32, pairs of a Gaussian and a block of 4×4 pixels that were blended.
+        project_ms: [B] float32, milliseconds of one core for culling, projecting and colouring.
+        sort_ms: [B] float32, likewise for the depth order.
+        blend_ms: [B] float32, likewise for blending.
+    """
+
+    projected: Tensor
+    visible: Tensor
+    blended: Tensor
+    project_ms: Tensor
+    sort_ms: Tensor
+    blend_ms: Tensor
 
 
 class NativeRenderer:
     """Renders the same images as ``ReferenceRenderer`` at the speed that training needs, on the CPU.
 
+    With a ``tolerance``, what is far is drawn by fewer, larger Gaussians, in which neighbours were merged once for the
+    scene: as few as keep the displacement of what is shown within the tolerance. It is measured in pixels of the image
+    that is asked for, so images are sharp at every resolution. Half a pixel cannot be seen.
+
     Frame i has the same bytes alone, in any batch, in any order and with any number of threads. Instruction sets may
     differ in the last bits; ``SPLATRL_ISA=avx512|avx2|baseline`` forces one for the renderers made after it is set.
 
     Args:
-        gaussians: the scene; its values are copied.
+        scene: the scene, whose levels of detail are kept in its cache; or Gaussians. Values are copied.
         antialiased: keep the energy of Gaussians smaller than a pixel; False is the classic 3DGS image.
         background: colour behind the Gaussians, in [0, 1].
         threads: cores that a batch is spread over; None takes all that this process may use.
+        tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
 
     Raises:
-        ValueError: for Gaussians that are not finite, fewer threads than one, or an unknown ``SPLATRL_ISA``.
+        ValueError: for Gaussians that are not finite, fewer threads than one, a tolerance that is negative or not
+            finite, or an unknown ``SPLATRL_ISA``.
     """
 
     def __init__(
         self,
-        gaussians: Gaussians,
+        scene: Scene | Gaussians,
         antialiased: bool = True,
         background: Sequence[float] = (0.0, 0.0, 0.0),
         threads: int | None = None,
+        tolerance: float = 0.0,
     ) -> None:
         if threads is not None and threads < 1:
             raise ValueError(f"threads: expected at least 1, or None for all cores, got {threads}")
+        if not 0.0 <= tolerance < float("inf"):
+            raise ValueError(f"tolerance: expected pixels, at least 0 and finite, got {tolerance}")
         self.threads = threads or usable_cores()
+        gaussians = gaussians_of(scene)
         axes = quats_to_rotations(gaussians.quats.double()) * gaussians.scales.double().unsqueeze(-2)
         fields = {
             "means": gaussians.means,
@@ -50,32 +83,55 @@ class NativeRenderer:
         for name, value in arrays.items():
             if not bool(value.isfinite().all()):
                 raise ValueError(f"gaussians.{name}: expected finite values")
+        degree = gaussians.sh_degree
+        levels = None
+        if tolerance > 0.0:
+            levels = cached_levels(scene, arrays) if isinstance(scene, Scene) else build_levels(arrays, degree)
         self._core = _core.Renderer(
-            **arrays, degree=gaussians.sh_degree, antialiased=antialiased, background=checked_background(background)
+            **arrays,
+            degree=degree,
+            antialiased=antialiased,
+            background=checked_background(background),
+            levels=levels,
+            tolerance=tolerance,
         )
 
     def render(self, cameras: Cameras) -> RenderOutput:
         """Colour, depth and alpha of each camera, float32, on the cameras' device."""
         shape = (len(cameras), cameras.height, cameras.width)
         rgb, depth, alpha = torch.empty(*shape, 3), torch.empty(shape), torch.empty(shape)
-        efforts = torch.empty(len(cameras), 6)
+        efforts = torch.empty(len(cameras), len(Effort._fields))
         self._core.render(*_checked(cameras), rgb, depth, alpha, efforts, self.threads)
         device = cameras.camera_to_world.device
         return RenderOutput(rgb.to(device), depth.to(device), alpha.to(device))
 
-    def pixels(self, cameras: Cameras) -> Tensor:
-        """[B, H, W, 3] uint8, on the cameras' device."""
-        return self._draw(cameras)[0].to(cameras.camera_to_world.device)
+    def pixels(self, cameras: Cameras, out: Tensor | None = None) -> Tensor:
+        """What an observation is: [B, H, W, 3] uint8.
 
-    def visible(self, cameras: Cameras) -> Tensor:
-        """How many Gaussians can show in each view, those hidden by others included: [B] int32."""
-        return self._draw(cameras)[1][:, 1].int()
+        Args:
+            cameras: B views.
+            out: [B, H, W, 3] uint8, contiguous, in main memory: written to in place of a new tensor.
 
-    def _draw(self, cameras: Cameras) -> tuple[Tensor, Tensor]:
-        pixels = torch.empty(len(cameras), cameras.height, cameras.width, 3, dtype=torch.uint8)
-        efforts = torch.empty(len(cameras), 6)
+        Raises:
+            ValueError: for an ``out`` of another shape, type, layout or device.
+        """
+        if out is not None:
+            self._draw(cameras, _checked_out(out, cameras))
+            return out
+        pixels = _empty_pixels(cameras)
+        self._draw(cameras, pixels)
+        return pixels.to(cameras.camera_to_world.device)
+
+    def efforts(self, cameras: Cameras) -> Effort:
+        """What it takes to draw each view, measured by drawing it."""
+        values = self._draw(cameras, _empty_pixels(cameras)).unbind(1)
+        return Effort(*(value.int() for value in values[:3]), *values[3:])
+
+    def _draw(self, cameras: Cameras, pixels: Tensor) -> Tensor:
+        """Draw into ``pixels``; returns the efforts, [B, fields]."""
+        efforts = torch.empty(len(cameras), len(Effort._fields))
         self._core.pixels(*_checked(cameras), pixels, efforts, self.threads)
-        return pixels, efforts
+        return efforts
 
 
 def usable_cores() -> int:
@@ -83,6 +139,19 @@ def usable_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def _empty_pixels(cameras: Cameras) -> Tensor:
+    return torch.empty(len(cameras), cameras.height, cameras.width, 3, dtype=torch.uint8)
+
+
+def _checked_out(out: Tensor, cameras: Cameras) -> Tensor:
+    """Refuse what cannot be drawn into."""
+    shape = (len(cameras), cameras.height, cameras.width, 3)
+    if tuple(out.shape) != shape or out.dtype != torch.uint8 or not out.is_contiguous() or out.device.type != "cpu":
+        got = f"{tuple(out.shape)} {out.dtype} on {out.device}{'' if out.is_contiguous() else ', not contiguous'}"
+        raise ValueError(f"out: expected {shape} torch.uint8 on cpu, contiguous, got {got}")
+    return out
 
 
 def _cpu_floats(value: Tensor) -> Tensor:

@@ -8,12 +8,16 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.geometry import invert_rigid
-from splatrl.renderers.base import RenderOutput, checked_background, require_finite, to_pixels
+from splatrl.renderers.base import RenderOutput, checked_background, gaussians_of, require_finite, to_pixels
 from splatrl.scenes.gaussians import INVISIBLE, Gaussians
+from splatrl.scenes.scene import Scene
 from splatrl.spherical_harmonics import sh_colors
 
 NEAR = 0.01
 """Metres: a Gaussian whose mean is nearer along the optical axis is not shown."""
+FAINT = INVISIBLE / 4
+"""An opacity that does not show in an antialiased image. Far surfaces are made of many Gaussians each fainter than a
+grey level: without them, tables vanish from small images."""
 DILATION = 0.3
 """Square pixels added to every projected covariance: a Gaussian covers at least about one pixel."""
 MAX_ALPHA = 0.999
@@ -31,7 +35,7 @@ class Projected(NamedTuple):
     Attributes:
         centers: [G, 2] pixels.
         conics: [G, 3] the inverse covariance on the image, (xx, xy, yy), 1 / square pixels.
-        extents: [G, 2] half sizes of the box in which alpha can reach 1/255, pixels.
+        extents: [G, 2] half sizes of the box in which it can show, pixels.
         opacities: [G].
         colors: [G, 3].
         depths: [G] metres.
@@ -51,7 +55,7 @@ class ReferenceRenderer:
     The conventions are gsplat's. Gradients reach everything in ``gaussians``; the output has their float type.
 
     Args:
-        gaussians: the scene.
+        scene: the scene, or its Gaussians.
         antialiased: keep the energy of Gaussians smaller than a pixel (Mip-Splatting, Yu et al. 2024): what the
             dilation adds in area is taken from the opacity. False is the classic 3DGS image.
         background: colour behind the Gaussians, in [0, 1].
@@ -59,13 +63,14 @@ class ReferenceRenderer:
 
     def __init__(
         self,
-        gaussians: Gaussians,
+        scene: Scene | Gaussians,
         antialiased: bool = True,
         background: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> None:
-        self.gaussians = gaussians
+        self.gaussians = gaussians_of(scene)
         self.antialiased = antialiased
         self.background = checked_background(background)
+        self.invisible = FAINT if antialiased else INVISIBLE
 
     def render(self, cameras: Cameras) -> RenderOutput:
         """Colour, depth and alpha of each camera, on the device and in the float type of the Gaussians."""
@@ -78,7 +83,7 @@ class ReferenceRenderer:
             for top in range(0, cameras.height, TILE):
                 for left in range(0, cameras.width, TILE):
                     bottom, right = min(top + TILE, cameras.height), min(left + TILE, cameras.width)
-                    tile = blend(projected, left, top, right, bottom)
+                    tile = blend(projected, left, top, right, bottom, self.invisible)
                     outputs[row, top:bottom, left:right] = tile
         rgb, weighted_depth, alpha = outputs[..., :3], outputs[..., 3], outputs[..., 4]
         rgb = rgb + (1 - alpha).unsqueeze(-1) * background
@@ -110,7 +115,7 @@ class ReferenceRenderer:
         opacities = visible.opacities
         if self.antialiased:
             opacities = opacities * (covariances.det() / determinants).clamp_min(1e-12).sqrt()  # 0 has no slope
-        reach = 2 * (opacities.detach().clamp_min(INVISIBLE) / INVISIBLE).log()  # squared standard deviations
+        reach = 2 * (opacities.detach().clamp_min(self.invisible) / self.invisible).log()  # squared standard deviations
         directions = torch.nn.functional.normalize(visible.means - camera_to_world[:3, 3], dim=-1)
         return Projected(
             centers=torch.stack([K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]], -1),
@@ -146,8 +151,13 @@ def project_covariances(covariances: Tensor, x: Tensor, y: Tensor, z: Tensor, K:
     return jacobians @ covariances @ jacobians.mT
 
 
-def blend(projected: Projected, left: int, top: int, right: int, bottom: int) -> Tensor:
+def blend(projected: Projected, left: int, top: int, right: int, bottom: int, invisible: float) -> Tensor:
     """Blend the Gaussians over one tile, front to back.
+
+    Args:
+        projected: nearest first.
+        left: edge of the tile, pixels; so are ``top``, ``right`` and ``bottom``.
+        invisible: opacities below it do not show.
 
     Returns:
         [bottom - top, right - left, 5]: red, green, blue, depth times share, alpha.
@@ -162,7 +172,7 @@ def blend(projected: Projected, left: int, top: int, right: int, bottom: int) ->
     blended = like.new_zeros(points.shape[0], 5)
     transmittance = like.new_ones(points.shape[0], 1)
     for chunk in chosen.split(CHUNK):
-        alphas = alpha_at(points, Projected(*(value[chunk] for value in projected)))  # [P, G]
+        alphas = alpha_at(points, Projected(*(value[chunk] for value in projected)), invisible)  # [P, G]
         after = transmittance * (1 - alphas).cumprod(1)
         before = torch.cat([transmittance, after[:, :-1]], 1)
         shares = torch.where(after > MIN_TRANSMITTANCE, alphas * before, 0.0)
@@ -174,10 +184,10 @@ def blend(projected: Projected, left: int, top: int, right: int, bottom: int) ->
     return blended.unflatten(0, (bottom - top, right - left))
 
 
-def alpha_at(points: Tensor, projected: Projected) -> Tensor:
-    """Opacity of each Gaussian at each point, 0 below 1/255: [P, 2] pixels -> [P, G]."""
+def alpha_at(points: Tensor, projected: Projected, invisible: float) -> Tensor:
+    """Opacity of each Gaussian at each point, 0 where it is invisible: [P, 2] pixels -> [P, G]."""
     dx, dy = (points[:, None] - projected.centers).unbind(-1)
     xx, xy, yy = projected.conics.unbind(-1)
     sigmas = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy
     alphas = (projected.opacities * (-sigmas).exp()).clamp_max(MAX_ALPHA)
-    return torch.where(alphas >= INVISIBLE, alphas, 0.0)
+    return torch.where(alphas >= invisible, alphas, 0.0)

@@ -27,7 +27,7 @@ def cache_dir() -> Path:
     return Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "splatrl"
 
 
-def cached_arrays(name: str, build: Callable[[], Arrays]) -> Arrays:
+def cached_arrays(name: str, build: Callable[[], Arrays], compressed: bool = True) -> Arrays:
     """The arrays kept under a name, or those that ``build`` makes, which are kept from then on.
 
     A damaged file is made again, with a warning. Where the folder cannot be written to, one warning is given and
@@ -36,6 +36,7 @@ def cached_arrays(name: str, build: Callable[[], Arrays]) -> Arrays:
     Args:
         name: of the file, without its ending; holds a digest of all that the arrays are made from.
         build: makes the arrays.
+        compressed: on disk.
     """
     path = cache_dir() / f"{name}.npz"
     try:
@@ -50,7 +51,7 @@ def cached_arrays(name: str, build: Callable[[], Arrays]) -> Arrays:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as stream:
-            np.savez_compressed(stream, **named)
+            (np.savez_compressed if compressed else np.savez)(stream, **named)
     except OSError as error:
         _warn_unwritable(path.parent, error.strerror)
     return arrays

@@ -56,7 +56,9 @@ class Scene:
     gaussians: Gaussians
     bounds: Bounds
 
-    def cached(self, kind: str, settings: Mapping[str, Any], build: Callable[[], Arrays]) -> Arrays:
+    def cached(
+        self, kind: str, settings: Mapping[str, Any], build: Callable[[], Arrays], compressed: bool = True
+    ) -> Arrays:
         """Arrays derived from the Gaussians, built once and kept on disk.
 
         They are built again exactly when the Gaussians, the settings or ``CACHE_VERSION`` change.
@@ -65,11 +67,12 @@ class Scene:
             kind: what they are; an identifier.
             settings: all that ``build`` depends on beside the Gaussians, as JSON can write it.
             build: makes the arrays.
+            compressed: on disk; False where reading should be fast and little would be saved.
         """
         assert kind.isidentifier(), kind
         recipe = [CACHE_VERSION, dict(settings), self.digest]
         key = blake2b(json.dumps(recipe, sort_keys=True, default=list).encode(), digest_size=16)
-        return cached_arrays(f"{kind}-{key.hexdigest()}", build)
+        return cached_arrays(f"{kind}-{key.hexdigest()}", build, compressed)
 
     @cached_property
     def digest(self) -> str:

@@ -142,7 +142,7 @@ def test_a_camera_that_sees_nothing_shows_the_background() -> None:
     view = renderer.render(ahead(9, 6))
     assert torch.equal(view.rgb, torch.tensor([0.0, 0.5, 1.0]).expand(1, 6, 9, 3))
     assert not view.alpha.any() and not view.depth.any()
-    assert renderer.visible(ahead(9, 6)).tolist() == [0]
+    assert renderer.efforts(ahead(9, 6)).visible.tolist() == [0]
     assert renderer.pixels(ahead(9, 6))[0, 0, 0].tolist() == [0, 128, 255]
 
 

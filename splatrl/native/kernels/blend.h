@@ -76,7 +76,7 @@ LANE_INLINE void deal(const Scratch& scratch, const uint64_t* keys, uint32_t cou
 // Blend a list of splats over one block, front to back. Returns whether all its pixels are finished.
 // A splat's share of a pixel is 0 from where the transmittance would fall to MIN_TRANSMITTANCE. The transmittance goes
 // on falling, so what is finished stays finished.
-template <bool WITH_DEPTH>
+template <bool ANTIALIASED, bool WITH_DEPTH>
 LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const uint16_t* end, float left, float top,
                              float* channels) {
     alignas(64) static constexpr float COLUMNS[LANES] = {0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, 2.5f, 3.5f,
@@ -90,8 +90,9 @@ LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const 
     for (; item < end; ++item) {
         __builtin_prefetch(&slab[item[AHEAD]]);
         const SlabSplat& splat = slab[*item];
-        const Lanes share = transmittance * alpha_at(x - splat.x, y - splat.y, splat.l11, splat.l12, splat.l22,
-                                                     splat.log2_opacity);
+        const Lanes share =
+            transmittance * alpha_at<ANTIALIASED>(x - splat.x, y - splat.y, splat.l11, splat.l12, splat.l22,
+                                                  splat.log2_opacity, splat.peak);
         transmittance = transmittance - share;
         const LaneMask counted = above(transmittance, MIN_TRANSMITTANCE);
         red = add_product_where(counted, red, share, splat.red);
@@ -115,7 +116,7 @@ LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const 
 
 // Blend what has been dealt to the blocks. Returns whether all of them are finished; adds to `blended` how often a splat
 // was blended over a block.
-template <bool WITH_DEPTH>
+template <bool ANTIALIASED, bool WITH_DEPTH>
 LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, Blocks& blocks, uint32_t& blended) {
     bool all_finished = true;
     for (int block = 0; block < BLOCKS; ++block) {
@@ -124,7 +125,7 @@ LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, Blocks& 
         if (blocks.finished[block]) continue;
         if (length > 0) {
             const uint16_t* item = scratch.lists + block * LIST;
-            blocks.finished[block] = blend_block<WITH_DEPTH>(
+            blocks.finished[block] = blend_block<ANTIALIASED, WITH_DEPTH>(
                 scratch.slab, item, item + length, float(tile.left + block % ACROSS * BLOCK),
                 float(tile.top + block / ACROSS * BLOCK), scratch.pixels + block * CHANNELS * LANES);
             blended += length;
@@ -136,7 +137,7 @@ LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, Blocks& 
 }
 
 // Returns how often a splat was blended over a block.
-template <bool WITH_DEPTH>
+template <bool ANTIALIASED, bool WITH_DEPTH>
 static uint32_t blend_tile(const Tile& tile, const float* background, const uint64_t* keys, uint32_t count,
                            const Scratch& scratch) {
     Blocks blocks;
@@ -145,7 +146,7 @@ static uint32_t blend_tile(const Tile& tile, const float* background, const uint
     uint32_t blended = 0;
     for (uint32_t next = 0; next < count; next += SLAB) {
         deal<WITH_DEPTH>(scratch, keys + next, count - next < SLAB ? count - next : SLAB, blocks);
-        if (blend_blocks<WITH_DEPTH>(scratch, tile, blocks, blended)) break;
+        if (blend_blocks<ANTIALIASED, WITH_DEPTH>(scratch, tile, blocks, blended)) break;
     }
     return blended;
 }

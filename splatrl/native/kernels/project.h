@@ -1,4 +1,4 @@
-// From the scene to the splats of one camera: cull, project, colour.
+// From groups of Gaussians to the splats of a tile: project, colour.
 #pragma once
 
 #include "kernel.h"
@@ -7,75 +7,6 @@
 
 namespace splatrl {
 namespace SPLATRL_ISA {
-
-// Whether nothing of some Gaussians can show on a tile: everything is behind the near plane, or further beside an
-// edge than it reaches. An edge is a plane through the camera; the reach follows the projected covariance with its
-// bounded Jacobian and its dilation, so the test never drops what the projection would show.
-struct Frustum {
-    float normals[4][3];  // world axes, pixels; positive is outside
-    float lengths[4];
-    float slants[4];      // pixels that a standard deviation of one metre at one metre reaches at most
-    float forward[3];
-};
-
-LANE_INLINE Frustum frustum_of(const Camera& camera, const Tile& tile) {
-    const float far_x = camera.slope_right > -camera.slope_left ? camera.slope_right : -camera.slope_left;
-    const float far_y = camera.slope_bottom > -camera.slope_top ? camera.slope_bottom : -camera.slope_top;
-    const float slant_x = camera.fx * __builtin_sqrtf(1.0f + far_x * far_x);
-    const float slant_y = camera.fy * __builtin_sqrtf(1.0f + far_y * far_y);
-    const float edges[4][3] = {{camera.fx, 0.0f, camera.cx - float(tile.right)},
-                               {-camera.fx, 0.0f, float(tile.left) - camera.cx},
-                               {0.0f, camera.fy, camera.cy - float(tile.bottom)},
-                               {0.0f, -camera.fy, float(tile.top) - camera.cy}};
-    Frustum out;
-    for (int edge = 0; edge < 4; ++edge) {
-        float squared = 0.0f;
-        for (int axis = 0; axis < 3; ++axis) {
-            out.normals[edge][axis] = 0.0f;
-            for (int row = 0; row < 3; ++row)
-                out.normals[edge][axis] += edges[edge][row] * camera.rotation[3 * row + axis];
-            squared += out.normals[edge][axis] * out.normals[edge][axis];
-        }
-        out.lengths[edge] = __builtin_sqrtf(squared);
-        out.slants[edge] = edge < 2 ? slant_x : slant_y;
-    }
-    for (int axis = 0; axis < 3; ++axis) out.forward[axis] = camera.rotation[6 + axis];
-    return out;
-}
-
-LANE_INLINE float max(float a, float b) { return a > b ? a : b; }
-
-// Positive where Gaussians within these bounds miss the tile. `F` is float, or Lanes for sixteen bounds at once.
-template <class F>
-LANE_INLINE F missed_by(const Frustum& frustum, const Camera& camera, const F* center, F radius, F reach,
-                        F reach_scale) {
-    const Vector<F> offset{center[0] - camera.position[0], center[1] - camera.position[1],
-                           center[2] - camera.position[2]};
-    const F depth = offset.x * frustum.forward[0] + offset.y * frustum.forward[1] + offset.z * frustum.forward[2];
-    const F deepest = depth + radius;
-    F missed = NEAR_DEPTH - deepest;
-    for (int edge = 0; edge < 4; ++edge) {
-        const float* normal = frustum.normals[edge];
-        const F outside = offset.x * normal[0] + offset.y * normal[1] + offset.z * normal[2] -
-                          frustum.lengths[edge] * radius;
-        // sqrt(σ² + dilation) <= σ + sqrt(dilation)
-        const F reached = reach_scale * frustum.slants[edge] + reach * 0.5478f * deepest;
-        missed = max(missed, outside - 1.001f * reached);
-    }
-    return missed;
-}
-
-LANE_INLINE bool misses(const Frustum& frustum, const Camera& camera, const Bounds& bounds) {
-    return missed_by(frustum, camera, bounds.center, bounds.radius, bounds.reach, bounds.reach_scale) > 0.0f;
-}
-
-// The groups of a cluster that do not miss the tile, as bits.
-LANE_INLINE uint32_t groups_in_view(const Frustum& frustum, const Camera& camera, const Cluster& cluster) {
-    Lanes bounds[6];
-    for (int i = 0; i < 6; ++i) bounds[i] = load(cluster.groups_bounds[i]);
-    const Lanes missed = missed_by(frustum, camera, bounds, bounds[3], bounds[4], bounds[5]);
-    return ~bits_above(missed, lanes(0.0f)) & ((2u << (cluster.groups - 1)) - 1);
-}
 
 // Colours relative to the background, as half floats.
 LANE_INLINE void shade(const SceneView& scene, uint32_t group, const Vector<Lanes>& offset, IntLanes* rgb) {
@@ -100,7 +31,7 @@ LANE_INLINE void shade(const SceneView& scene, uint32_t group, const Vector<Lane
 // The first and the last pixel whose centre is in [middle - extent, middle + extent] and which is in [low, high]; the
 // last is before the first where there is none.
 LANE_INLINE void pixels_between(const Lanes& middle, const Lanes& extent, int low, int high, Lanes& first, Lanes& last) {
-    first = ceil(max(middle - extent - 0.5f, float(low)));
+    first = ceil(min(max(middle - extent - 0.5f, float(low)), float(high + 1)));
     last = floor(max(min(middle + extent - 0.5f, float(high)) + 1.0f, 0.0f)) - 1.0f;
 }
 
@@ -138,20 +69,27 @@ LANE_INLINE void patches_of(const Tile& tile, const Lanes& left, const Lanes& ri
     }
 }
 
-template <bool ANTIALIASED>
-LANE_INLINE uint32_t project_group(const SceneView& scene, const Camera& camera, const Tile& tile, uint32_t group,
-                                   const Scratch& scratch, uint32_t count) {
+template <bool ANTIALIASED, bool MERGED>
+static uint32_t project_group(const SceneView& scene, const Camera& camera, const Tile& tile, uint32_t group,
+                              const Scratch& scratch, uint32_t count) {
     const float* geometry = scene.geometry + size_t(group) * GEOMETRY * GROUP;
     const Vector<Lanes> offset{load(geometry) - camera.position[0], load(geometry + GROUP) - camera.position[1],
                                load(geometry + 2 * GROUP) - camera.position[2]};
     Lanes axes[9];
     for (int i = 0; i < 9; ++i) axes[i] = load(geometry + (AXES + i) * GROUP);
-    const Footprint<Lanes> print = project<ANTIALIASED>(camera, offset, axes, load(geometry + LOG2_OPACITY * GROUP));
+    Merging<Lanes> merging{lanes(1.0f), lanes(0.0f)};
+    if (MERGED) {
+        const float* merged = scene.merging + size_t(group - scene.first_merged) * MERGING * GROUP;
+        merging = {load(merged + MEMBERS * GROUP), load(merged + SUM * GROUP)};
+    }
+    const Footprint<Lanes> print =
+        project<ANTIALIASED, MERGED>(camera, offset, axes, load(geometry + LOG2_OPACITY * GROUP), merging);
     Lanes left, right, top, bottom;
     pixels_between(print.x, print.extent_x, tile.left, tile.right - 1, left, right);
     pixels_between(print.y, print.extent_y, tile.top, tile.bottom - 1, top, bottom);
     const uint32_t hidden =
         bits_above(lanes(NEAR_DEPTH), print.depth) | bits_above(left, right) | bits_above(top, bottom);
+    constexpr float LOG2_INVISIBLE = ANTIALIASED ? LOG2_INVISIBLE_ANTIALIASED : LOG2_INVISIBLE_CLASSIC;
     const uint32_t visible = bits_above(print.log2_opacity, lanes(LOG2_INVISIBLE)) & ~hidden;
     if (visible == 0) return count;
 
@@ -160,43 +98,33 @@ LANE_INLINE uint32_t project_group(const SceneView& scene, const Camera& camera,
     Lanes depths, rests;
     exact_depths(geometry, camera, depths, rests);
     Record record{{print.x, print.y, print.l11, print.l12, print.l22, print.log2_opacity,
-                   from_bits(join_halves(rgb[0], rgb[1])), from_bits(rgb[2])},
+                   from_bits(join_halves(rgb[0], rgb[1])), from_bits(join_halves(rgb[2], to_halves(print.peak)))},
                   {}, {}, depths, rests, load_ints(scene.original_index + group * GROUP)};
     patches_of(tile, left, right, top, bottom, record.patch_low, record.patch_high);
     return append(record, visible, scratch, count);
 }
 
-// The groups that may show on a tile, in the order of the scene.
-LANE_INLINE uint32_t cull(const SceneView& scene, const Camera& camera, const Tile& tile, uint32_t* groups) {
-    const Frustum frustum = frustum_of(camera, tile);
-    uint32_t count = 0;
-    for (uint32_t c = 0; c < scene.cluster_count; ++c) {
-        const Cluster& cluster = scene.clusters[c];
-        if (misses(frustum, camera, cluster.bounds)) continue;
-        for (uint32_t left = groups_in_view(frustum, camera, cluster); left != 0; left &= left - 1)
-            groups[count++] = cluster.first_group + uint32_t(__builtin_ctz(left));
-    }
-    for (uint32_t i = 0; i < SPARE; ++i) groups[count + i] = 0;
-    return count;
-}
-
 LANE_INLINE void fetch_group(const SceneView& scene, uint32_t group) {
     const char* geometry = reinterpret_cast<const char*>(scene.geometry + size_t(group) * GEOMETRY * GROUP);
     for (int line = 0; line < GEOMETRY; ++line) __builtin_prefetch(geometry + 64 * line);
+    const size_t bytes = size_t(3 * (scene.degree + 1) * (scene.degree + 1)) * GROUP * sizeof(uint16_t);
+    const char* colors = reinterpret_cast<const char*>(scene.colors) + group * bytes;
+    for (size_t line = 0; line < bytes; line += 64) __builtin_prefetch(colors + line, 0, 1);
 }
 
-// Returns how many splats there are; `projected` takes how many Gaussians were projected.
+// Project the groups that scratch names. Returns how many splats there are.
 template <bool ANTIALIASED>
-static uint32_t project_scene(const SceneView& scene, const Camera& camera, const Tile& tile, const Scratch& scratch,
-                              uint32_t& projected) {
-    constexpr uint32_t AHEAD_GROUPS = 3;
-    const uint32_t groups = cull(scene, camera, tile, scratch.groups);
+static uint32_t project_groups(const SceneView& scene, const Camera& camera, const Tile& tile, uint32_t groups,
+                               const Scratch& scratch) {
+    constexpr uint32_t GROUPS_AHEAD = 1;
     uint32_t count = 0;
     for (uint32_t i = 0; i < groups; ++i) {
-        fetch_group(scene, scratch.groups[i + AHEAD_GROUPS]);
-        count = project_group<ANTIALIASED>(scene, camera, tile, scratch.groups[i], scratch, count);
+        fetch_group(scene, scratch.groups[i + GROUPS_AHEAD]);
+        const uint32_t group = scratch.groups[i];
+        count = group < scene.first_merged
+                    ? project_group<ANTIALIASED, false>(scene, camera, tile, group, scratch, count)
+                    : project_group<ANTIALIASED, true>(scene, camera, tile, group, scratch, count);
     }
-    projected = groups * GROUP;
     return count;
 }
 

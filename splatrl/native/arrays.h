@@ -1,0 +1,23 @@
+// Tensors and arrays from Python, and back.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <vector>
+
+namespace splatrl {
+
+// A contiguous array in main memory with this shape; -1 is any.
+template <class T, long... SHAPE>
+using Tensor = nanobind::ndarray<T, nanobind::shape<SHAPE...>, nanobind::c_contig, nanobind::device::cpu>;
+
+// A numpy array that owns these values.
+template <class T>
+nanobind::ndarray<nanobind::numpy, T> to_numpy(std::vector<T> values, std::initializer_list<size_t> shape) {
+    auto* kept = new std::vector<T>(std::move(values));
+    const nanobind::capsule owner(kept, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+    return nanobind::ndarray<nanobind::numpy, T>(kept->data(), shape, owner);
+}
+
+}  // namespace splatrl

@@ -1,0 +1,52 @@
+"""Levels of detail of a scene: a tree in which neighbours are merged, built once and kept in the scene's cache.
+
+Every node of the tree holds at most 256 Gaussians. Those of a leaf are the scene's own; those of an inner node stand for
+all below it, in the two children of which the cheapest pairs of neighbours were merged until half were left. A merged
+Gaussian has the mass (opacity times area), the mean and the covariance of its members, and their mean colour by mass.
+For each camera the renderer goes down the tree until the members of a node lie within the tolerance of their merged
+mean, in pixels at the node's nearest depth.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from torch import Tensor
+
+from splatrl.native import _core
+from splatrl.scenes.cache import Arrays
+from splatrl.scenes.scene import Scene
+
+LEVELS_VERSION = 1
+"""Raise it when the tree or the merging changes: cached levels are then built again."""
+
+
+def build_levels(arrays: Mapping[str, Tensor], degree: int) -> Arrays:
+    """Build the levels of a scene: about 1 s per 200 thousand Gaussians.
+
+    Args:
+        arrays: ``means`` [N, 3], ``axes`` [N, 3, 3], ``opacities`` [N] and ``sh`` [N, harmonics, 3], float32.
+        degree: of the spherical harmonics.
+
+    Returns:
+        The tree: ``order`` [N] and ``nodes`` [4 · nodes] uint32 (first, count, skip, leaf), ``errors`` [nodes] float32,
+        metres. The M merged Gaussians, flat, float32: ``means``, ``axes``, ``opacities``, ``sh``, ``members`` (how many
+        Gaussians of equal mass one stands for) and ``sums`` (of their opacities).
+    """
+    return dict(_core.build_levels(**arrays, degree=degree))
+
+
+def cached_levels(scene: Scene, arrays: Mapping[str, Tensor]) -> Arrays:
+    """The levels of a scene, built the first time and kept in its cache; colours as half floats, as they are drawn.
+
+    Args:
+        scene: whose cache it is.
+        arrays: those of ``build_levels``, made from the scene's Gaussians.
+    """
+
+    def build() -> Arrays:
+        levels = build_levels(arrays, scene.gaussians.sh_degree)
+        limit = np.finfo(np.float16).max
+        return levels | {"sh": levels["sh"].clip(-limit, limit).astype(np.float16)}
+
+    levels = scene.cached("levels", {"version": LEVELS_VERSION}, build, compressed=False)
+    return levels | {"sh": levels["sh"].astype(np.float32)}
