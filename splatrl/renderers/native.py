@@ -17,7 +17,7 @@ from splatrl.scenes.scene import Scene
 
 
 class Effort(NamedTuple):
-    """What each frame of a batch took.
+    """What each frame of a batch took; where it was drawn in several tiles, their sum.
 
     Attributes:
         projected: [B] int32, Gaussians that were projected.

@@ -75,6 +75,19 @@ def test_a_colour_with_degree_one_is_brightest_from_the_side_that_its_sign_says(
     assert rgb[:, 1].tolist() == pytest.approx([0.4, 0.4])
 
 
+def test_a_surface_of_gaussians_each_fainter_than_a_grey_level_shows_in_an_antialiased_image() -> None:
+    side = (torch.arange(100) - 49.5) * 0.02
+    y, z = torch.meshgrid(side, side, indexing="ij")
+    points = torch.stack([torch.full((10_000,), 40.0), y.flatten(), z.flatten()], 1).tolist()
+    alphas = []
+    for scale in (0.01, 0.03):  # a pixel is 1 m wide there: 2500 of them around its centre
+        view = ReferenceRenderer(gaussians(points, scale=scale, opacity=0.99)).render(ahead())
+        alphas.append(float(view.alpha[0, 15, 20]))
+    single = [0.99 * scale**2 / (scale**2 + 0.3) for scale in (0.01, 0.03)]
+    assert single[0] < 1 / 1020 < single[1] < 1 / 255
+    assert alphas[0] == 0 and alphas[1] > 0.9
+
+
 def test_the_background_shows_where_nothing_covers_it() -> None:
     scene = gaussians([[2.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]], scale=0.05, opacity=0.75)
     view = ReferenceRenderer(scene, antialiased=False, background=(0.2, 0.4, 0.8)).render(ahead())

@@ -1,0 +1,196 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from splatrl import load_scene
+from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.native import _core
+from splatrl.renderers import LatticeRenderer, NativeRenderer
+from splatrl.renderers import lod as lod_module
+from splatrl.renderers.lod import build_levels
+from splatrl.scenes import Gaussians, Scene
+from splatrl.scenes.cache import Arrays
+from tests.renderers.cases import psnr, random_cameras, random_gaussians
+
+
+def arrays_of(gaussians: Gaussians) -> dict[str, Tensor]:
+    """What ``build_levels`` takes, with axes from the covariances."""
+    axes = torch.linalg.cholesky(gaussians.covariances().double()).float().contiguous()
+    return {"means": gaussians.means, "axes": axes, "opacities": gaussians.opacities, "sh": gaussians.sh}
+
+
+def level_views(lower: list[float], upper: list[float], batch: int, size: int = 64) -> Cameras:
+    """Views 90 degrees wide from anywhere in a box, nearly level."""
+    g = torch.Generator().manual_seed(1)
+    low, high = torch.tensor(lower), torch.tensor(upper)
+    positions = low + torch.rand(batch, 3, generator=g) * (high - low)
+    yaws, pitches = 2 * math.pi * torch.rand(batch, generator=g), 0.6 * torch.rand(batch, generator=g) - 0.3
+    forward = torch.stack([yaws.cos() * pitches.cos(), yaws.sin() * pitches.cos(), pitches.sin()], 1)
+    return Cameras(look_at(positions, positions + forward), intrinsics(math.pi / 2, size, size), size, size)
+
+
+def psnrs(gaussians: Gaussians, cameras: Cameras, tolerance: float, antialiased: bool = True) -> Tensor:
+    """Of each view with level of detail against the exact one, decibels, at most 80."""
+    exact = NativeRenderer(gaussians, antialiased).render(cameras).rgb
+    fast = NativeRenderer(gaussians, antialiased, tolerance=tolerance).render(cameras).rgb
+    return torch.tensor([min(80.0, psnr(a[None], b[None])) for a, b in zip(fast, exact, strict=True)])
+
+
+@pytest.fixture(scope="module")
+def yard() -> Gaussians:
+    return load_scene().gaussians
+
+
+@pytest.fixture(scope="module")
+def levels() -> Arrays:
+    return build_levels(arrays_of(random_gaussians(3, 3000, 1)), 1)
+
+
+def test_every_gaussian_is_in_one_leaf_and_every_node_stands_for_all_below_it(levels: Arrays) -> None:
+    assert np.array_equal(np.sort(levels["order"]), np.arange(3000))
+    nodes, errors = levels["nodes"].reshape(-1, 4), levels["errors"]
+    leaves = nodes[:, 3] == 1
+    assert nodes[leaves, 1].sum() == 3000 and leaves.sum() == 12
+    assert (nodes[:, 1] <= 256).all() and (nodes[~leaves, 1] > 0).all()
+    assert nodes[0, 2] == len(nodes)
+    assert (errors[leaves] == 0).all() and (errors[~leaves] > 0).all() and np.isfinite(errors).all()
+
+
+def test_merging_keeps_mass_mean_and_covariance(levels: Arrays) -> None:
+    scene = random_gaussians(3, 3000, 1)
+    root = levels["nodes"].reshape(-1, 4)[0]
+    kept = slice(root[0], root[0] + root[1])
+
+    def moments(means: Tensor, axes: Tensor, opacities: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        covariances = axes @ axes.mT
+        minors = torch.linalg.det(covariances) * torch.linalg.inv(covariances).diagonal(dim1=1, dim2=2).sum(1)
+        mass = opacities * (minors / 3).sqrt()
+        mean = (mass[:, None] * means).sum(0) / mass.sum()
+        offsets = means - mean
+        spread = covariances + offsets[:, :, None] * offsets[:, None]
+        return mass.sum(), mean, (mass[:, None, None] * spread).sum(0) / mass.sum()
+
+    def merged(name: str, *shape: int) -> Tensor:
+        return torch.from_numpy(levels[name]).double().reshape(-1, *shape)[kept]
+
+    below = moments(*(value.double() for value in list(arrays_of(scene).values())[:3]))
+    above = moments(merged("means", 3), merged("axes", 3, 3), merged("opacities"))
+    for a, b in zip(above, below, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-4)
+    assert merged("sums").sum() == pytest.approx(float(scene.opacities.sum()), rel=1e-4)
+    assert merged("members").min() >= 1
+
+
+def test_a_tolerance_that_nothing_meets_gives_the_bytes_of_exact_images() -> None:
+    scene, cameras = random_gaussians(3, 3000, 2), random_cameras(4, 5, 50, 33)
+    exact = NativeRenderer(scene).pixels(cameras)
+    assert torch.equal(NativeRenderer(scene, tolerance=1e-7).pixels(cameras), exact)
+
+
+def test_a_scene_of_one_leaf_and_an_empty_one_have_no_levels_to_choose_from() -> None:
+    cameras = random_cameras(4, 2)
+    for count in (0, 1, 200):
+        scene = random_gaussians(3, count)
+        assert torch.equal(NativeRenderer(scene, tolerance=9.0).pixels(cameras), NativeRenderer(scene).pixels(cameras))
+
+
+def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order_with_any_threads_and_remembered(
+    yard: Gaussians,
+) -> None:
+    cameras = level_views([-2, -2, 0.3], [2, 2, 1.0], 9, 44)
+    renderer = NativeRenderer(yard, threads=1, tolerance=1.0)
+    together = renderer.pixels(cameras)
+    order = torch.randperm(9, generator=torch.Generator().manual_seed(0))
+    for threads in (2, 3):
+        assert torch.equal(NativeRenderer(yard, threads=threads, tolerance=1.0).pixels(cameras[order]), together[order])
+    for row in range(9):
+        for threads in (1, 4):
+            renderer.threads = threads
+            assert torch.equal(renderer.pixels(cameras[row : row + 1]), together[row : row + 1])
+    remembering = LatticeRenderer(renderer)
+    for _ in range(2):
+        assert torch.equal(remembering.pixels(cameras[order]), together[order])
+
+
+@pytest.mark.parametrize(("tolerance", "worst", "mean"), [(0.5, 38.0, 42.0), (1.0, 34.0, 40.0)])
+def test_the_worst_view_of_the_backyard_is_as_promised(
+    yard: Gaussians, tolerance: float, worst: float, mean: float
+) -> None:
+    cameras = level_views([-2.7, -2.7, 0.15], [2.7, 2.7, 1.5], 48)
+    seen = psnrs(yard, cameras, tolerance)
+    assert seen.min() >= worst and seen.mean() >= mean, seen
+
+
+@pytest.mark.parametrize("size", [32, 160])
+def test_the_tolerance_is_in_pixels_of_the_image_that_is_asked_for(yard: Gaussians, size: int) -> None:
+    seen = psnrs(yard, level_views([-2.5, -2.5, 0.2], [2.5, 2.5, 1.2], 12, size), 0.5)
+    assert seen.min() >= 36.0, seen
+
+
+def test_more_tolerance_draws_fewer_gaussians(yard: Gaussians) -> None:
+    cameras = level_views([-2.5, -2.5, 0.2], [2.5, 2.5, 1.2], 6)
+    counts = [int(NativeRenderer(yard, tolerance=t).efforts(cameras).projected.sum()) for t in (0.0, 0.3, 0.6, 1.2)]
+    assert counts == sorted(counts, reverse=True) and counts[3] < 0.8 * counts[0]
+
+
+def test_classic_images_are_held_to_a_stricter_tolerance(yard: Gaussians) -> None:
+    cameras = level_views([-2.5, -2.5, 0.2], [2.5, 2.5, 1.2], 12)
+    seen = psnrs(yard, cameras, 0.5, antialiased=False)
+    assert seen.min() >= 28.0 and seen.mean() >= 32.0, seen
+
+
+@pytest.mark.parametrize(("tolerance", "worst", "mean"), [(0.5, 38.0, 42.0), (1.0, 34.0, 40.0)])
+def test_the_worst_view_of_a_real_kitchen_is_as_promised(
+    kitchen: Gaussians, tolerance: float, worst: float, mean: float
+) -> None:
+    cameras = level_views([-0.8, -0.5, 0.6], [0.8, 0.5, 1.5], 64)
+    seen = psnrs(kitchen, cameras, tolerance)
+    assert seen.min() >= worst and seen.mean() >= mean, seen
+
+
+def test_levels_are_built_once_for_a_scene_and_read_from_its_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
+    scene = Scene("cloud", random_gaussians(5, 2000, 1), ((-1, -1, -1), (1, 1, 1)))
+    cameras = random_cameras(4, 3)
+    built = NativeRenderer(scene, tolerance=0.7).pixels(cameras)
+    assert torch.equal(NativeRenderer(scene.gaussians, tolerance=0.7).pixels(cameras), built)
+
+    def refuse(*_: object) -> Arrays:
+        raise AssertionError("built again")
+
+    monkeypatch.setattr(lod_module, "build_levels", refuse)
+    assert torch.equal(NativeRenderer(scene, tolerance=0.7).pixels(cameras), built)
+    assert [path.name.split("-")[0] for path in tmp_path.iterdir()] == ["levels"]
+
+
+@pytest.mark.parametrize(
+    ("name", "index", "value"),
+    [
+        ("order", 0, 10_000),
+        ("nodes", 1, 10_000),
+        ("nodes", 0, 99_999),
+        ("nodes", 2, 0),
+        ("nodes", 2, 10_000),
+        ("errors", 0, 0),
+    ],
+)
+def test_levels_that_lead_outside_are_refused(levels: Arrays, name: str, index: int, value: int) -> None:
+    bad = {key: values.copy() for key, values in levels.items()}
+    bad[name][index] = value
+    settings = {"degree": 1, "antialiased": True, "background": (0, 0, 0), "tolerance": 1.0}
+    with pytest.raises(ValueError, match="levels: expected a tree"):
+        _core.Renderer(**arrays_of(random_gaussians(3, 3000, 1)), levels=bad, **settings)
+    with pytest.raises(ValueError, match="levels"):
+        _core.Renderer(**arrays_of(random_gaussians(3, 2000, 1)), levels=levels, **settings)
+
+
+@pytest.mark.parametrize("tolerance", [-0.1, math.inf, math.nan])
+def test_a_tolerance_that_is_no_number_of_pixels_is_refused(tolerance: float) -> None:
+    with pytest.raises(ValueError, match="tolerance: expected pixels"):
+        NativeRenderer(random_gaussians(0, 3), tolerance=tolerance)
