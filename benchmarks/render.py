@@ -1,180 +1,168 @@
-"""Measures how many frames a second the native renderer makes, exact, of ego views.
+"""Measures how fast the native renderer makes frames, how far that is from the machine's bound, and how good they are.
 
-    python benchmarks/render.py                       # the kitchen (where it is found) and a synthetic room
-    python benchmarks/render.py --scene my.ply --size 128 96 --batch 256 --threads 1 4 --json
+    python benchmarks/render.py                                # a few minutes: every question once
+    python benchmarks/render.py --scene kitchen --batch 128    # one scene, another batch
+    python benchmarks/render.py --full                         # every combination
+    python benchmarks/render.py --against benchmarks/results/FILE.json
 
-Scenes and thread counts take turns, round by round, and each gets its median: a shared machine drifts by tens of
-percent within seconds, so only figures of one run compare.
+The first value of an option is the one at which the other options are varied, one at a time, on the first scene; every
+row comes exact and at each tolerance. Scenes that are not found are left out. All rows take turns, round by round.
 """
 
 import argparse
-import datetime
 import json
-import math
-import os
-import platform
-import statistics
-import subprocess
-import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any, get_args
 
-import torch
+from figure import Bar, draw, tolerance_name
+from machine import Machine, measured_machine
+from measure import FRAMES, timed
+from plan import Mode, Renderers, planned
+from quality import judged
+from record import RESULTS, print_markdown, today, write_json
+from scenes import NAMES, chosen
 from tqdm import tqdm
 
-from splatrl.cameras import Cameras, intrinsics, look_at
-from splatrl.native import _core
-from splatrl.renderers import NativeRenderer
-from splatrl.scenes import Gaussians, read_gaussians, similarity
 
-ROOT = Path(__file__).parents[1]
-SCENES = Path(os.environ.get("SPLATRL_SCENES", ROOT.parent / "shared" / "scenes"))
-EYE_HEIGHT = 1.05
-"""Metres above the floor."""
-
-
-@dataclass
+@dataclass(frozen=True)
 class Result:
-    """One row of the table; a frame is one camera."""
+    """One row. Times are of one core and one frame, counts the mean over frames, qualities over views."""
 
     scene: str
-    gaussians: int
     sh_degree: int
-    visible: int
+    mode: str
+    tolerance: float
     width: int
     height: int
     batch: int
     threads: int
+    gaussians: int
     frames_per_second: float
     slowest: float
     fastest: float
+    project_ms: float
+    sort_ms: float
+    blend_ms: float
+    other_ms: float  # writing pixels, starting and joining threads, waiting for a core
+    projected: int
+    visible: int
+    blended: int
+    bound_flops_ms: float
+    bound_bytes_ms: float
+    bound_ratio: float
+    exact_mean_db: float
+    exact_worst_db: float
+    true_mean_db: float  # against the exact antialiased image, supersampled
+    true_worst_db: float
 
 
-def synthetic_room(count: int = 200_000, degree: int = 3) -> Gaussians:
-    """A room of 4 × 4 × 2.4 m: flat Gaussians on its walls and dust in the air, the same on every machine."""
-    g = torch.Generator().manual_seed(0)
-    means = (torch.rand(count, 3, generator=g) - 0.5) * torch.tensor([4.0, 4.0, 2.4]) + torch.tensor([0.0, 0.0, 1.2])
-    walls = torch.rand(count, generator=g) < 0.9
-    axis, side = torch.randint(0, 3, (count,), generator=g), torch.randint(0, 2, (count,), generator=g)
-    low, high = torch.tensor([-2.0, -2.0, 0.0]), torch.tensor([2.0, 2.0, 2.4])
-    rows = walls.nonzero().squeeze(1)
-    means[rows, axis[rows]] = torch.where(side == 0, low[axis], high[axis])[rows]
-    return Gaussians(
-        means=means,
-        quats=torch.nn.functional.normalize(torch.randn(count, 4, generator=g), dim=1),
-        scales=torch.exp(math.log(0.008) + 0.7 * torch.randn(count, 3, generator=g)),
-        opacities=torch.rand(count, generator=g).clamp_min(0.05),
-        sh=0.3 * torch.randn(count, (degree + 1) ** 2, 3, generator=g),
-        batch_size=[count],
-    )
+ROW = ("scene", "sh_degree", "mode", "tolerance", "width", "height", "batch", "threads")
+"""The fields in which rows of two runs must agree to be compared."""
 
 
-def ego_views(batch: int, width: int, height: int) -> Cameras:
-    """Level views within a metre of the origin, 90 degrees wide, in random directions."""
-    g = torch.Generator().manual_seed(1)
-    positions = torch.rand(batch, 3, generator=g) * torch.tensor([2.0, 2.0, 0.0]) - torch.tensor(
-        [1.0, 1.0, -EYE_HEIGHT]
-    )
-    yaws = 2 * math.pi * torch.rand(batch, generator=g)
-    forward = torch.stack([yaws.cos(), yaws.sin(), torch.zeros(batch)], 1)
-    return Cameras(look_at(positions, positions + forward), intrinsics(math.pi / 2, width, height), width, height)
-
-
-def chosen_scenes(paths: list[str]) -> dict[str, Gaussians]:
-    """The scenes of the command line, in the frame of their files; without any, the kitchen and the synthetic room."""
-    if paths:
-        return {Path(path).stem: read_gaussians(path) for path in paths}
-    scenes = {"synthetic": synthetic_room()}
-    kitchen = SCENES / "kitchen" / "kitchen.spz"
-    if kitchen.is_file():
-        scenes["kitchen"] = read_gaussians(kitchen).transformed(similarity(["x", "-z", "y"]))
-    else:
-        print(f"kitchen: not found at {kitchen}; set SPLATRL_SCENES to measure it")
-    return scenes
-
-
-def measure(scenes: dict[str, Gaussians], cameras: Cameras, threads: list[int], rounds: int) -> list[Result]:
-    """Time whole batches of ``pixels``, every renderer once a round."""
-    renderers = {(name, count): NativeRenderer(g, threads=count) for name, g in scenes.items() for count in threads}
-    for renderer in tqdm(renderers.values(), desc="warming up"):
-        renderer.pixels(cameras)
-    rates: dict[tuple[str, int], list[float]] = {key: [] for key in renderers}
-    for _ in tqdm(range(rounds), desc="measuring"):
-        for key, renderer in renderers.items():
-            start = time.perf_counter()
-            renderer.pixels(cameras)
-            rates[key].append(len(cameras) / (time.perf_counter() - start))
-    results = []
-    for (name, count), seen in rates.items():
-        visible = int(renderers[name, count].visible(cameras).float().mean())
-        results.append(
-            Result(
-                scene=name,
-                gaussians=len(scenes[name].means),
-                sh_degree=scenes[name].sh_degree,
-                visible=visible,
-                width=cameras.width,
-                height=cameras.height,
-                batch=len(cameras),
-                threads=count,
-                frames_per_second=round(statistics.median(seen), 1),
-                slowest=round(min(seen), 1),
-                fastest=round(max(seen), 1),
-            )
-        )
-    return results
-
-
-def print_table(results: list[Result]) -> None:
-    """The results as Markdown."""
-    print("\n| scene | Gaussians | SH | visible | image | batch | threads | frames/s (slowest to fastest) |")
-    print("|---|---|---|---|---|---|---|---|")
+def print_table(results: Sequence[Result], before: dict[tuple[Any, ...], float] | None) -> None:
+    """The results as Markdown; ``before`` holds the frames/s of an earlier run by the fields of ``ROW``."""
+    header = ["scene", "SH", "mode", "detail", "batch", "threads", "frames/s (slowest to fastest)"]
+    header += ["ms: project + sort + blend + other", "projected", "visible", "blended", "bound ms", "× bound"]
+    header += ["dB to exact, mean / worst", "dB to 8×, mean / worst"]
+    header += [] if before is None else ["new / old"]
+    rows = []
     for r in results:
-        rate = f"{r.frames_per_second:.0f} ({r.slowest:.0f} to {r.fastest:.0f})"
-        print(
-            f"| {r.scene} | {r.gaussians:,} | {r.sh_degree} | {r.visible:,} | {r.width}x{r.height} | {r.batch} "
-            f"| {r.threads} | {rate} |"
-        )
+        stages = " + ".join(f"{ms:.3f}" for ms in (r.project_ms, r.sort_ms, r.blend_ms, r.other_ms))
+        row = [r.scene, str(r.sh_degree), r.mode, tolerance_name(r.tolerance), str(r.batch), str(r.threads)]
+        row += [f"{r.frames_per_second:,.0f} ({r.slowest:,.0f} to {r.fastest:,.0f})", stages]
+        row += [f"{count:,}" for count in (r.projected, r.visible, r.blended)]
+        row += [f"{r.bound_flops_ms + r.bound_bytes_ms:.3f}", f"{r.bound_ratio:.2f}"]
+        row += [f"{r.exact_mean_db:.1f} / {r.exact_worst_db:.1f}" if r.tolerance else "–"]
+        row += [f"{r.true_mean_db:.1f} / {r.true_worst_db:.1f}"]
+        if before is not None:
+            old = before.get(tuple(asdict(r)[name] for name in ROW))
+            row.append("–" if old is None else f"{r.frames_per_second / old:.2f}")
+        rows.append(row)
+    print_markdown(header, rows)
 
 
-def processor() -> str:
-    """The name that the processor gives itself."""
-    info = Path("/proc/cpuinfo")
-    if info.is_file():
-        names = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if "model name" in line]
-        if names:
-            return names[0]
-    return platform.processor() or platform.machine()
+def earlier(path: Path, machine: Machine) -> dict[tuple[Any, ...], float]:
+    """Frames/s of an earlier run by the fields of ``ROW``; rows of old files that lack one of them are left out."""
+    record = json.loads(path.read_text())
+    theirs = record["machine"].get("processor")
+    if theirs != machine.processor:
+        print(f"{path.name} is from another processor ({theirs}): ratios compare machines too")
+    rows = [row for row in record["results"] if all(name in row for name in ROW)]
+    return {tuple(row[name] for name in ROW): row["frames_per_second"] for row in rows}
 
 
-def write_json(results: list[Result]) -> Path:
-    """Keep the results with the machine and the commit that they belong to."""
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    today = datetime.date.today().isoformat()
-    path = ROOT / "benchmarks" / "results" / f"{today}-cpu-render.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    machine = {"processor": processor(), "cores": len(os.sched_getaffinity(0)), "isa": _core.isa()}
-    record = {"commit": commit.strip(), "machine": machine, "results": [asdict(result) for result in results]}
-    path.write_text(json.dumps(record, indent=2) + "\n")
-    return path
+def parsed() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", nargs="+", default=list(NAMES), help=f"{', '.join(NAMES)}, or a splat file (z up)")
+    parser.add_argument("--mode", nargs="+", default=list(get_args(Mode)), choices=get_args(Mode))
+    parser.add_argument("--tolerance", nargs="*", type=float, default=[0.5, 1.0], help="pixels; exact comes by itself")
+    parser.add_argument("--sh", nargs="+", type=int, default=[3, 0], help="degrees, as far as a scene has them")
+    parser.add_argument("--batch", nargs="+", type=int, default=[64, 1, 16, 256], help="cameras a call")
+    parser.add_argument("--threads", nargs="+", type=int, default=[1, 2])
+    parser.add_argument("--size", nargs=2, type=int, default=[64, 64], metavar=("WIDTH", "HEIGHT"))
+    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--views", type=int, default=256, help="views that are compared with the exact ones")
+    parser.add_argument("--fine-views", type=int, default=32, help="of them, compared with supersampled ones")
+    parser.add_argument("--full", action="store_true", help="every combination of the options")
+    parser.add_argument("--against", type=Path, help="a JSON file of an earlier run")
+    parser.add_argument("--json", action="store_true", help="write benchmarks/results/<date>-cpu-render.json")
+    parser.add_argument("--png", type=Path, default=RESULTS / f"{today()}-cpu-render.png")
+    return parser.parse_args()
 
 
 def main() -> None:
-    """Parse the command line, measure, show."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", nargs="*", default=[], help="splat files, z up and metric")
-    parser.add_argument("--size", nargs=2, type=int, default=[64, 64], metavar=("WIDTH", "HEIGHT"))
-    parser.add_argument("--batch", type=int, default=128, help="cameras a call")
-    parser.add_argument("--threads", nargs="+", type=int, default=[1, 2])
-    parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--json", action="store_true", help="write benchmarks/results/<date>-cpu-render.json")
-    arguments = parser.parse_args()
-    torch.set_num_threads(1)
-    cameras = ego_views(arguments.batch, *arguments.size)
-    results = measure(chosen_scenes(arguments.scene), cameras, arguments.threads, arguments.rounds)
-    print_table(results)
-    if arguments.json:
-        print(f"\nwritten to {write_json(results)}")
+    """Measure, judge, show."""
+    options = parsed()
+    machine = measured_machine()
+    print(machine)
+    before = None if options.against is None else earlier(options.against, machine)
+    subjects = chosen(options.scene)
+    most = max(options.views, FRAMES, *options.batch)
+    views = {name: subject.room.views(most, *options.size) for name, subject in subjects.items()}
+    setups = planned(subjects, options)
+    looks = list(dict.fromkeys(setup.look for setup in setups))
+    renderers = Renderers(subjects)
+    for look in tqdm(looks, desc="building"):
+        renderers[look].threads = machine.cores
+    qualities, comparisons = judged(
+        looks, renderers, {n: v[: options.views] for n, v in views.items()}, options.fine_views
+    )
+    rows = timed(setups, renderers, views, machine, options.rounds)
+    results = []
+    for setup in setups:
+        to_exact, to_truth = qualities[setup.look]
+        results.append(
+            Result(
+                **setup.look._asdict(),
+                width=options.size[0],
+                height=options.size[1],
+                batch=setup.batch,
+                threads=setup.threads,
+                gaussians=len(subjects[setup.look.scene].scene.gaussians.means),
+                **rows[setup],
+                exact_mean_db=to_exact.mean_db,
+                exact_worst_db=to_exact.worst_db,
+                true_mean_db=to_truth.mean_db,
+                true_worst_db=to_truth.worst_db,
+            )
+        )
+    print_table(results, before)
+    mode, batch, threads = options.mode[0], options.batch[0], options.threads[0]
+    base = [r for r in results if (r.mode, r.batch, r.threads) == (mode, batch, threads)]
+    degrees = {name: max(r.sh_degree for r in base if r.scene == name) for name in subjects}
+    fields = Bar.__dataclass_fields__
+    bars = [Bar(**{name: getattr(r, name) for name in fields}) for r in base if r.sh_degree == degrees[r.scene]]
+    title = (
+        f"{options.size[0]}×{options.size[1]} pixels, {mode}, batches of {batch}, {threads} of {machine.cores} cores"
+    )
+    draw(bars, comparisons, title, options.png)
+    print(f"drawn to {options.png}")
+    if options.json:
+        print(f"written to {write_json('render', machine, results)}")
 
 
 if __name__ == "__main__":

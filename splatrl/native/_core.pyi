@@ -26,6 +26,15 @@ def add_density(
 ) -> None:
     """Add opacity · exp(−½ d²) to the voxels in reach, d from the mean to the box along the axes around the voxel."""
 
+def build_levels(
+    means: Tensor,  # [N, 3] float32, metres, world frame
+    axes: Tensor,  # [N, 3, 3] float32, Σ = A Aᵀ
+    opacities: Tensor,  # [N] float32
+    sh: Tensor,  # [N, (degree + 1)², 3] float32
+    degree: int,
+) -> dict[str, NDArray[np.float32] | NDArray[np.uint32]]:
+    """The tree over a scene with merged Gaussians in its inner nodes; ``renderers/lod.py`` says what the arrays are."""
+
 class Renderer:
     """Renders into memory that the caller gives; what goes in is finite."""
 
@@ -38,7 +47,14 @@ class Renderer:
         degree: int,
         antialiased: bool,
         background: tuple[float, float, float],
-    ) -> None: ...
+        levels: dict[str, NDArray[np.float32] | NDArray[np.uint32]] | None,  # those of build_levels; None draws exactly
+        tolerance: float,  # pixels
+    ) -> None:
+        """
+        Raises:
+            ValueError: for levels that are not of these Gaussians.
+        """
+
     def render(
         self,
         camera_to_world: Tensor,  # [B, 4, 4] float32
@@ -46,7 +62,7 @@ class Renderer:
         rgb: Tensor,  # [B, H, W, 3] float32, written
         depth: Tensor,  # [B, H, W] float32, written
         alpha: Tensor,  # [B, H, W] float32, written
-        visible: Tensor,  # [B] int32, written: Gaussians that can show
+        efforts: Tensor,  # [B, 6] float32, written: the fields of renderers.Effort
         threads: int,
     ) -> None: ...
     def pixels(
@@ -54,6 +70,6 @@ class Renderer:
         camera_to_world: Tensor,  # [B, 4, 4] float32
         K: Tensor,  # [B, 3, 3] float32
         pixels: Tensor,  # [B, H, W, 3] uint8, written
-        visible: Tensor,  # [B] int32, written
+        efforts: Tensor,  # [B, 6] float32, written
         threads: int,
     ) -> None: ...

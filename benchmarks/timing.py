@@ -1,0 +1,27 @@
+"""Fair timing on a machine that drifts: everything takes its turn, round by round."""
+
+import time
+from collections.abc import Callable, Hashable
+from typing import TypeVar
+
+from tqdm import tqdm
+
+Key = TypeVar("Key", bound=Hashable)
+
+
+def take_turns(calls: dict[Key, Callable[[], None]], rounds: int) -> dict[Key, list[float]]:
+    """Seconds of every call in each round, after one to warm up.
+
+    A shared machine drifts by tens of percent within seconds: only figures of one run compare, and only medians.
+    """
+    seconds: dict[Key, list[float]] = {key: [] for key in calls}
+    with tqdm(total=(rounds + 1) * len(calls), desc="warming up") as bar:
+        for number in range(rounds + 1):
+            for key, call in calls.items():
+                start = time.perf_counter()
+                call()
+                if number > 0:
+                    seconds[key].append(time.perf_counter() - start)
+                bar.update()
+            bar.set_description(f"round {min(number + 1, rounds)} of {rounds}")
+    return seconds
