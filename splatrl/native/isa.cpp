@@ -10,13 +10,15 @@ const char* isa_name(Isa isa) {
         case Isa::avx512: return "avx512";
         case Isa::avx2: return "avx2";
         case Isa::baseline: return "baseline";
+        case Isa::portable: return "portable";
     }
     throw std::logic_error("isa_name: unknown instruction set");
 }
 
 std::vector<Isa> supported_isas() {
-    std::vector<Isa> isas{Isa::baseline};
+    std::vector<Isa> isas{Isa::portable};
 #ifdef SPLATRL_X86
+    isas.push_back(Isa::baseline);
     __builtin_cpu_init();
     if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) isas.push_back(Isa::avx2);
     if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&

@@ -122,6 +122,7 @@ struct Effort {
 using RenderTile = Effort (*)(const SceneView&, const Camera&, const Tile&, bool antialiased, bool with_depth,
                                const Scratch&);
 
+namespace portable { extern const RenderTile render_tile; }
 namespace baseline { extern const RenderTile render_tile; }
 namespace avx2 { extern const RenderTile render_tile; }
 namespace avx512 { extern const RenderTile render_tile; }

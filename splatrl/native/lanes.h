@@ -1,15 +1,13 @@
-// Sixteen floats as one value, in as many registers as the instruction set needs. GCC and Clang vector extensions:
-// the same source runs on x86 and ARM. Everything lives in the namespace of the instruction set, so that the linker
-// never mixes variants.
+// Sixteen floats as one value, in as many registers as the instruction set needs. Vector extensions of GCC and Clang carry
+// nearly all of it, on any processor; what they lack has intrinsics on x86 and plain code in the set `portable`.
+// Everything lives in the namespace of the instruction set, so that the linker never mixes variants.
 #pragma once
 
 #include <cstdint>
 #include <cstring>
 
-#if defined(__SSE2__)
+#if defined(SPLATRL_X86_LANES)
 #include <immintrin.h>
-#elif defined(__aarch64__)
-#include <arm_neon.h>
 #endif
 
 #if defined(__AVX512F__)
@@ -153,7 +151,7 @@ LANE_INLINE uint32_t bits_above(const Lanes& a, const Lanes& b) {
 #elif defined(__AVX2__)
     return uint32_t(_mm256_movemask_ps(_mm256_cmp_ps((__m256)a.part[0], (__m256)b.part[0], _CMP_GT_OQ))) |
            uint32_t(_mm256_movemask_ps(_mm256_cmp_ps((__m256)a.part[1], (__m256)b.part[1], _CMP_GT_OQ))) << 8;
-#elif defined(__SSE2__)
+#elif defined(SPLATRL_X86_LANES)
     uint32_t bits = 0;
     FOR_PARTS bits |= uint32_t(_mm_movemask_ps(_mm_cmpgt_ps((__m128)a.part[p], (__m128)b.part[p]))) << (4 * p);
     return bits;
@@ -185,11 +183,8 @@ LANE_INLINE Lanes reciprocal_sqrt(const Lanes& a) {
         const FloatPart r = (FloatPart)_mm512_maskz_rsqrt14_ps(0xffff, (__m512)a.part[p]);
 #elif defined(__AVX2__)
         const FloatPart r = (FloatPart)_mm256_rsqrt_ps((__m256)a.part[p]);
-#elif defined(__SSE2__)
+#elif defined(SPLATRL_X86_LANES)
         const FloatPart r = (FloatPart)_mm_rsqrt_ps((__m128)a.part[p]);
-#elif defined(__aarch64__)
-        const FloatPart estimate = (FloatPart)vrsqrteq_f32((float32x4_t)a.part[p]);
-        const FloatPart r = estimate * (1.5f - 0.5f * a.part[p] * estimate * estimate);
 #else
         FloatPart r;
         for (int i = 0; i < SPLATRL_REGISTER; ++i) r[i] = 1.0f / __builtin_sqrtf(a.part[p][i]);

@@ -44,7 +44,8 @@ class NativeRenderer:
     that is asked for, so images are sharp at every resolution. Half a pixel cannot be seen.
 
     Frame i has the same bytes alone, in any batch, in any order and with any number of threads. Instruction sets may
-    differ in the last bits; ``SPLATRL_ISA=avx512|avx2|baseline`` forces one for the renderers made after it is set.
+    differ in the last bits; ``SPLATRL_ISA=avx512|avx2|baseline|portable`` forces one for the renderers made after
+    it is set.
 
     Args:
         scene: the scene, whose levels of detail are kept in its cache; or Gaussians. Values are copied.

@@ -131,6 +131,16 @@ def test_the_tolerance_is_in_pixels_of_the_image_that_is_asked_for(yard: Gaussia
     assert seen.min() >= 36.0, seen
 
 
+@pytest.mark.parametrize("isa", _core.supported_isas())
+def test_every_instruction_set_draws_the_same_level_of_detail(
+    yard: Gaussians, isa: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cameras = level_views([-2.5, -2.5, 0.2], [2.5, 2.5, 1.2], 4, 48)
+    fastest = NativeRenderer(yard, tolerance=1.0).render(cameras)
+    monkeypatch.setenv("SPLATRL_ISA", isa)
+    assert psnr(NativeRenderer(yard, tolerance=1.0).render(cameras).rgb, fastest.rgb) >= 75.0
+
+
 def test_more_tolerance_draws_fewer_gaussians(yard: Gaussians) -> None:
     cameras = level_views([-2.5, -2.5, 0.2], [2.5, 2.5, 1.2], 6)
     counts = [int(NativeRenderer(yard, tolerance=t).efforts(cameras).projected.sum()) for t in (0.0, 0.3, 0.6, 1.2)]

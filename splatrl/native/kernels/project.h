@@ -62,7 +62,7 @@ LANE_INLINE void patches_of(const Tile& tile, const Lanes& left, const Lanes& ri
         const IntPart first = first_row.part[p] * ACROSS + first_column.part[p], waste = turns.part[p] + WASTE;
         const IntPart right_by = last_column.part[p] - first_column.part[p], down_by = last_row.part[p] - first_row.part[p];
         const IntPart second = right_by == 0 ? waste : first + 1, third = down_by == 0 ? waste + GROUP : first + ACROSS;
-        const IntPart fourth = (right_by == 0) | (down_by == 0) ? waste + 2 * GROUP : first + (ACROSS + 1);
+        const IntPart fourth = ((right_by == 0) | (down_by == 0)) ? waste + 2 * GROUP : first + (ACROSS + 1);
         const IntPart large = (right_by | down_by) > 1;
         low.part[p] = large ? LARGE | first << 16 : first | second << 16;
         high.part[p] = large ? right_by | down_by << 16 : third | fourth << 16;
