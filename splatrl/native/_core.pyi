@@ -35,6 +35,25 @@ def build_levels(
 ) -> dict[str, NDArray[np.float32] | NDArray[np.uint32]]:
     """The tree over a scene with merged Gaussians in its inner nodes; ``renderers/lod.py`` says what the arrays are."""
 
+class Collider:
+    """A body in a grid of voxels. Queries take the addresses of C-contiguous CPU memory and write to ``out``; they
+    return -1, or the first row that is not finite or not a rigid pose."""
+
+    def __init__(
+        self,
+        solid: NDArray[np.bool_],  # [X, Y, Z]
+        distance: NDArray[np.float32],  # [X, Y, Z], metres between the centres of a voxel and the nearest solid one
+        corner: tuple[float, ...],  # of the grid, metres
+        resolution: float,  # metres
+        half: tuple[float, float, float],  # of a box, metres
+        half_length: float,  # of a capsule's cylinder, metres
+        radius: float,  # of a sphere or capsule, metres; 0 for a box
+    ) -> None: ...
+    def collides(self, poses: int, out: int, count: int, threads: int, /) -> int: ...  # [B, 4, 4] float32 -> bool
+    def touched_fraction(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...  # -> float32
+    def sweeps(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...  # -> bool
+    def clearance(self, points: int, out: int, count: int, threads: int, /) -> int: ...  # [B, 3] float32 -> float32
+
 class Renderer:
     """Renders into memory that the caller gives; what goes in is finite."""
 

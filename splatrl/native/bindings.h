@@ -5,6 +5,7 @@
 
 namespace splatrl {
 
+void bind_collision(nanobind::module_& m);
 void bind_isa(nanobind::module_& m);
 void bind_levels(nanobind::module_& m);
 void bind_occupancy(nanobind::module_& m);

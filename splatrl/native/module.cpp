@@ -20,6 +20,7 @@ void bind_isa(nanobind::module_& m) {
 }  // namespace splatrl
 
 NB_MODULE(_core, m) {
+    splatrl::bind_collision(m);
     splatrl::bind_isa(m);
     splatrl::bind_levels(m);
     splatrl::bind_occupancy(m);

@@ -1,6 +1,5 @@
 """The renderer for processors: C++, exact or with level of detail, one frame per core."""
 
-import os
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -10,6 +9,7 @@ from torch import Tensor
 from splatrl.cameras import Cameras
 from splatrl.geometry import quats_to_rotations
 from splatrl.native import _core
+from splatrl.native.threads import usable_cores
 from splatrl.renderers.base import RenderOutput, checked_background, gaussians_of, require_finite
 from splatrl.renderers.lod import build_levels, cached_levels
 from splatrl.scenes.gaussians import Gaussians
@@ -133,13 +133,6 @@ class NativeRenderer:
         efforts = torch.empty(len(cameras), len(Effort._fields))
         self._core.pixels(*_checked(cameras), pixels, efforts, self.threads)
         return efforts
-
-
-def usable_cores() -> int:
-    """Cores that this process may use: its affinity where the system has one, else all."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _empty_pixels(cameras: Cameras) -> Tensor:

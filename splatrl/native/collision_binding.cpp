@@ -1,0 +1,146 @@
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+
+#include <nanobind/stl/array.h>
+
+#include "arrays.h"
+#include "bindings.h"
+#include "collision.h"
+#include "threads.h"
+
+namespace nb = nanobind;
+
+namespace splatrl {
+
+namespace {
+
+constexpr size_t CHUNK = 2048;  // queries that a thread takes at once
+
+using Solid = Tensor<const bool, -1, -1, -1>;
+using Distances = Tensor<const float, -1, -1, -1>;
+
+Grid grid_of(const Solid& solid, const Distances& distance, const Vec3& corner, double resolution) {
+    Grid grid{};
+    for (int i = 0; i < 3; ++i) {
+        grid.size[i] = int(solid.shape(i));
+        if (solid.shape(i) != distance.shape(i)) throw std::invalid_argument("distance: expected the shape of solid");
+    }
+    grid.resolution = resolution;
+    grid.corner = corner;
+    grid.words = (grid.size[2] + 63) / 64;
+    const size_t columns = solid.shape(0) * solid.shape(1), height = solid.shape(2);
+    grid.bits.assign(columns * grid.words, 0);
+    for (size_t column = 0; column < columns; ++column)
+        for (size_t z = 0; z < height; ++z)
+            grid.bits[column * grid.words + z / 64] |= uint64_t(solid.data()[column * height + z]) << z % 64;
+    grid.distance.assign(distance.data(), distance.data() + columns * height);
+    for (float& value : grid.distance) value = float(value / resolution);
+    return grid;
+}
+
+// A body in a grid. Queries take addresses, which cost less than arrays; Python sees to types, sizes and lifetimes.
+class Collider {
+public:
+    Collider(Grid grid, Shape shape) : grid_(std::move(grid)), shape_(shape) {}
+
+    // Call query(i) for every i of a batch; -1, or the first i for which it returned false.
+    template <class Query>
+    int64_t each(size_t count, size_t threads, const Query& query) const {
+        std::atomic<size_t> bad{count};
+        const auto run = [&](size_t, size_t chunk) {
+            for (size_t i = chunk * CHUNK; i < std::min(count, (chunk + 1) * CHUNK); ++i)
+                if (!query(i)) {
+                    for (size_t seen = bad; i < seen && !bad.compare_exchange_weak(seen, i);) {
+                    }
+                    return;
+                }
+        };
+        const size_t chunks = (count + CHUNK - 1) / CHUNK;
+        if (chunks <= 1) {
+            if (chunks == 1) run(0, 0);
+        } else {
+            const nb::gil_scoped_release release;
+            parallel_for(chunks, std::min(threads, chunks), run);
+        }
+        return bad == count ? -1 : int64_t(bad);
+    }
+
+    int64_t collides(uintptr_t poses, uintptr_t out, size_t count, size_t threads) const {
+        const auto* matrices = reinterpret_cast<const float*>(poses);
+        auto* hits = reinterpret_cast<bool*>(out);
+        return each(count, threads, [&](size_t i) {
+            Pose pose;
+            if (!read_pose(matrices + 16 * i, grid_, pose)) return false;
+            hits[i] = splatrl::collides(grid_, shape_, pose);
+            return true;
+        });
+    }
+
+    template <class Answer>
+    int64_t moves(uintptr_t starts, uintptr_t ends, size_t count, size_t threads, bool any, const Answer& answer) const {
+        const auto *from = reinterpret_cast<const float*>(starts), *to = reinterpret_cast<const float*>(ends);
+        return each(count, threads, [&](size_t i) {
+            Pose start, end;
+            if (!read_pose(from + 16 * i, grid_, start) || !read_pose(to + 16 * i, grid_, end)) return false;
+            answer(i, splatrl::touched_fraction(grid_, shape_, start, end, any));
+            return true;
+        });
+    }
+
+    int64_t touched_fraction(uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) const {
+        auto* fractions = reinterpret_cast<float*>(out);
+        return moves(starts, ends, count, threads, false, [&](size_t i, double fraction) {
+            // rounded down, so that what is touched stays below 1
+            float rounded = float(fraction);
+            if (double(rounded) > fraction) rounded = std::nextafter(rounded, 0.0f);
+            fractions[i] = rounded;
+        });
+    }
+
+    int64_t sweeps(uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) const {
+        auto* hits = reinterpret_cast<bool*>(out);
+        return moves(starts, ends, count, threads, true, [&](size_t i, double fraction) { hits[i] = fraction < 1.0; });
+    }
+
+    int64_t clearance(uintptr_t points, uintptr_t out, size_t count, size_t threads) const {
+        const auto* from = reinterpret_cast<const float*>(points);
+        auto* metres = reinterpret_cast<float*>(out);
+        return each(count, threads, [&](size_t i) {
+            Vec3 point;
+            for (int axis = 0; axis < 3; ++axis) {
+                if (!std::isfinite(from[3 * i + axis])) return false;
+                point[axis] = (from[3 * i + axis] - grid_.corner[axis]) / grid_.resolution;
+            }
+            metres[i] = float(splatrl::clearance(grid_, point) * grid_.resolution * (1.0 - 1e-6));
+            return true;
+        });
+    }
+
+private:
+    Grid grid_;
+    Shape shape_;
+};
+
+}  // namespace
+
+void bind_collision(nb::module_& m) {
+    nb::class_<Collider>(m, "Collider")
+        .def(
+            "__init__",
+            [](Collider* self, Solid solid, Distances distance, Vec3 corner, double resolution, Vec3 half,
+               double half_length, double radius) {
+                Shape shape{radius == 0.0 ? Shape::BOX : half_length > 0.0 ? Shape::CAPSULE : Shape::SPHERE, half,
+                            half_length / resolution, radius / resolution};
+                for (double& extent : shape.half) extent /= resolution;
+                new (self) Collider(grid_of(solid, distance, corner, resolution), shape);
+            },
+            nb::arg("solid"), nb::arg("distance"), nb::arg("corner"), nb::arg("resolution"), nb::arg("half"),
+            nb::arg("half_length"), nb::arg("radius"))
+        .def("collides", &Collider::collides)
+        .def("touched_fraction", &Collider::touched_fraction)
+        .def("sweeps", &Collider::sweeps)
+        .def("clearance", &Collider::clearance);
+}
+
+}  // namespace splatrl
