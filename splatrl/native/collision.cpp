@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <limits>
+#include <optional>
 
 #include "contact.h"
 
@@ -14,15 +16,23 @@ constexpr double SLACK = 1e-9;   // voxels: what touches to the last bit touches
 constexpr double MARGIN = 1e-4;  // voxels: beyond single precision of the distance field
 constexpr double HALF_DIAGONAL = 0.8660254037844387;
 
+// Of numbers that an int holds; the library's are calls where the processor's are not assumed.
+int floor_of(double value) {
+    const int whole = int(value);
+    return whole - (value < whole);
+}
+
+int ceil_of(double value) { return -floor_of(-value); }
+
 struct Range {
     int first, last;
 };
 
 // The voxels that [low, high] touches along an axis.
 Range touched(double low, double high, int size) {
-    const double first = std::clamp(std::ceil(low - SLACK) - 1.0, 0.0, double(size));
-    const double last = std::clamp(std::floor(high + SLACK), -1.0, double(size - 1));
-    return {int(first), int(last)};
+    const double first = std::min(std::max(low - SLACK, 0.0), size + 1.0);
+    const double last = std::min(std::max(high + SLACK, -1.0), size - 0.5);
+    return {std::max(ceil_of(first) - 1, 0), floor_of(last)};
 }
 
 // Bits [first, last] of a word, both in [0, 63].
@@ -39,18 +49,30 @@ bool any_solid(const uint64_t* column, int first, int last, const Visit& visit) 
     return false;
 }
 
-// Call visit(x, y, column, z range) for each column with something solid within a box.
+// The numbers of a range, from the middle outwards: what overlaps a body is found early.
+struct FromMiddle {
+    Range range;
+    int middle = (range.first + range.last) / 2;
+
+    int count() const { return range.last - range.first + 1; }
+    int operator[](int i) const {
+        const int half = (i + 1) / 2;
+        return i % 2 == 0 ? middle - half : middle + half;
+    }
+};
+
+// Call visit(x, y, column, z range) for each column with something solid within a box, until it returns true.
 template <class Visit>
-bool any_column(const Grid& grid, const Vec3& low, const Vec3& high, const Visit& visit) {
-    const Range xs = touched(low[0], high[0], grid.size[0]), ys = touched(low[1], high[1], grid.size[1]);
+void each_column(const Grid& grid, const Vec3& low, const Vec3& high, const Visit& visit) {
+    const FromMiddle xs{touched(low[0], high[0], grid.size[0])}, ys{touched(low[1], high[1], grid.size[1])};
     const Range zs = touched(low[2], high[2], grid.size[2]);
-    const auto nothing = [](int) { return true; };
-    for (int x = xs.first; x <= xs.last; ++x)
-        for (int y = ys.first; y <= ys.last; ++y) {
+    const auto found = [](int) { return true; };
+    for (int i = 0; i < xs.count(); ++i)
+        for (int k = 0; k < ys.count(); ++k) {
+            const int x = xs[i], y = ys[k];
             const uint64_t* column = &grid.bits[(size_t(x) * grid.size[1] + y) * grid.words];
-            if (any_solid(column, zs.first, zs.last, nothing) && visit(x, y, column, zs)) return true;
+            if (any_solid(column, zs.first, zs.last, found) && visit(x, y, column, zs)) return;
         }
-    return false;
 }
 
 // A box on a straight way, against voxels. Two convex bodies are apart where their shadows on some normal are: of the
@@ -62,17 +84,17 @@ public:
         for (int i = 0; i < 3; ++i) edges[i] = {pose.rotation[0][i], pose.rotation[1][i], pose.rotation[2][i]};
         for (int i = 0; i < 3; ++i) middle_[i] = start_[i] + 0.5 * way[i];
         const double length = norm(way);
-        for (int i = 0; i < 3; ++i) {
-            Vec3 world{};
-            world[i] = 1.0;
-            add(shape, edges, world, true);
-            add(shape, edges, edges[i], true);
-            for (const Vec3& edge : edges) add(shape, edges, cross(world, edge), true);
-            if (length == 0.0) continue;
-            const Vec3 direction{way[0] / length, way[1] / length, way[2] / length};
-            add(shape, edges, cross(world, direction), false);
-            add(shape, edges, cross(edges[i], direction), false);
+        const Mat3 world{Vec3{1.0, 0.0, 0.0}, Vec3{0.0, 1.0, 0.0}, Vec3{0.0, 0.0, 1.0}};
+        for (const Vec3& edge : edges) add(shape, edges, edge, true);
+        for (const Vec3& axis : world)
+            for (const Vec3& edge : edges) add(shape, edges, cross(axis, edge), true);
+        if (length == 0.0) return;  // the columns are within the box around the body: no need for its own normals
+        const Vec3 direction{way[0] / length, way[1] / length, way[2] / length};
+        for (const Vec3& axis : world) {
+            add(shape, edges, axis, true);
+            add(shape, edges, cross(axis, direction), false);
         }
+        for (const Vec3& edge : edges) add(shape, edges, cross(edge, direction), false);
     }
 
     // The voxels of a column that are touched on the way.
@@ -91,7 +113,7 @@ public:
             high = std::min(high, center + half);
             if (low > high + 2.0 * SLACK) return {0, -1};
         }
-        return {int(std::ceil(low + middle_[2] - 0.5 - SLACK)), int(std::floor(high + middle_[2] - 0.5 + SLACK))};
+        return {ceil_of(low + middle_[2] - 0.5 - SLACK), floor_of(high + middle_[2] - 0.5 + SLACK)};
     }
 
     // The first t in [0, 1] at which a voxel is touched, or NEVER.
@@ -160,11 +182,12 @@ double first_contact(const Grid& grid, const Shape& shape, const Pose& pose, con
     }
     double first = NEVER;
     if (shape.kind == Shape::BOX) {
-        const BoxSweep sweep(shape, pose, way);
-        any_column(grid, low, high, [&](int x, int y, const uint64_t* column, Range zs) {
-            const Range within = sweep.column(x, y, zs);
+        std::optional<BoxSweep> sweep;
+        each_column(grid, low, high, [&](int x, int y, const uint64_t* column, Range zs) {
+            if (!sweep) sweep.emplace(shape, pose, way);
+            const Range within = sweep->column(x, y, zs);
             return any_solid(column, std::max(within.first, zs.first), std::min(within.last, zs.last), [&](int z) {
-                first = std::min(first, any ? 0.0 : sweep.contact(x, y, z));
+                first = std::min(first, any ? 0.0 : sweep->contact(x, y, z));
                 return first == 0.0;
             });
         });
@@ -177,7 +200,7 @@ double first_contact(const Grid& grid, const Shape& shape, const Pose& pose, con
             axis[i] = 2.0 * shape.half_length * pose.rotation[i][2];
             bottom[i] -= 0.5 * axis[i];
         }
-    any_column(grid, low, high, [&](int x, int y, const uint64_t* column, Range zs) {
+    each_column(grid, low, high, [&](int x, int y, const uint64_t* column, Range zs) {
         return any_solid(column, zs.first, zs.last, [&](int z) {
             const Vec3 corner{double(x), double(y), double(z)};
             const double t = shape.kind == Shape::SPHERE
@@ -190,26 +213,49 @@ double first_contact(const Grid& grid, const Shape& shape, const Pose& pose, con
     return first;
 }
 
+typedef float Quad __attribute__((vector_size(16)));
+
+#if defined(__clang__)
+Quad next_of(const Quad& a) { return __builtin_shufflevector(a, a, 1, 2, 0, 3); }        // y, z, x
+Quad after_next_of(const Quad& a) { return __builtin_shufflevector(a, a, 2, 0, 1, 3); }  // z, x, y
+#else
+typedef int QuadIndex __attribute__((vector_size(16)));
+Quad next_of(const Quad& a) { return __builtin_shuffle(a, QuadIndex{1, 2, 0, 3}); }
+Quad after_next_of(const Quad& a) { return __builtin_shuffle(a, QuadIndex{2, 0, 1, 3}); }
+#endif
+
 struct Nearby {
     double at_least, at_most;  // distance to the nearest solid voxel, and to the nearest centre of one
 };
 
-Nearby nearby(const Grid& grid, const Vec3& point) {
+// Where a point is in the grid: the nearest point of the grid, and its voxel.
+struct Place {
     Vec3 within;
     int index[3];
+    size_t voxel;
+
+    Place(const Grid& grid, const Vec3& point) {
+        for (int i = 0; i < 3; ++i) {
+            within[i] = std::min(std::max(point[i], 0.0), double(grid.size[i]));
+            index[i] = std::min(int(within[i]), grid.size[i] - 1);
+        }
+        voxel = (size_t(index[0]) * grid.size[1] + index[1]) * grid.size[2] + index[2];
+    }
+};
+
+Nearby nearby(const Grid& grid, const Vec3& point) {
+    const Place place(grid, point);
     double outside = 0.0, to_center = 0.0;
     for (int i = 0; i < 3; ++i) {
-        within[i] = std::clamp(point[i], 0.0, double(grid.size[i]));
-        index[i] = std::min(int(within[i]), grid.size[i] - 1);
-        outside += (point[i] - within[i]) * (point[i] - within[i]);
-        to_center += (within[i] - index[i] - 0.5) * (within[i] - index[i] - 0.5);
+        const double out = point[i] - place.within[i], off = place.within[i] - place.index[i] - 0.5;
+        outside += out * out;
+        to_center += off * off;
     }
-    const double between =
-        grid.distance[(size_t(index[0]) * grid.size[1] + index[1]) * grid.size[2] + index[2]];
     to_center = std::sqrt(to_center);
-    const double inside = std::max(between * (1.0 - 1e-6) - HALF_DIAGONAL - to_center, 0.0);
-    if (outside == 0.0) return {inside, between + to_center};
-    return {std::sqrt(outside + inside * inside), NEVER};
+    const uint16_t steps = grid.distance[place.voxel];
+    const double inside = std::max(steps / DISTANCE_STEPS - HALF_DIAGONAL - to_center, 0.0);
+    if (outside > 0.0) return {std::sqrt(outside + inside * inside), NEVER};
+    return {inside, steps == FARTHEST ? NEVER : (steps + 1) / DISTANCE_STEPS + to_center};
 }
 
 bool empty(const Grid& grid) { return grid.size[0] == 0 || grid.size[1] == 0 || grid.size[2] == 0; }
@@ -267,21 +313,25 @@ Shape Shape::grown(double by) const {
 }
 
 bool read_pose(const float* matrix, const Grid& grid, Pose& pose) {
-    constexpr double ORTHONORMAL = 1e-3;
+    constexpr float ORTHONORMAL = 1e-3f;
+    Quad rows[4];
+    std::memcpy(rows, matrix, sizeof(rows));
+    const double inverse = 1.0 / grid.resolution;
     for (int i = 0; i < 3; ++i) {
-        for (int k = 0; k < 3; ++k) pose.rotation[i][k] = matrix[4 * i + k];
-        pose.position[i] = (matrix[4 * i + 3] - grid.corner[i]) / grid.resolution;
+        for (int k = 0; k < 3; ++k) pose.rotation[i][k] = rows[i][k];
+        pose.position[i] = (rows[i][3] - grid.corner[i]) * inverse;
     }
-    const Mat3& r = pose.rotation;
-    const double off = std::max({std::fabs(dot(r[0], r[0]) - 1.0), std::fabs(dot(r[1], r[1]) - 1.0),
-                                 std::fabs(dot(r[2], r[2]) - 1.0), std::fabs(dot(r[0], r[1])),
-                                 std::fabs(dot(r[1], r[2])), std::fabs(dot(r[2], r[0]))});
-    const double bottom = std::max({std::fabs(matrix[12]), std::fabs(matrix[13]), std::fabs(matrix[14]),
-                                    std::fabs(matrix[15] - 1.0f)});
-    double sum = 0.0;  // not finite where any number is not
-    for (int i = 0; i < 16; ++i) sum += std::fabs(double(matrix[i]));
-    return sum <= std::numeric_limits<double>::max() && off <= ORTHONORMAL && bottom <= ORTHONORMAL &&
-           dot(cross(r[0], r[1]), r[2]) > 0.0;
+    // The columns are orthonormal: their squares, and the products of each with the next, three at a time.
+    const Quad squares = rows[0] * rows[0] + rows[1] * rows[1] + rows[2] * rows[2] - 1.0f;
+    const Quad products = rows[0] * next_of(rows[0]) + rows[1] * next_of(rows[1]) + rows[2] * next_of(rows[2]);
+    const Quad volume = rows[2] * (next_of(rows[0]) * after_next_of(rows[1]) - after_next_of(rows[0]) * next_of(rows[1]));
+    const Quad last = rows[3] - Quad{0.0f, 0.0f, 0.0f, 1.0f};
+    const Quad zeros = 0.0f * (rows[0] + rows[1] + rows[2]);  // not 0 where any number is not finite
+    bool right = zeros[3] == 0.0f && volume[0] + volume[1] + volume[2] > 0.0f && std::fabs(last[3]) <= ORTHONORMAL;
+    for (int i = 0; i < 3; ++i)
+        right = right && std::fabs(squares[i]) <= ORTHONORMAL && std::fabs(products[i]) <= ORTHONORMAL &&
+                std::fabs(last[i]) <= ORTHONORMAL;
+    return right;
 }
 
 bool collides(const Grid& grid, const Shape& shape, const Pose& pose) {
@@ -322,6 +372,10 @@ double touched_fraction(const Grid& grid, const Shape& shape, const Pose& start,
         if (contact <= 1.0) return std::min((part + contact) / parts, 1.0 - 1e-7);
     }
     return collides(grid, shape, end) ? 1.0 - 1e-7 : 1.0;
+}
+
+void fetch(const Grid& grid, const Vec3& point) {
+    if (!empty(grid)) __builtin_prefetch(&grid.distance[Place(grid, point).voxel]);
 }
 
 double clearance(const Grid& grid, const Vec3& point) { return empty(grid) ? NEVER : nearby(grid, point).at_least; }

@@ -9,6 +9,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "buffer.h"
+
 namespace splatrl {
 
 using Vec3 = std::array<double, 3>;
@@ -19,9 +21,14 @@ struct Grid {
     double resolution;            // metres
     Vec3 corner;                  // of the grid in the world, metres
     int words;                    // of a column
-    std::vector<uint64_t> bits;   // [x, y, words]: bit z of a column is the voxel (x, y, z)
-    std::vector<float> distance;  // [x, y, z] from the centre of each voxel to that of the nearest solid one
+    std::vector<uint64_t> bits;  // [x, y, words]: bit z of a column is the voxel (x, y, z)
+    // [x, y, z] from the centre of each voxel to that of the nearest solid one, in DISTANCE_STEPS a voxel, rounded down;
+    // what is further than FARTHEST is that.
+    Buffer<uint16_t> distance;
 };
+
+constexpr double DISTANCE_STEPS = 256.0;
+constexpr uint16_t FARTHEST = 0xffff;
 
 // A box (half extents), a sphere, or a capsule along its z (half length of the cylinder).
 struct Shape {
@@ -51,6 +58,9 @@ bool collides(const Grid& grid, const Shape& shape, const Pose& pose);
 double touched_fraction(const Grid& grid, const Shape& shape, const Pose& start, const Pose& end, bool any);
 
 constexpr double TURN_SLACK = 0.1;  // voxels
+
+// Have the distance at a point fetched: grids are larger than caches, and poses come in no order.
+void fetch(const Grid& grid, const Vec3& point);
 
 // A lower bound of the distance from a point to the nearest solid voxel, voxels.
 double clearance(const Grid& grid, const Vec3& point);

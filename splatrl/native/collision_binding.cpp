@@ -15,7 +15,8 @@ namespace splatrl {
 
 namespace {
 
-constexpr size_t CHUNK = 2048;  // queries that a thread takes at once
+constexpr size_t CHUNK = 2048;   // queries that a thread takes at once
+constexpr size_t AT_ONCE = 32;  // queries that are prepared before they are answered
 
 using Solid = Tensor<const bool, -1, -1, -1>;
 using Distances = Tensor<const float, -1, -1, -1>;
@@ -34,8 +35,11 @@ Grid grid_of(const Solid& solid, const Distances& distance, const Vec3& corner, 
     for (size_t column = 0; column < columns; ++column)
         for (size_t z = 0; z < height; ++z)
             grid.bits[column * grid.words + z / 64] |= uint64_t(solid.data()[column * height + z]) << z % 64;
-    grid.distance.assign(distance.data(), distance.data() + columns * height);
-    for (float& value : grid.distance) value = float(value / resolution);
+    grid.distance = make_buffer<uint16_t>(columns * height);
+    for (size_t i = 0; i < columns * height; ++i) {
+        const double steps = distance.data()[i] / resolution * (1.0 - 1e-6) * DISTANCE_STEPS;  // single precision
+        grid.distance[i] = uint16_t(std::min(steps, double(FARTHEST)));
+    }
     return grid;
 }
 
@@ -44,17 +48,24 @@ class Collider {
 public:
     Collider(Grid grid, Shape shape) : grid_(std::move(grid)), shape_(shape) {}
 
-    // Call query(i) for every i of a batch; -1, or the first i for which it returned false.
-    template <class Query>
-    int64_t each(size_t count, size_t threads, const Query& query) const {
+    // Call prepare(i, query), which may refuse, and then answer(i, query), for every i of a batch, some queries at a
+    // time so that what they need is fetched meanwhile. Returns -1, or the first i that was refused.
+    template <class Query, class Prepare, class Answer>
+    int64_t each(size_t count, size_t threads, const Prepare& prepare, const Answer& answer) const {
         std::atomic<size_t> bad{count};
         const auto run = [&](size_t, size_t chunk) {
-            for (size_t i = chunk * CHUNK; i < std::min(count, (chunk + 1) * CHUNK); ++i)
-                if (!query(i)) {
-                    for (size_t seen = bad; i < seen && !bad.compare_exchange_weak(seen, i);) {
+            Query queries[AT_ONCE];
+            const size_t end = std::min(count, (chunk + 1) * CHUNK);
+            for (size_t first = chunk * CHUNK; first < end; first += AT_ONCE) {
+                const size_t last = std::min(end, first + AT_ONCE);
+                for (size_t i = first; i < last; ++i)
+                    if (!prepare(i, queries[i - first])) {
+                        for (size_t seen = bad; i < seen && !bad.compare_exchange_weak(seen, i);) {
+                        }
+                        return;
                     }
-                    return;
-                }
+                for (size_t i = first; i < last; ++i) answer(i, queries[i - first]);
+            }
         };
         const size_t chunks = (count + CHUNK - 1) / CHUNK;
         if (chunks <= 1) {
@@ -69,23 +80,35 @@ public:
     int64_t collides(uintptr_t poses, uintptr_t out, size_t count, size_t threads) const {
         const auto* matrices = reinterpret_cast<const float*>(poses);
         auto* hits = reinterpret_cast<bool*>(out);
-        return each(count, threads, [&](size_t i) {
-            Pose pose;
-            if (!read_pose(matrices + 16 * i, grid_, pose)) return false;
-            hits[i] = splatrl::collides(grid_, shape_, pose);
-            return true;
-        });
+        return each<Pose>(
+            count, threads,
+            [&](size_t i, Pose& pose) {
+                if (!read_pose(matrices + 16 * i, grid_, pose)) return false;
+                fetch(grid_, pose.position);
+                return true;
+            },
+            [&](size_t i, const Pose& pose) { hits[i] = splatrl::collides(grid_, shape_, pose); });
     }
+
+    struct Move {
+        Pose start, end;
+    };
 
     template <class Answer>
     int64_t moves(uintptr_t starts, uintptr_t ends, size_t count, size_t threads, bool any, const Answer& answer) const {
         const auto *from = reinterpret_cast<const float*>(starts), *to = reinterpret_cast<const float*>(ends);
-        return each(count, threads, [&](size_t i) {
-            Pose start, end;
-            if (!read_pose(from + 16 * i, grid_, start) || !read_pose(to + 16 * i, grid_, end)) return false;
-            answer(i, splatrl::touched_fraction(grid_, shape_, start, end, any));
-            return true;
-        });
+        return each<Move>(
+            count, threads,
+            [&](size_t i, Move& move) {
+                if (!read_pose(from + 16 * i, grid_, move.start) || !read_pose(to + 16 * i, grid_, move.end)) return false;
+                Vec3 middle;
+                for (int k = 0; k < 3; ++k) middle[k] = 0.5 * (move.start.position[k] + move.end.position[k]);
+                fetch(grid_, middle);
+                return true;
+            },
+            [&](size_t i, const Move& move) {
+                answer(i, splatrl::touched_fraction(grid_, shape_, move.start, move.end, any));
+            });
     }
 
     int64_t touched_fraction(uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) const {
@@ -106,15 +129,19 @@ public:
     int64_t clearance(uintptr_t points, uintptr_t out, size_t count, size_t threads) const {
         const auto* from = reinterpret_cast<const float*>(points);
         auto* metres = reinterpret_cast<float*>(out);
-        return each(count, threads, [&](size_t i) {
-            Vec3 point;
-            for (int axis = 0; axis < 3; ++axis) {
-                if (!std::isfinite(from[3 * i + axis])) return false;
-                point[axis] = (from[3 * i + axis] - grid_.corner[axis]) / grid_.resolution;
-            }
-            metres[i] = float(splatrl::clearance(grid_, point) * grid_.resolution * (1.0 - 1e-6));
-            return true;
-        });
+        return each<Vec3>(
+            count, threads,
+            [&](size_t i, Vec3& point) {
+                for (int axis = 0; axis < 3; ++axis) {
+                    if (!std::isfinite(from[3 * i + axis])) return false;
+                    point[axis] = (from[3 * i + axis] - grid_.corner[axis]) / grid_.resolution;
+                }
+                fetch(grid_, point);
+                return true;
+            },
+            [&](size_t i, const Vec3& point) {
+                metres[i] = float(splatrl::clearance(grid_, point) * grid_.resolution * (1.0 - 1e-6));
+            });
     }
 
 private:
