@@ -2,7 +2,7 @@
 
 import difflib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,11 +13,13 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from torch import Tensor
 from torchrl.modules import ActorValueOperator
 
 from splatrl.collision.base import Checker
 from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Curriculum, Plan, plan
+from splatrl.curriculum.planner import FiniteMotion
 from splatrl.envs.robot import Robot
 from splatrl.envs.splat_env import SplatEnv
 from splatrl.envs.tasks import Task
@@ -178,10 +180,20 @@ def build_world(cfg: DictConfig) -> World:
     """
     require_values(cfg)
     scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
-    occupancy = instantiate(cfg.collision.occupancy)(scene)
+    occupancy = instantiate(cfg.collision.occupancy)(scene, *_start_region(task.motion, task.reached, robot))
     checker = instantiate(cfg.collision.checker)(occupancy, robot.body)
     renderer = instantiate(cfg.renderer.memory)(instantiate(cfg.renderer.views)(scene))
     return World(scene, occupancy, checker, renderer, robot, task, plan(task.motion, checker, task.reached))
+
+
+def _start_region(
+    motion: FiniteMotion, reached: Callable[[Tensor], Tensor], robot: Robot
+) -> tuple[Tensor, tuple[list[float], list[float]]]:
+    """Where the goal is, positions [N, 3] in metres, and the corners of the box in which the robots' bodies are."""
+    states = motion.states()
+    places = motion.body_to_world(states)[:, :3, 3]
+    lower, upper = places.amin(0) - robot.body.radius, places.amax(0) + robot.body.radius
+    return places[reached(states)], (lower.tolist(), upper.tolist())
 
 
 def build_model(cfg: DictConfig, env: SplatEnv) -> ActorValueOperator:

@@ -22,7 +22,7 @@ def solid_voxels(
     max_scale: float | None,
     crop: Bounds | None,
     max_voxels: int,
-) -> tuple[NDArray[np.bool_], tuple[int, int, int]]:
+) -> tuple[NDArray[np.bool_], tuple[int, int, int], int]:
     """Find the voxels that absorb at least ``cutoff`` of the light, and drop what floats.
 
     A voxel's density is σ = Σ opacity · exp(−½ d²) over the Gaussians whose 3σ extent reaches it, with d a lower bound
@@ -45,7 +45,7 @@ def solid_voxels(
         max_voxels: the largest grid that may be made.
 
     Returns:
-        Solid voxels [X, Y, Z] bool, and the key of the first.
+        Solid voxels [X, Y, Z] bool, the key of the first, and how many voxels were dropped with floaters.
 
     Raises:
         ValueError: for a setting out of range, or a grid above ``max_voxels``.
@@ -56,7 +56,7 @@ def solid_voxels(
     limit = max(1.0, 20.0 * resolution) if max_scale is None else max_scale
     kept = (gaussians.opacities >= min_opacity) & (gaussians.scales.amax(1) <= limit)
     if not kept.any():
-        return np.zeros((0, 0, 0), bool), (0, 0, 0)
+        return np.zeros((0, 0, 0), bool), (0, 0, 0), 0
     means, scales, quats, opacities = (
         values[kept].detach().double().cpu().numpy()
         for values in (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities)
@@ -68,7 +68,7 @@ def solid_voxels(
     end = np.ceil(np.minimum(means + reach, upper) / resolution).astype(np.int64)
     inside = (end > first).all(1)
     if not inside.any():
-        return np.zeros((0, 0, 0), bool), (0, 0, 0)
+        return np.zeros((0, 0, 0), bool), (0, 0, 0), 0
     first, end = first[inside], end[inside]
     origin = first.min(0)
     density = np.zeros(grid_shape(origin, end.max(0), resolution, max_voxels), np.float32)
@@ -82,8 +82,9 @@ def solid_voxels(
         _EXTENT,
         density,
     )
-    solid = _without_floaters(density >= -np.log1p(-cutoff), min_volume / resolution**3)
-    return solid, (int(origin[0]), int(origin[1]), int(origin[2]))
+    dense = density >= -np.log1p(-cutoff)
+    solid = _without_floaters(dense, min_volume / resolution**3)
+    return solid, (int(origin[0]), int(origin[1]), int(origin[2])), int(dense.sum() - solid.sum())
 
 
 def _populated_bounds(lower: NDArray[np.float64], upper: NDArray[np.float64]) -> NDArray[np.float64]:

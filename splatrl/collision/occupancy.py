@@ -1,10 +1,10 @@
-"""Which voxels of a scene are solid."""
+"""Which voxels of a scene are solid: how they come about and how they are edited."""
 
 import inspect
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,46 +12,25 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from torch import Tensor
 
+from splatrl.collision.boxes import box_keys
 from splatrl.collision.density import solid_voxels
+from splatrl.collision.fill import unreached_voxels, warn_unfilled
 from splatrl.collision.grid import MAX_VOXELS, Bounds, check_resolution, checked_crop, checked_points, grid_shape
+from splatrl.collision.point_clouds import read_points
+from splatrl.collision.storage import read_arrays
+from splatrl.collision.voxels import ARRAYS, Voxels
 from splatrl.scenes.gaussians import Gaussians
 
 if TYPE_CHECKING:
     from splatrl.scenes.scene import Scene
 
-_FACE_SLACK = 1e-3
-"""In voxels: a box that reaches no further than this into a voxel does not fill it, as 0.3 is rarely 3 · 0.1."""
-
 
 @dataclass(frozen=True, eq=False)
-class Occupancy:
-    """An axis-aligned grid of solid voxels in the world frame; whatever lies outside the grid is free.
+class Occupancy(Voxels):
+    """Solid voxels in the world frame, how they come about and how they are edited; outside the grid all is free.
 
-    The voxel with the integer key k covers [k · resolution, (k + 1) · resolution) along each axis.
-
-    Attributes:
-        occupied: [X, Y, Z] bool; X, Y, Z may be 0.
-        origin_key: key of the voxel ``occupied[0, 0, 0]``.
-        resolution: edge of a voxel, metres.
-
-    Raises:
-        ValueError: for another shape or dtype, or a resolution that is not finite and positive.
+    See ``Voxels`` for the attributes. Nothing changes an occupancy: whatever edits one returns another.
     """
-
-    occupied: NDArray[np.bool_]  # [X, Y, Z]
-    origin_key: tuple[int, int, int]
-    resolution: float
-
-    def __post_init__(self) -> None:
-        if self.occupied.ndim != 3 or self.occupied.dtype != np.bool_:
-            raise ValueError(
-                f"Occupancy.occupied: expected bool [X, Y, Z], got {self.occupied.dtype} {list(self.occupied.shape)}"
-            )
-        if len(self.origin_key) != 3:
-            raise ValueError(f"Occupancy.origin_key: expected 3 integers, got {self.origin_key}")
-        check_resolution(self.resolution)
-        object.__setattr__(self, "origin_key", tuple(int(key) for key in self.origin_key))
-        object.__setattr__(self, "resolution", float(self.resolution))
 
     @classmethod
     def empty(cls, resolution: float = 0.05) -> "Occupancy":
@@ -125,17 +104,12 @@ class Occupancy:
         Raises:
             ValueError: for other shapes, non-finite corners, a box without volume, or a grid above ``max_voxels``.
         """
-        check_resolution(resolution)
-        low, high = checked_points("lower", lower), checked_points("upper", upper)
-        if low.shape != high.shape or not (high > low).all():
-            raise ValueError(f"upper: expected {list(low.shape)} corners above lower, got {high.tolist()}")
-        if len(low) == 0:
+        first, end = box_keys(lower, upper, resolution)
+        if len(first) == 0:
             return cls.empty(resolution)
-        first = np.floor(low / resolution + _FACE_SLACK).astype(np.int64)
-        last = np.maximum(np.ceil(high / resolution - _FACE_SLACK).astype(np.int64), first + 1)
         origin = first.min(0)
-        occupied = np.zeros(grid_shape(origin, last.max(0), resolution, max_voxels), bool)
-        for (x0, y0, z0), (x1, y1, z1) in zip(first - origin, last - origin, strict=True):
+        occupied = np.zeros(grid_shape(origin, end.max(0), resolution, max_voxels), bool)
+        for (x0, y0, z0), (x1, y1, z1) in zip(first - origin, end - origin, strict=True):
             occupied[x0:x1, y0:y1, z0:z1] = True
         return cls(occupied, tuple(origin.tolist()), resolution)
 
@@ -152,17 +126,53 @@ class Occupancy:
         max_voxels: int = MAX_VOXELS,
     ) -> "Occupancy":
         """The voxels that a scene's Gaussians make opaque; ``solid_voxels`` tells how and what each setting does."""
-        solid, origin = solid_voxels(
+        solid, origin, floaters = solid_voxels(
             gaussians, resolution, min_opacity, cutoff, min_volume, max_scale, crop, max_voxels
         )
-        return cls(solid, origin, resolution).trimmed()
+        return cls(solid, origin, resolution, floaters).trimmed()
 
     @classmethod
-    def from_scene(cls, scene: "Scene", **settings: Any) -> "Occupancy":
-        """``from_gaussians`` of a scene's Gaussians, kept in the scene's cache.
+    def from_file(
+        cls,
+        path: str | os.PathLike[str],
+        resolution: float = 0.05,
+        crop: Bounds | None = None,
+        max_voxels: int = MAX_VOXELS,
+    ) -> "Occupancy":
+        """``from_points`` of a point cloud file, whose coordinates are world metres.
+
+        Raises:
+            FileNotFoundError: where there is no such file.
+            ValueError: for a damaged file, one without a point inside the crop, or a grid above ``max_voxels``.
+        """
+        points = read_points(path)
+        occupancy = cls.from_points(points, resolution, crop, max_voxels)
+        if occupancy.count == 0:
+            extent = [np.round(corner, 3).tolist() for corner in (points.min(0), points.max(0))]
+            raise ValueError(f"{path}: crop: expected points in it, got none in {crop}; the cloud spans {extent}")
+        return occupancy
+
+    @classmethod
+    def from_scene(
+        cls,
+        scene: "Scene",
+        seeds: Tensor | ArrayLike | None = None,
+        around: Bounds | None = None,
+        fill: float | None = None,
+        clear: Sequence[Bounds] = (),
+        add: Sequence[Bounds] = (),
+        **settings: Any,
+    ) -> "Occupancy":
+        """What is solid in a scene, edited and filled, kept in the scene's cache.
 
         Args:
             scene: holds ``gaussians`` in the world frame, ``bounds`` and a cache.
+            seeds: [N, 3] places that robots reach, for ``fill``.
+            around: lower and upper corner of where robots are, for ``fill``.
+            fill: widest opening, metres, that counts as closed when what lies behind it is made solid: see ``solid``.
+                None leaves what is hollow as it is.
+            clear: boxes, as lower and upper corner, in which nothing is solid.
+            add: boxes that are solid, also where one of ``clear`` is not.
             **settings: what ``from_gaussians`` takes. Without a ``crop`` (or with None) the grid ends at the scene's
                 bounds, widened on all sides by a tenth of their longest one.
         """
@@ -173,61 +183,118 @@ class Occupancy:
         recipe = inspect.signature(cls.from_gaussians).bind(scene.gaussians, **settings)
         recipe.apply_defaults()
         stated = {name: value for name, value in recipe.arguments.items() if name != "gaussians"}
-        arrays = scene.cached("occupancy", stated, lambda: cls.from_gaussians(scene.gaussians, **stated).to_arrays())
-        return cls.from_arrays(arrays)
+        boxes = {
+            name: [checked_crop(box).tolist() for box in given] for name, given in (("clear", clear), ("add", add))
+        }
+        flood: dict[str, Any] | None = None
+        if fill is not None:
+            places = None if seeds is None else checked_points("seeds", seeds).tolist()
+            flood = {
+                "opening": fill,
+                "seeds": places,
+                "around": None if around is None else checked_crop(around).tolist(),
+            }
+
+        def build() -> dict[str, NDArray[Any]]:
+            occupancy = cls.from_gaussians(scene.gaussians, **stated)
+            for lower, upper in boxes["clear"]:
+                occupancy = occupancy.carved([lower], [upper])
+            for lower, upper in boxes["add"]:
+                occupancy = occupancy.with_boxes([lower], [upper])
+            return (occupancy if flood is None else occupancy.solid(**flood)).to_arrays()
+
+        return cls.from_arrays(scene.cached("occupancy", {**stated, **boxes, "fill": flood}, build))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "Occupancy":
+        """Read what ``save`` wrote.
+
+        Raises:
+            FileNotFoundError: where there is no such file.
+            ValueError: names the file, for one that is damaged or something else.
+        """
+        arrays = read_arrays(path, ARRAYS)
+        try:
+            return cls.from_arrays(arrays)
+        except (ValueError, TypeError, OverflowError) as error:
+            raise ValueError(f"{path}: expected an occupancy, got damaged arrays: {error}") from error
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "Occupancy":
-        """Undo ``to_arrays``."""
-        shape = tuple(int(extent) for extent in arrays["shape"])
-        bits = np.unpackbits(arrays["occupied_bits"], count=math.prod(shape)).astype(bool).reshape(shape)
-        return cls(bits, tuple(arrays["origin_key"].tolist()), float(arrays["resolution"]))
+        """Undo ``to_arrays``.
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays to keep in an npz file, one bit a voxel."""
-        return {
-            "occupied_bits": np.packbits(self.occupied),
-            "shape": np.array(self.occupied.shape, np.int64),
-            "origin_key": np.array(self.origin_key, np.int64),
-            "resolution": np.array(self.resolution),
-        }
+        Raises:
+            ValueError: where the bits do not fill the shape.
+        """
+        shape = tuple(int(extent) for extent in arrays["shape"])
+        count, packed = math.prod(shape), arrays["occupied_bits"]
+        if min(shape, default=0) < 0 or packed.dtype != np.uint8 or packed.shape != ((count + 7) // 8,):
+            raise ValueError(f"occupied_bits: expected uint8 bits of {shape} voxels, got {packed.dtype} {packed.shape}")
+        bits = np.unpackbits(packed, count=count).astype(bool).reshape(shape)
+        floaters, filled = int(arrays["floaters"]), int(arrays["filled"])
+        return cls(bits, tuple(arrays["origin_key"].tolist()), float(arrays["resolution"]), floaters, filled)
+
+    def __or__(self, other: "Occupancy") -> "Occupancy":
+        """What is solid in either of two grids of one resolution.
+
+        Raises:
+            ValueError: for grids of two resolutions, or so far apart that the grid around both is too large.
+        """
+        if not math.isclose(self.resolution, other.resolution, rel_tol=1e-9):
+            raise ValueError(f"|: expected two grids of one resolution, got {self.resolution} and {other.resolution} m")
+        grids = [grid for grid in (self, other) if grid.occupied.size]
+        floaters, filled = self.floaters + other.floaters, self.filled + other.filled
+        if not grids:
+            return replace(self, floaters=floaters, filled=filled)
+        first = np.min([grid.origin_key for grid in grids], 0)
+        end = np.max([np.add(grid.origin_key, grid.occupied.shape) for grid in grids], 0)
+        largest = max(MAX_VOXELS, *(grid.occupied.size for grid in (self, other)))
+        occupied = np.zeros(grid_shape(first, end, self.resolution, largest), bool)
+        for grid in grids:
+            occupied[_window(grid.origin_key - first, grid.occupied.shape)] |= grid.occupied
+        return Occupancy(occupied, tuple(first.tolist()), self.resolution, floaters, filled)
+
+    def with_boxes(self, lower: Tensor | ArrayLike, upper: Tensor | ArrayLike) -> "Occupancy":
+        """The union with ``from_boxes``: the same with boxes [N, 3] (lower and upper corners, metres) made solid."""
+        return self | Occupancy.from_boxes(lower, upper, self.resolution)
+
+    def carved(self, lower: Tensor | ArrayLike, upper: Tensor | ArrayLike) -> "Occupancy":
+        """The same without the voxels that boxes [N, 3] (lower and upper corners, metres) cover, wholly or in part.
+
+        Raises:
+            ValueError: as ``from_boxes`` does.
+        """
+        occupied = self.occupied.copy()
+        for first, end in zip(*box_keys(lower, upper, self.resolution), strict=True):
+            x, y, z = np.clip([first - self.origin_key, end - self.origin_key], 0, occupied.shape).T
+            occupied[slice(*x), slice(*y), slice(*z)] = False
+        return replace(self, occupied=occupied)
+
+    def solid(
+        self, opening: float, seeds: Tensor | ArrayLike | None = None, around: Bounds | None = None
+    ) -> "Occupancy":
+        """The same with everything solid that cannot be reached; ``unreached_voxels`` tells how.
+
+        Where nothing is free near the seeds it is the same, with a warning.
+        """
+        found = unreached_voxels(self.occupied, self.origin_key, self.resolution, opening, seeds, around)
+        if found is None:
+            warn_unfilled(opening)
+            return self
+        unreached, origin = found
+        filled = replace(
+            self | Occupancy(unreached, origin, self.resolution), filled=self.filled + int(unreached.sum())
+        )
+        return filled.trimmed()
 
     def trimmed(self) -> "Occupancy":
         """The same solid voxels in the smallest grid that holds them."""
         if not self.occupied.any():
-            return Occupancy.empty(self.resolution)
+            return replace(Occupancy.empty(self.resolution), floaters=self.floaters, filled=self.filled)
         (box,) = ndimage.find_objects(self.occupied.view(np.int8))
         x, y, z = (key + span.start for key, span in zip(self.origin_key, box, strict=True))
-        return Occupancy(np.ascontiguousarray(self.occupied[box]), (x, y, z), self.resolution)
+        return replace(self, occupied=np.ascontiguousarray(self.occupied[box]), origin_key=(x, y, z))
 
-    @cached_property
-    def count(self) -> int:
-        """How many voxels are solid."""
-        return int(self.occupied.sum())
 
-    @property
-    def volume(self) -> float:
-        """Volume of what is solid, cubic metres."""
-        return self.count * self.resolution**3
-
-    @property
-    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lower and upper corner of the grid: each [3] float64, metres."""
-        lower = np.array(self.origin_key, np.float64)
-        return lower * self.resolution, (lower + self.occupied.shape) * self.resolution
-
-    def keys(self) -> NDArray[np.int64]:
-        """Keys of the solid voxels: [M, 3]."""
-        return np.argwhere(self.occupied) + np.array(self.origin_key, np.int64)
-
-    def centers(self) -> NDArray[np.float32]:
-        """Centres of the solid voxels: [M, 3] float32, world, metres."""
-        return ((self.keys() + 0.5) * self.resolution).astype(np.float32)
-
-    def contains(self, points: Tensor | ArrayLike) -> NDArray[np.bool_]:
-        """Whether each point [N, 3] (world, metres) lies in a solid voxel: [N]."""
-        index = np.floor(checked_points("points", points) / self.resolution).astype(np.int64) - self.origin_key
-        inside = ((index >= 0) & (index < self.occupied.shape)).all(1)
-        result = np.zeros(len(index), bool)
-        result[inside] = self.occupied[tuple(index[inside].T)]
-        return result
+def _window(start: NDArray[np.int64], shape: tuple[int, ...]) -> tuple[slice, ...]:
+    return tuple(slice(int(at), int(at) + extent) for at, extent in zip(start, shape, strict=True))

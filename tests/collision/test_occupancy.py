@@ -144,7 +144,8 @@ def test_from_scene_builds_once_with_its_settings_and_then_reads_the_cache():
     assert len(builds) == 2
     kind, settings = builds[0]
     assert kind == "occupancy"
-    assert set(settings) == set(inspect.signature(Occupancy.from_gaussians).parameters) - {"gaussians"}
+    recipe = set(inspect.signature(Occupancy.from_gaussians).parameters) - {"gaussians"}
+    assert set(settings) == recipe | {"fill", "clear", "add"}
 
 
 def test_from_scene_ends_a_tenth_beyond_the_bounds_or_at_the_crop():

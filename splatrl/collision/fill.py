@@ -1,0 +1,113 @@
+"""What cannot be reached counts as solid: captured things are hollow."""
+
+import math
+import warnings
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+from torch import Tensor
+
+from splatrl.collision.grid import MAX_VOXELS, Bounds, checked_crop, checked_points, grid_shape
+
+Region = tuple[NDArray[np.bool_], tuple[int, int, int]]
+"""Voxels [X, Y, Z] bool and the key of the first."""
+
+
+def unreached_voxels(
+    occupied: NDArray[np.bool_],
+    origin_key: tuple[int, int, int],
+    resolution: float,
+    opening: float,
+    seeds: Tensor | ArrayLike | None = None,
+    around: Bounds | None = None,
+) -> Region | None:
+    """Find the free voxels to which no way leads from the seeds, openings narrower than ``opening`` being closed.
+
+    A ball of that diameter floods the free space from the seeds. What it touches is reached, and from there
+    ``opening`` further along free voxels, so that corners and crevices stay free; behind a gap too narrow for the
+    ball this leaves a rim of that depth. All else is unreached. The flood stays within the grid, as what a capture
+    did not see, the back of a counter, is open to the outside; so robots that leave the grid come back only the way
+    they went.
+
+    Of the regions that seeds lie in or beside, the one with the most seeds is flooded, so one of them on the wrong
+    side of a wall does no harm. A seed lies beside a region that is no farther than ``opening`` from it.
+
+    Args:
+        occupied: [X, Y, Z] bool.
+        origin_key: key of the first voxel.
+        resolution: edge of a voxel, metres.
+        opening: metres, at least 0; rounded to whole voxels. A body that is nowhere thinner can go wherever the
+            ball can.
+        seeds: [N, 3] world, metres: places that are free and reached. None floods the largest region.
+        around: lower and upper corner, metres, of a box that belongs to the flooded grid in any case: where robots are.
+
+    Returns:
+        The unreached voxels; None where no seed is near a region, as then nothing is known.
+
+    Raises:
+        ValueError: for an ``opening`` that is not finite or below 0, malformed seeds or corners, or a grid that is
+            too large to be flooded.
+    """
+    if not (math.isfinite(opening) and opening >= 0):
+        raise ValueError(f"fill: expected finite metres of at least 0, got {opening}")
+    places = None if seeds is None else checked_points("seeds", seeds)
+    padded, origin = _widened(occupied, np.array(origin_key, np.int64), resolution, around)
+    wide = round(opening / resolution)
+    clear = ndimage.distance_transform_edt(padded)  # in voxels, from each free centre to the nearest solid one
+    touch = 0.5 * (wide + 1) + 1e-6  # so far is the middle of a gap of `wide` voxels from its walls, or less
+    regions, count = ndimage.label(clear > touch)
+    region = _flooded(regions, count, places, origin, resolution, touch + wide)
+    if region is None:
+        return None
+    reached = ndimage.distance_transform_edt(regions != region) <= touch
+    if wide:
+        reached = ndimage.binary_dilation(reached, np.ones((3, 3, 3)), iterations=wide, mask=padded)
+    unreached = (padded & ~reached)[1:-1, 1:-1, 1:-1]
+    x, y, z = (int(key) + 1 for key in origin)
+    return unreached, (x, y, z)
+
+
+def _widened(
+    occupied: NDArray[np.bool_], origin: NDArray[np.int64], resolution: float, around: Bounds | None
+) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """The free voxels of the grid widened to hold ``around``, in a wall one voxel thick; and its first key."""
+    first, end = origin, origin + occupied.shape
+    if around is not None:
+        corners = checked_crop(around) / resolution
+        first = np.minimum(first, np.floor(corners[0])).astype(np.int64)
+        end = np.maximum(end, np.ceil(corners[1])).astype(np.int64)
+    free = np.ones(grid_shape(first, end, resolution, MAX_VOXELS), bool)
+    inner = tuple(slice(int(a), int(a) + n) for a, n in zip(origin - first, occupied.shape, strict=True))
+    free[inner] = ~occupied
+    return np.pad(free, 1), first - 1
+
+
+def _flooded(
+    regions: NDArray[np.int32],
+    count: int,
+    places: NDArray[np.float64] | None,
+    origin: NDArray[np.int64],
+    resolution: float,
+    reach: float,
+) -> int | None:
+    """Label of the region to flood: that of the most seeds, or the largest; None where no seed is near one."""
+    if count == 0:
+        return None
+    if places is None:
+        return 1 + int(np.bincount(regions.reshape(-1))[1:].argmax())
+    index = np.floor(places / resolution).astype(np.int64) - origin
+    index = index[((index >= 0) & (index < regions.shape)).all(1)]
+    away, nearest = ndimage.distance_transform_edt(regions == 0, return_indices=True)
+    index = index[away[tuple(index.T)] <= reach]
+    if len(index) == 0:
+        return None
+    found = regions[tuple(nearest[(slice(None), *index.T)])]
+    return int(np.bincount(found).argmax())
+
+
+def warn_unfilled(opening: float) -> None:
+    """Say that nothing was filled, and why."""
+    warnings.warn(
+        f"fill: expected a free place {opening:g} m wide near the goal, got none; nothing is filled", stacklevel=3
+    )

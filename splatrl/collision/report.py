@@ -1,0 +1,41 @@
+"""An occupancy in numbers."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class OccupancyReport:
+    """What is in a grid.
+
+    Attributes:
+        resolution: edge of a voxel, metres.
+        shape: voxels of the grid along x, y and z.
+        occupied: solid voxels.
+        components: 26-connected pieces that they form.
+        occupied_volume: of the solid voxels, cubic metres.
+        free_volume: of the grid's other voxels, cubic metres.
+        floaters: voxels that were dropped as pieces too small to be real.
+        filled: solid voxels that are so because nothing can get there.
+    """
+
+    resolution: float
+    shape: tuple[int, int, int]
+    occupied: int
+    components: int
+    occupied_volume: float
+    free_volume: float
+    floaters: int
+    filled: int
+
+    def __str__(self) -> str:
+        x, y, z = self.shape
+        pieces = "1 piece" if self.components == 1 else f"{self.components:,} pieces"
+        return "\n".join(
+            [
+                f"grid      {x} × {y} × {z} voxels of {self.resolution:g} m",
+                f"occupied  {self.occupied:,} voxels, {self.occupied_volume:.3f} m³, in {pieces}",
+                f"free      {self.free_volume:.3f} m³",
+                f"filled    {self.filled:,} voxels that cannot be reached",
+                f"floaters  {self.floaters:,} voxels dropped",
+            ]
+        )

@@ -1,0 +1,109 @@
+"""A grid of voxels: where they are, which are solid, and how many."""
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+from torch import Tensor
+
+from splatrl.collision.grid import check_resolution, checked_points
+from splatrl.collision.report import OccupancyReport
+from splatrl.collision.storage import write_arrays
+
+ARRAYS = ("occupied_bits", "shape", "origin_key", "resolution", "floaters", "filled")
+"""What ``to_arrays`` makes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Voxels:
+    """An axis-aligned grid of solid voxels in the world frame; whatever lies outside the grid is free.
+
+    The voxel with the integer key k covers [k · resolution, (k + 1) · resolution) along each axis.
+
+    Attributes:
+        occupied: [X, Y, Z] bool; X, Y, Z may be 0.
+        origin_key: key of the voxel ``occupied[0, 0, 0]``.
+        resolution: edge of a voxel, metres.
+        floaters: how many voxels were dropped on the way here as pieces too small to be real.
+        filled: how many voxels were made solid on the way here because nothing can reach them.
+
+    Raises:
+        ValueError: for another shape or dtype, or a resolution that is not finite and positive.
+    """
+
+    occupied: NDArray[np.bool_]  # [X, Y, Z]
+    origin_key: tuple[int, int, int]
+    resolution: float
+    floaters: int = 0
+    filled: int = 0
+
+    def __post_init__(self) -> None:
+        if self.occupied.ndim != 3 or self.occupied.dtype != np.bool_:
+            raise ValueError(
+                f"Occupancy.occupied: expected bool [X, Y, Z], got {self.occupied.dtype} {list(self.occupied.shape)}"
+            )
+        if len(self.origin_key) != 3:
+            raise ValueError(f"Occupancy.origin_key: expected 3 integers, got {self.origin_key}")
+        check_resolution(self.resolution)
+        object.__setattr__(self, "origin_key", tuple(int(key) for key in self.origin_key))
+        object.__setattr__(self, "resolution", float(self.resolution))
+
+    @cached_property
+    def count(self) -> int:
+        """How many voxels are solid."""
+        return int(self.occupied.sum())
+
+    @property
+    def volume(self) -> float:
+        """Volume of what is solid, cubic metres."""
+        return self.count * self.resolution**3
+
+    @property
+    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lower and upper corner of the grid: each [3] float64, metres."""
+        lower = np.array(self.origin_key, np.float64)
+        return lower * self.resolution, (lower + self.occupied.shape) * self.resolution
+
+    def keys(self) -> NDArray[np.int64]:
+        """Keys of the solid voxels: [M, 3]."""
+        return np.argwhere(self.occupied) + np.array(self.origin_key, np.int64)
+
+    def centers(self) -> NDArray[np.float32]:
+        """Centres of the solid voxels: [M, 3] float32, world, metres."""
+        return ((self.keys() + 0.5) * self.resolution).astype(np.float32)
+
+    def contains(self, points: Tensor | ArrayLike) -> NDArray[np.bool_]:
+        """Whether each point [N, 3] (world, metres) lies in a solid voxel: [N]."""
+        index = np.floor(checked_points("points", points) / self.resolution).astype(np.int64) - self.origin_key
+        inside = ((index >= 0) & (index < self.occupied.shape)).all(1)
+        result = np.zeros(len(index), bool)
+        result[inside] = self.occupied[tuple(index[inside].T)]
+        return result
+
+    def report(self) -> OccupancyReport:
+        """The occupancy in numbers; printing it gives a small table."""
+        x, y, z = self.occupied.shape
+        free = (self.occupied.size - self.count) * self.resolution**3
+        pieces = int(ndimage.label(self.occupied, np.ones((3, 3, 3)))[1])
+        return OccupancyReport(
+            self.resolution, (x, y, z), self.count, pieces, self.volume, free, self.floaters, self.filled
+        )
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays to keep in an npz file, one bit a voxel."""
+        return {
+            "occupied_bits": np.packbits(self.occupied),
+            "shape": np.array(self.occupied.shape, np.int64),
+            "origin_key": np.array(self.origin_key, np.int64),
+            "resolution": np.array(self.resolution),
+            "floaters": np.array(self.floaters),
+            "filled": np.array(self.filled),
+        }
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write an npz file, which appears whole or not at all."""
+        write_arrays(path, self.to_arrays())
