@@ -1,5 +1,6 @@
 """Collision by the Flexible Collision Library (Pan et al. 2012): the exact reference of the other checkers."""
 
+import math
 from typing import Any
 
 import fcl
@@ -19,7 +20,7 @@ _SLACK = 1e-5
 
 
 class FclChecker:
-    """Tests a box, a sphere or a capsule against one OctoMap octree of the occupancy.
+    """Tests a box, a sphere or a capsule against OctoMap octrees of the occupancy, by default a single one.
 
     FCL looks at one pose after the other, some microseconds each; the distance field settles the poses that are clear
     of everything beforehand and never changes an answer. A touch counts as a hit. A move is tested in steps in which
@@ -30,27 +31,33 @@ class FclChecker:
     Attributes:
         occupancy: what is solid.
         body: what is tested, in the body frame.
+        blocks: edge of the base voxels that have an octree each, metres; None for one octree of everything.
     """
 
-    def __init__(self, occupancy: Occupancy, body: Body) -> None:
-        """Build the octree.
+    def __init__(self, occupancy: Occupancy, body: Body, blocks: float | None = None) -> None:
+        """Build the octrees.
 
         Args:
             occupancy: what is solid, with keys within ±32768.
             body: what is tested.
+            blocks: None for one octree, the fastest; a length in metres for the published layout: an octree for each
+                base voxel of that edge with something in it, tested in turn. The answers are the same.
 
         Raises:
-            ValueError: for a voxel beyond what the octree's keys reach.
+            ValueError: for a voxel beyond what the octree's keys reach, or blocks that are not finite metres above 0.
         """
+        if blocks is not None and not (math.isfinite(blocks) and blocks > 0):
+            raise ValueError(f"blocks: expected finite metres above 0, or None for one octree, got {blocks}")
         self.occupancy = occupancy
         self.body = body
+        self.blocks = blocks
         self._field = DistanceField(occupancy)
         self._request = fcl.CollisionRequest()
-        self._body_object = fcl.CollisionObject(_fcl_shape(body))
-        self._octree = _fcl_octree(occupancy)
+        self._body_object = fcl.CollisionObject(fcl_shape(body))
+        self._octrees = fcl_octrees(occupancy, blocks)
 
-    def __reduce__(self) -> tuple[type["FclChecker"], tuple[Occupancy, Body]]:
-        return FclChecker, (self.occupancy, self.body)
+    def __reduce__(self) -> tuple[type["FclChecker"], tuple[Occupancy, Body, float | None]]:
+        return FclChecker, (self.occupancy, self.body, self.blocks)
 
     def collides(self, body_to_world: Tensor) -> Tensor:
         """Whether the body touches a solid voxel: see ``Checker.collides``."""
@@ -93,21 +100,21 @@ class FclChecker:
         return torch.from_numpy(self._field.clearance(points)).float().to(points.device)
 
     def _near(self, poses: NDArray[np.float64]) -> list[int]:
-        """Rows of poses [M, 4, 4] that FCL has to look at.
-
-        It takes an octree without nodes for a solid one, and is never asked then, as clearance is infinite.
-        """
+        """Rows of poses [M, 4, 4] that FCL has to look at."""
         return np.flatnonzero(self._field.clearance(poses[:, :3, 3]) <= self.body.radius + _SLACK).tolist()
 
     def _hit(self, pose: NDArray[np.float64]) -> bool:
         """Whether the body touches something at a rigid pose [4, 4]."""
         self._body_object.setTranslation(pose[:3, 3])
         self._body_object.setRotation(pose[:3, :3])
-        result = fcl.CollisionResult()  # a used one keeps its hit
-        return bool(fcl.collide(self._body_object, self._octree, self._request, result))
+        return any(
+            fcl.collide(self._body_object, octree, self._request, fcl.CollisionResult())  # a used result keeps its hit
+            for octree in self._octrees
+        )
 
 
-def _fcl_shape(body: Body) -> Any:
+def fcl_shape(body: Body) -> Any:
+    """A body as FCL's geometry."""
     match body:
         case Box():
             return fcl.Box(*body.size)
@@ -117,5 +124,19 @@ def _fcl_shape(body: Body) -> Any:
             return fcl.Capsule(body.cap_radius, body.length)
 
 
-def _fcl_octree(occupancy: Occupancy) -> Any:
-    return fcl.CollisionObject(fcl.OcTree(occupancy.resolution, encode_octree(occupancy)))
+def fcl_octrees(occupancy: Occupancy, blocks: float | None = None) -> list[Any]:
+    """The solid voxels as FCL's octrees: one, or one for each block of that edge (metres) that holds voxels' centres.
+
+    Without a solid voxel there is none, as FCL takes an octree without nodes for a solid one.
+    """
+    if occupancy.count == 0:
+        return []
+    parts = [occupancy]
+    if blocks is not None:
+        keys = occupancy.keys()
+        block = np.floor((keys + 0.5) * occupancy.resolution / blocks).astype(np.int64)
+        _, number = np.unique(block, axis=0, return_inverse=True)
+        order = np.argsort(number.reshape(-1), kind="stable")
+        ends = np.cumsum(np.bincount(number.reshape(-1)))[:-1]
+        parts = [Occupancy.from_keys(part, occupancy.resolution) for part in np.split(keys[order], ends)]
+    return [fcl.CollisionObject(fcl.OcTree(part.resolution, encode_octree(part))) for part in parts]

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from splatrl.bodies import Box, Capsule, Sphere
 from splatrl.collision import FclChecker, Occupancy
+from splatrl.collision.fcl import fcl_octrees
 from splatrl.collision.octree import encode_octree
 from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
 from tests.collision.oracle import separation
@@ -229,3 +230,31 @@ def test_a_body_clear_of_the_bound_is_free_and_clearance_comes_from_the_field():
 def test_an_occupancy_beyond_the_octree_is_refused():
     with pytest.raises(ValueError, match="expected voxel keys in"):
         FclChecker(Occupancy.from_points([[400.0, 0.0, 0.0]], 0.01), Sphere(0.1))
+
+
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("blocks", [0.25, 0.4, 30.0])
+def test_an_octree_a_block_gives_the_same_answers_as_one_octree(body, blocks):
+    occupancy = clutter()
+    one, many = FclChecker(occupancy, body), FclChecker(occupancy, body, blocks=blocks)
+    poses, ends = (random_poses(400, (-0.9, 0.1, -0.4), (0.9, 1.6, 0.8), seed) for seed in (0, 1))
+    hits = one.collides(poses)
+    assert 0 < hits.sum() < len(hits)
+    assert torch.equal(many.collides(poses), hits)
+    assert torch.equal(many.touched_fraction(poses[:40], ends[:40]), one.touched_fraction(poses[:40], ends[:40]))
+
+
+def test_every_block_with_a_voxel_in_it_has_an_octree():
+    occupancy = Occupancy.from_keys([[0, 0, 0], [3, 3, 3], [4, 0, 0], [-1, 0, 0], [-4, 3, 3], [-5, 0, 0]], 0.1)
+    assert len(fcl_octrees(occupancy)) == 1
+    assert len(fcl_octrees(occupancy, 0.4)) == 4
+    assert len(fcl_octrees(occupancy, 100.0)) == 2
+    assert fcl_octrees(Occupancy.empty(), 0.4) == []
+
+
+def test_copies_keep_their_blocks_and_blocks_that_are_no_length_are_refused():
+    assert copy.deepcopy(FclChecker(CUBE, Sphere(0.1), blocks=0.5)).blocks == 0.5
+    for blocks in (0.0, -4.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="blocks: expected finite metres above 0"):
+            FclChecker(CUBE, Sphere(0.1), blocks=blocks)
+    assert not FclChecker(Occupancy.empty(), Sphere(0.1), blocks=4.0).collides(at((0.0, 0.0, 0.0))).any()
