@@ -4,5 +4,17 @@ from splatrl.collision.base import Checker
 from splatrl.collision.distances import DistanceField
 from splatrl.collision.fcl import FclChecker
 from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.torch_checker import TorchChecker
+from splatrl.collision.verify import Disagreement, Verification, verify, verify_sweeps
 
-__all__ = ["Checker", "DistanceField", "FclChecker", "Occupancy"]
+__all__ = [
+    "Checker",
+    "Disagreement",
+    "DistanceField",
+    "FclChecker",
+    "Occupancy",
+    "TorchChecker",
+    "Verification",
+    "verify",
+    "verify_sweeps",
+]

@@ -1,0 +1,177 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splatrl.bodies import Body, Box, Capsule, Sphere
+from splatrl.collision import DistanceField, FclChecker, Occupancy, TorchChecker, torch_checker, verify
+from splatrl.collision.motion import Move
+from splatrl.collision.verify import grown
+from splatrl.geometry import axis_rotations
+from tests.collision.oracle import separation
+from tests.collision.test_fcl import BODIES, CUBE, at, clutter, random_poses
+
+
+def moves(count: int, seed: int, turning: bool) -> tuple[torch.Tensor, torch.Tensor]:
+    start, end = (random_poses(count, (-0.9, 0.1, -0.4), (0.9, 1.6, 0.8), seed + k) for k in (0, 1))
+    if not turning:
+        end[:, :3, :3] = start[:, :3, :3]
+    return start, end
+
+
+def between(start: torch.Tensor, end: torch.Tensor, share: torch.Tensor | float) -> torch.Tensor:
+    """Poses on moves at a fixed orientation, in float64: rounded to float32 they would leave the line."""
+    pose = start.double()
+    share = torch.as_tensor(share, dtype=torch.float64).expand(len(start))
+    pose[:, :3, 3] += share[:, None] * (end.double() - start.double())[:, :3, 3]
+    return pose
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_no_answer_differs_from_separating_axes_and_closest_points(body):
+    occupancy = clutter()
+    lower, upper = occupancy.bounds
+    poses = random_poses(1500, lower - 0.2, upper + 0.2)
+    gaps = torch.tensor([separation(body, pose, occupancy) for pose in poses.double().numpy()])
+    sure = gaps.abs() > 1e-8
+    assert 0.2 < (gaps < 0).float().mean() < 0.8
+    assert torch.equal(TorchChecker(occupancy, body).collides(poses)[sure], (gaps < 0)[sure])
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_a_straight_sweep_is_the_union_of_many_poses(body):
+    checker = TorchChecker(clutter(2, 0.01), body)
+    start, end = moves(300, 3, turning=False)
+    swept = checker.sweeps(start, end)
+    dense = torch.zeros(300, dtype=torch.bool)
+    for share in np.linspace(0, 1, 201):
+        dense |= checker.collides(between(start, end, float(share)))
+    assert 0.2 < swept.float().mean() < 0.95
+    assert not (dense & ~swept).any()
+    assert (swept & ~dense).sum() <= 6  # grazed between two poses
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_a_move_stops_just_before_the_first_contact(body):
+    checker = TorchChecker(clutter(), body)
+    start, end = moves(200, 5, turning=False)
+    fraction = checker.touched_fraction(start, end)
+    some = (fraction > 0) & (fraction < 1)
+    assert some.sum() > 50
+    assert not checker.collides(between(start, end, fraction))[some].any()
+    assert checker.collides(between(start, end, fraction + 2e-6))[some].all()
+    assert (fraction[checker.collides(start)] == 0.0).all()
+    assert torch.equal(fraction < 1, checker.sweeps(start, end))
+
+
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 10_000), body=st.sampled_from(BODIES))
+def test_a_turning_sweep_misses_nothing_and_is_hardly_wider_than_the_body(seed, body):
+    occupancy = clutter(seed, 0.01)
+    start, end = moves(6, seed, turning=True)
+    swept = TorchChecker(occupancy, body).sweeps(start, end)
+    move = Move(start.double(), end.double(), body.radius, 0.01)
+    rows = torch.arange(6).repeat_interleave(move.steps + 1)
+    poses = torch.cat([move.at(rows[rows == k], torch.arange(int(move.steps[k]) + 1)) for k in range(6)])
+
+    def dense(tested: Body) -> torch.Tensor:
+        return torch.zeros(6).index_add(0, rows, TorchChecker(occupancy, tested).collides(poses).float()) > 0
+
+    assert not (dense(body) & ~swept).any()
+    # a tenth of a voxel (times √3 at a box's corners), the same for the middle orientation, half a step between poses
+    assert not (swept & ~dense(grown(body, (1 + math.sqrt(3)) * 0.1 * occupancy.resolution + 0.005))).any()
+
+
+def test_a_turn_stops_before_what_lies_between():
+    rod = Box((0.8, 0.04, 0.04))
+    checker = TorchChecker(Occupancy.from_keys([[2, 2, 0]], 0.1), rod)  # 45° to the left
+    turns = [at((0.0, 0.0, 0.05), rotation=axis_rotations(2, torch.tensor(yaw))) for yaw in (0.2, 1.4, -1.2)]
+    fraction = checker.touched_fraction(torch.cat([turns[0], turns[0]]), torch.cat(turns[1:]))
+    assert fraction[1] == 1.0
+    # the rod's upper edge, 0.02 m off its middle, meets the corner at (0.3, 0.2)
+    yaw = math.atan2(0.2, 0.3) - math.asin(0.02 / math.hypot(0.2, 0.3))
+    exact = (yaw - 0.2) / 1.2
+    assert exact - 0.05 < fraction[0] <= exact
+
+
+def test_a_capsule_meets_a_corner_where_its_parallelogram_does():
+    capsule = Capsule(0.1, 0.4)
+    checker = TorchChecker(CUBE, capsule)
+    side = 0.1 / math.sqrt(3)  # from the corner along the diagonal, on each axis
+    for gap, hit in ((-1e-6, True), (1e-6, False)):
+        middle = torch.full((3,), 0.1 + (side + gap))  # the corner's nearest point on the swept parallelogram
+        u, v = torch.tensor([1.0, -1.0, 0.0]), torch.tensor([1.0, 1.0, -2.0])
+        u, v = u / u.norm(), v / v.norm()
+        rotation = torch.stack([v, torch.cross(u, v, dim=0), u], 1)
+        rotation = rotation if torch.linalg.det(rotation) > 0 else rotation * torch.tensor([-1.0, 1.0, 1.0])
+        start, end = (at(tuple((middle + sign * 0.3 * v).tolist()), rotation=rotation) for sign in (-1, 1))
+        assert checker.sweeps(start, end).tolist() == [hit]
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_the_size_of_a_chunk_changes_nothing(body, monkeypatch):
+    start, end = moves(60, 8, turning=True)
+    checker = TorchChecker(clutter(), body)
+    expected = checker.collides(start), checker.touched_fraction(start, end)
+    monkeypatch.setattr(torch_checker, "_PAIRS", 97)
+    assert torch.equal(checker.collides(start), expected[0])
+    assert torch.equal(checker.touched_fraction(start, end), expected[1])
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_nothing_is_hit_where_nothing_is_solid_nor_in_an_empty_batch(body):
+    poses = random_poses(7, (-1, -1, -1), (1, 1, 1))
+    for empty in (Occupancy.empty(), Occupancy(np.zeros((3, 4, 5), bool), (0, 0, 0), 0.1)):
+        checker = TorchChecker(empty, body)
+        assert not checker.collides(poses).any()
+        assert (checker.touched_fraction(poses, poses.flip(0)) == 1.0).all()
+        assert not checker.sweeps(poses, poses.flip(0)).any()
+        assert checker.clearance(torch.zeros(3, 3)).isinf().all()
+    none = torch.zeros(0, 4, 4)
+    checker = TorchChecker(CUBE, body)
+    assert checker.collides(none).shape == checker.touched_fraction(none, none).shape == (0,)
+    assert checker.sweeps(none, none).dtype == torch.bool
+    assert checker.clearance(torch.zeros(0, 3)).shape == (0,)
+
+
+def test_clearance_is_the_distance_and_above_the_bound_of_the_field():
+    occupancy = clutter()
+    points = random_poses(1500, (-1.5, -0.5, -1.0), (1.5, 2.0, 1.5))[:, :3, 3]
+    clearance = TorchChecker(occupancy, Sphere(0.1)).clearance(points)
+    bound = torch.from_numpy(DistanceField(occupancy).clearance(points))
+    assert (clearance >= bound - 1e-6).all()
+    inside = ((points > torch.tensor(occupancy.bounds[0])) & (points < torch.tensor(occupancy.bounds[1]))).all(1)
+    assert inside.sum() > 50
+    assert (clearance <= bound + math.sqrt(3) * occupancy.resolution + 1e-6)[inside].all()
+    assert torch.equal(clearance == 0, torch.from_numpy(occupancy.contains(points)))
+
+
+def test_what_is_far_outside_the_grid_is_free():
+    checker = TorchChecker(CUBE, Box((0.3, 0.2, 0.1)))
+    assert checker.collides(at((1e6, 0.0, 0.0), (0.0, -1e6, 0.0))).tolist() == [False, False]
+    assert checker.sweeps(at((-100.0, 0.02, 0.03)), at((100.0, 0.02, 0.03))).tolist() == [True]
+
+
+def test_bad_poses_are_refused_by_row():
+    checker = TorchChecker(CUBE, Sphere(0.1))
+    poses = at((0.0, 0.0, 0.0), (0.0, math.nan, 0.0))
+    with pytest.raises(ValueError, match=r"body_to_world: expected finite numbers, got .* in row 1"):
+        checker.collides(poses)
+    with pytest.raises(ValueError, match=r"end: expected finite numbers, got .* in row 1"):
+        checker.sweeps(at(*[(0.0, 0.0, 0.0)] * 2), poses)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+@pytest.mark.parametrize("body", BODIES)
+def test_a_gpu_answers_as_the_cpu_does(body):
+    checker = TorchChecker(clutter(), body)
+    start, end = moves(200, 4, turning=True)
+    device = torch.device("cuda")
+    fraction = checker.touched_fraction(start.to(device), end.to(device))
+    assert fraction.device.type == "cuda"
+    torch.testing.assert_close(fraction.cpu(), checker.touched_fraction(start, end), atol=1e-6, rtol=0)
+    assert not verify(checker, FclChecker(checker.occupancy, body), start).beyond(1e-5)
