@@ -295,21 +295,17 @@ double turn_between(const Mat3& from, const Mat3& to, Vec3& axis) {
 
 }  // namespace
 
-double Shape::inner() const {
-    return kind == BOX ? std::min({half[0], half[1], half[2]}) : radius;
-}
-
-double Shape::outer() const {
-    return kind == BOX ? norm(half) : radius + (kind == CAPSULE ? half_length : 0.0);
-}
+Shape::Shape(Kind kind, const Vec3& half, double half_length, double radius)
+    : kind(kind),
+      half(half),
+      half_length(half_length),
+      radius(radius),
+      inner(kind == BOX ? std::min({half[0], half[1], half[2]}) : radius),
+      outer(kind == BOX ? norm(half) : radius + half_length) {}
 
 Shape Shape::grown(double by) const {
-    Shape out = *this;
-    if (kind == BOX)
-        for (double& extent : out.half) extent += by;
-    else
-        out.radius += by;
-    return out;
+    if (kind == BOX) return Shape(BOX, {half[0] + by, half[1] + by, half[2] + by}, 0.0, 0.0);
+    return Shape(kind, half, half_length, radius + by);
 }
 
 bool read_pose(const float* matrix, const Grid& grid, Pose& pose) {
@@ -334,12 +330,20 @@ bool read_pose(const float* matrix, const Grid& grid, Pose& pose) {
     return right;
 }
 
-bool collides(const Grid& grid, const Shape& shape, const Pose& pose) {
-    if (empty(grid)) return false;
+Verdict judge(const Grid& grid, const Shape& shape, const Pose& pose) {
+    if (empty(grid)) return Verdict::FREE;
     const Nearby near = nearby(grid, pose.position);
-    if (near.at_least > shape.outer() + MARGIN) return false;
-    if (near.at_most <= shape.inner() - MARGIN) return true;
+    const bool free = near.at_least > shape.outer + MARGIN, hit = near.at_most <= shape.inner - MARGIN;
+    return Verdict(2 - 2 * int(free) - int(hit));  // never both
+}
+
+bool touches(const Grid& grid, const Shape& shape, const Pose& pose) {
     return first_contact(grid, shape, pose, {0.0, 0.0, 0.0}, true) == 0.0;
+}
+
+static bool collides(const Grid& grid, const Shape& shape, const Pose& pose) {
+    const Verdict verdict = judge(grid, shape, pose);
+    return verdict == Verdict::HIT || (verdict == Verdict::MAYBE && touches(grid, shape, pose));
 }
 
 double touched_fraction(const Grid& grid, const Shape& shape, const Pose& start, const Pose& end, bool any) {
@@ -349,7 +353,7 @@ double touched_fraction(const Grid& grid, const Shape& shape, const Pose& start,
         way[i] = end.position[i] - start.position[i];
         middle[i] = start.position[i] + 0.5 * way[i];
     }
-    if (nearby(grid, middle).at_least > shape.outer() + 0.5 * norm(way) + MARGIN) return 1.0;
+    if (nearby(grid, middle).at_least > shape.outer + 0.5 * norm(way) + MARGIN) return 1.0;
     Vec3 axis{};
     const bool turns = shape.kind != Shape::SPHERE && start.rotation != end.rotation;
     const double angle = turns ? turn_between(start.rotation, end.rotation, axis) : 0.0;
@@ -359,14 +363,14 @@ double touched_fraction(const Grid& grid, const Shape& shape, const Pose& start,
     }
     if (collides(grid, shape, start)) return 0.0;
     // A point that turns by φ / 2 to either side of the middle is off by at most 2 R sin(φ / 4).
-    const int parts = std::max(1, int(std::ceil(0.5 * shape.outer() * angle / TURN_SLACK)));
-    const Shape grown = shape.grown(2.0 * shape.outer() * std::sin(0.25 * angle / parts));
+    const int parts = std::max(1, int(std::ceil(0.5 * shape.outer * angle / TURN_SLACK)));
+    const Shape grown = shape.grown(2.0 * shape.outer * std::sin(0.25 * angle / parts));
     const Vec3 part_way{way[0] / parts, way[1] / parts, way[2] / parts};
     for (int part = 0; part < parts; ++part) {
         const Pose pose{turned(axis, angle * (part + 0.5) / parts, start.rotation),
                         along(start.position, way, double(part) / parts)};
         if (nearby(grid, along(pose.position, part_way, 0.5)).at_least >
-            grown.outer() + 0.5 * norm(part_way) + MARGIN)
+            grown.outer + 0.5 * norm(part_way) + MARGIN)
             continue;
         const double contact = first_contact(grid, grown, pose, part_way, any);
         if (contact <= 1.0) return std::min((part + contact) / parts, 1.0 - 1e-7);

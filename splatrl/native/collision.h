@@ -35,9 +35,9 @@ struct Shape {
     enum Kind { BOX, SPHERE, CAPSULE } kind;
     Vec3 half;
     double half_length, radius;
+    double inner, outer;  // radii of the largest ball about the origin within, and of the smallest around
 
-    double inner() const;  // radius of the largest ball about the origin within
-    double outer() const;  // radius of the smallest ball about the origin around
+    Shape(Kind kind, const Vec3& half, double half_length, double radius);
     Shape grown(double by) const;
 };
 
@@ -49,7 +49,10 @@ struct Pose {
 // A pose from a row-major 4×4 matrix in metres. False where it is not finite, not a rotation or not rigid.
 bool read_pose(const float* matrix, const Grid& grid, Pose& pose);
 
-bool collides(const Grid& grid, const Shape& shape, const Pose& pose);
+// What the distance field alone says of a pose; MAYBE is for `touches` to decide.
+enum class Verdict { FREE, HIT, MAYBE };
+Verdict judge(const Grid& grid, const Shape& shape, const Pose& pose);
+bool touches(const Grid& grid, const Shape& shape, const Pose& pose);
 
 // The share of a straight move, turning evenly about one axis, that is free: 1 where nothing is touched, ends included.
 // Exact at a fixed orientation (a capsule within 1e-6 voxels). A turn is cut into parts; in each the orientation is that

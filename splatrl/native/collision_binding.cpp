@@ -48,8 +48,8 @@ class Collider {
 public:
     Collider(Grid grid, Shape shape) : grid_(std::move(grid)), shape_(shape) {}
 
-    // Call prepare(i, query), which may refuse, and then answer(i, query), for every i of a batch, some queries at a
-    // time so that what they need is fetched meanwhile. Returns -1, or the first i that was refused.
+    // Call prepare(i, query), which may refuse, for some queries at a time, so that what they need is fetched meanwhile,
+    // and then answer(first, count, queries), for all of a batch. Returns -1, or the first i that was refused.
     template <class Query, class Prepare, class Answer>
     int64_t each(size_t count, size_t threads, const Prepare& prepare, const Answer& answer) const {
         std::atomic<size_t> bad{count};
@@ -64,7 +64,7 @@ public:
                         }
                         return;
                     }
-                for (size_t i = first; i < last; ++i) answer(i, queries[i - first]);
+                answer(first, last - first, queries);
             }
         };
         const size_t chunks = (count + CHUNK - 1) / CHUNK;
@@ -87,7 +87,17 @@ public:
                 fetch(grid_, pose.position);
                 return true;
             },
-            [&](size_t i, const Pose& pose) { hits[i] = splatrl::collides(grid_, shape_, pose); });
+            [&](size_t first, size_t some, const Pose* poses) {
+                // Judged without a branch, then those that are left: what comes next cannot be foretold.
+                size_t left[AT_ONCE], open = 0;
+                for (size_t i = 0; i < some; ++i) {
+                    const Verdict verdict = judge(grid_, shape_, poses[i]);
+                    hits[first + i] = verdict == Verdict::HIT;
+                    left[open] = i;
+                    open += verdict == Verdict::MAYBE;
+                }
+                for (size_t i = 0; i < open; ++i) hits[first + left[i]] = touches(grid_, shape_, poses[left[i]]);
+            });
     }
 
     struct Move {
@@ -106,8 +116,9 @@ public:
                 fetch(grid_, middle);
                 return true;
             },
-            [&](size_t i, const Move& move) {
-                answer(i, splatrl::touched_fraction(grid_, shape_, move.start, move.end, any));
+            [&](size_t first, size_t some, const Move* moves) {
+                for (size_t i = 0; i < some; ++i)
+                    answer(first + i, splatrl::touched_fraction(grid_, shape_, moves[i].start, moves[i].end, any));
             });
     }
 
@@ -139,8 +150,9 @@ public:
                 fetch(grid_, point);
                 return true;
             },
-            [&](size_t i, const Vec3& point) {
-                metres[i] = float(splatrl::clearance(grid_, point) * grid_.resolution * (1.0 - 1e-6));
+            [&](size_t first, size_t some, const Vec3* points) {
+                for (size_t i = 0; i < some; ++i)
+                    metres[first + i] = float(splatrl::clearance(grid_, points[i]) * grid_.resolution * (1.0 - 1e-6));
             });
     }
 
@@ -157,10 +169,10 @@ void bind_collision(nb::module_& m) {
             "__init__",
             [](Collider* self, Solid solid, Distances distance, Vec3 corner, double resolution, Vec3 half,
                double half_length, double radius) {
-                Shape shape{radius == 0.0 ? Shape::BOX : half_length > 0.0 ? Shape::CAPSULE : Shape::SPHERE, half,
-                            half_length / resolution, radius / resolution};
-                for (double& extent : shape.half) extent /= resolution;
-                new (self) Collider(grid_of(solid, distance, corner, resolution), shape);
+                const auto kind = radius == 0.0 ? Shape::BOX : half_length > 0.0 ? Shape::CAPSULE : Shape::SPHERE;
+                for (double& extent : half) extent /= resolution;
+                new (self) Collider(grid_of(solid, distance, corner, resolution),
+                                    Shape(kind, half, half_length / resolution, radius / resolution));
             },
             nb::arg("solid"), nb::arg("distance"), nb::arg("corner"), nb::arg("resolution"), nb::arg("half"),
             nb::arg("half_length"), nb::arg("radius"))

@@ -10,9 +10,9 @@
 #include <immintrin.h>
 #endif
 
-#if defined(__AVX512F__)
+#if defined(SPLATRL_AVX512)
 #define SPLATRL_REGISTER 16
-#elif defined(__AVX2__)
+#elif defined(SPLATRL_AVX2)
 #define SPLATRL_REGISTER 8
 #else
 #define SPLATRL_REGISTER 4
@@ -88,7 +88,7 @@ LANE_INLINE Lanes operator-(const Lanes& a) {
 
 LANE_INLINE Lanes min(const Lanes& a, const Lanes& b) {
     Lanes out;
-#if defined(__AVX512F__)
+#if defined(SPLATRL_AVX512)
     out.part[0] = (FloatPart)_mm512_maskz_min_ps(0xffff, (__m512)a.part[0], (__m512)b.part[0]);
 #else
     FOR_PARTS out.part[p] = a.part[p] < b.part[p] ? a.part[p] : b.part[p];
@@ -98,7 +98,7 @@ LANE_INLINE Lanes min(const Lanes& a, const Lanes& b) {
 
 LANE_INLINE Lanes max(const Lanes& a, const Lanes& b) {
     Lanes out;
-#if defined(__AVX512F__)
+#if defined(SPLATRL_AVX512)
     out.part[0] = (FloatPart)_mm512_maskz_max_ps(0xffff, (__m512)a.part[0], (__m512)b.part[0]);
 #else
     FOR_PARTS out.part[p] = a.part[p] > b.part[p] ? a.part[p] : b.part[p];
@@ -117,14 +117,14 @@ LANE_INLINE Lanes select_if_at_least(const Lanes& tested, float bound, const Lan
     return out;
 }
 
-#if defined(__AVX512F__)
+#if defined(SPLATRL_AVX512)
 typedef __mmask16 LaneMask;
 #else
 typedef IntLanes LaneMask;
 #endif
 
 LANE_INLINE LaneMask above(const Lanes& a, float bound) {
-#if defined(__AVX512F__)
+#if defined(SPLATRL_AVX512)
     return _mm512_cmp_ps_mask((__m512)a.part[0], _mm512_set1_ps(bound), _CMP_GT_OQ);
 #else
     LaneMask out;
@@ -136,7 +136,7 @@ LANE_INLINE LaneMask above(const Lanes& a, float bound) {
 // a + b · c where the mask is set, else a.
 LANE_INLINE Lanes add_product_where(const LaneMask& mask, const Lanes& a, const Lanes& b, float c) {
     Lanes out;
-#if defined(__AVX512F__)
+#if defined(SPLATRL_AVX512)
     out.part[0] = (FloatPart)_mm512_mask3_fmadd_ps((__m512)b.part[0], _mm512_set1_ps(c), (__m512)a.part[0], mask);
 #else
     FOR_PARTS out.part[p] = a.part[p] + (FloatPart)((IntPart)b.part[p] & mask.part[p]) * c;
@@ -146,9 +146,9 @@ LANE_INLINE Lanes add_product_where(const LaneMask& mask, const Lanes& a, const 
 
 // Bit i is set where lane i of `a` > lane i of `b`.
 LANE_INLINE uint32_t bits_above(const Lanes& a, const Lanes& b) {
-#if defined(__AVX512F__)
+#if defined(SPLATRL_AVX512)
     return _mm512_cmp_ps_mask((__m512)a.part[0], (__m512)b.part[0], _CMP_GT_OQ);
-#elif defined(__AVX2__)
+#elif defined(SPLATRL_AVX2)
     return uint32_t(_mm256_movemask_ps(_mm256_cmp_ps((__m256)a.part[0], (__m256)b.part[0], _CMP_GT_OQ))) |
            uint32_t(_mm256_movemask_ps(_mm256_cmp_ps((__m256)a.part[1], (__m256)b.part[1], _CMP_GT_OQ))) << 8;
 #elif defined(SPLATRL_X86_LANES)
@@ -165,7 +165,7 @@ LANE_INLINE uint32_t bits_above(const Lanes& a, const Lanes& b) {
 // 1 / a and 1 / sqrt(a) to the last bit or two, for normal a > 0: an estimate and one step of Newton's method.
 LANE_INLINE Lanes reciprocal(const Lanes& a) {
     Lanes out;
-#if defined(__AVX512F__)
+#if defined(SPLATRL_AVX512)
     FOR_PARTS {
         const FloatPart r = (FloatPart)_mm512_maskz_rcp14_ps(0xffff, (__m512)a.part[p]);
         out.part[p] = r * (2.0f - a.part[p] * r);
@@ -179,9 +179,9 @@ LANE_INLINE Lanes reciprocal(const Lanes& a) {
 LANE_INLINE Lanes reciprocal_sqrt(const Lanes& a) {
     Lanes out;
     FOR_PARTS {
-#if defined(__AVX512F__)
+#if defined(SPLATRL_AVX512)
         const FloatPart r = (FloatPart)_mm512_maskz_rsqrt14_ps(0xffff, (__m512)a.part[p]);
-#elif defined(__AVX2__)
+#elif defined(SPLATRL_AVX2)
         const FloatPart r = (FloatPart)_mm256_rsqrt_ps((__m256)a.part[p]);
 #elif defined(SPLATRL_X86_LANES)
         const FloatPart r = (FloatPart)_mm_rsqrt_ps((__m128)a.part[p]);

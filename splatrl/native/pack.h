@@ -69,11 +69,11 @@ LANE_INLINE Lanes from_halves(const IntLanes& halves) {
 }
 
 LANE_INLINE Lanes load_halves(const uint16_t* from) {
-#if defined(__AVX512F__)
+#if defined(SPLATRL_AVX512)
     Lanes out;
     out.part[0] = (FloatPart)_mm512_maskz_cvtph_ps(0xffff, _mm256_load_si256(reinterpret_cast<const __m256i*>(from)));
     return out;
-#elif defined(__AVX2__)
+#elif defined(SPLATRL_AVX2)
     Lanes out;
     FOR_PARTS out.part[p] =
         (FloatPart)_mm256_cvtph_ps(_mm_loadu_si128(reinterpret_cast<const __m128i*>(from + p * SPLATRL_REGISTER)));
@@ -88,7 +88,7 @@ LANE_INLINE IntLanes to_halves(const Lanes& a) {
     constexpr float LARGEST = 65504.0f;
     const Lanes bounded = max(min(a, LARGEST), -LARGEST);
     IntLanes out;
-#if defined(__AVX512F__)
+#if defined(SPLATRL_AVX512)
     const __m256i halves = _mm512_maskz_cvtps_ph(0xffff, (__m512)bounded.part[0], _MM_FROUND_TO_NEAREST_INT);
     out.part[0] = (IntPart)_mm512_maskz_cvtepu16_epi32(0xffff, halves);
 #else
@@ -104,7 +104,7 @@ LANE_INLINE IntLanes to_halves(const Lanes& a) {
 
 // Four half floats to four numbers; `to` is aligned to 8 bytes.
 LANE_INLINE void store_four_halves(float* to, const uint16_t* from) {
-#if defined(__F16C__)
+#if defined(SPLATRL_AVX512) || defined(SPLATRL_AVX2)
     _mm_storeu_ps(to, _mm_cvtph_ps(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(from))));
 #else
     for (int i = 0; i < 4; ++i) {
@@ -120,7 +120,7 @@ LANE_INLINE void store_four_halves(float* to, const uint16_t* from) {
 #endif
 }
 
-#if defined(__AVX512F__)
+#if defined(SPLATRL_AVX512)
 
 LANE_INLINE __m512 kept(const Lanes& value, __m512i lanes_kept) {
     return _mm512_maskz_permutexvar_ps(0xffff, lanes_kept, (__m512)value.part[0]);
@@ -179,7 +179,7 @@ struct Record {
 // Write the lanes of the mask, in their order, at `count` and beyond, and return the new count. Up to SPARE places
 // behind it are written over too.
 LANE_INLINE uint32_t append(const Record& record, uint32_t mask, const Scratch& scratch, uint32_t count) {
-#if defined(__AVX512F__)
+#if defined(SPLATRL_AVX512)
     const __m512i ordinals = _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0);
     const __m512i kept_lanes = _mm512_maskz_compress_epi32(__mmask16(mask), ordinals);
     __m512 pairs[8];  // of two rows: [word 0 to 3 of lane 4q + i] in quarter q
