@@ -3,6 +3,7 @@
 from splatrl.collision.base import Checker
 from splatrl.collision.distances import DistanceField
 from splatrl.collision.fcl import FclChecker
+from splatrl.collision.native import NativeChecker
 from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.torch_checker import TorchChecker
 from splatrl.collision.verify import Disagreement, Verification, verify, verify_sweeps
@@ -12,6 +13,7 @@ __all__ = [
     "Disagreement",
     "DistanceField",
     "FclChecker",
+    "NativeChecker",
     "Occupancy",
     "TorchChecker",
     "Verification",
