@@ -15,8 +15,8 @@ from splatrl.native.threads import usable_cores
 class NativeChecker:
     """Tests a box, a sphere or a capsule, at any rotation, against the voxels of an occupancy.
 
-    Answers are those of ``FclChecker`` on the same voxels, but for touches within rounding: a touch counts as a hit, and
-    what lies outside the grid is free. The distance field settles most poses with one look-up; the others meet the
+    Answers are those of ``FclChecker`` on the same voxels, but for touches: what comes within a micrometre is a hit
+    everywhere, where FCL's answer hangs on the rounding of the pose. What lies outside the grid is free. The distance field settles most poses with one look-up; the others meet the
     voxels around them, column by column, on all separating axes at once. A move at a fixed orientation is tested as the
     body that it sweeps (a zonotope for a box), exactly. A move that turns is cut into parts, in each of which the body
     has the orientation of the middle and is grown by what its points can be off, at most a tenth of a voxel: it never

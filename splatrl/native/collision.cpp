@@ -12,7 +12,7 @@ namespace splatrl {
 
 namespace {
 
-constexpr double SLACK = 1e-9;   // voxels: what touches to the last bit touches
+constexpr double SLACK = 1e-9;   // voxels: rounding of what is computed here
 constexpr double MARGIN = 1e-4;  // voxels: beyond single precision of the distance field
 constexpr double HALF_DIAGONAL = 0.8660254037844387;
 

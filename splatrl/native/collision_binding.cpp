@@ -15,6 +15,7 @@ namespace splatrl {
 
 namespace {
 
+constexpr double TOUCH = 1e-6;   // metres: what touches to the rounding of a pose touches, wherever it is in the world
 constexpr size_t CHUNK = 2048;   // queries that a thread takes at once
 constexpr size_t AT_ONCE = 32;  // queries that are prepared before they are answered
 
@@ -171,8 +172,8 @@ void bind_collision(nb::module_& m) {
                double half_length, double radius) {
                 const auto kind = radius == 0.0 ? Shape::BOX : half_length > 0.0 ? Shape::CAPSULE : Shape::SPHERE;
                 for (double& extent : half) extent /= resolution;
-                new (self) Collider(grid_of(solid, distance, corner, resolution),
-                                    Shape(kind, half, half_length / resolution, radius / resolution));
+                const Shape shape(kind, half, half_length / resolution, radius / resolution);
+                new (self) Collider(grid_of(solid, distance, corner, resolution), shape.grown(TOUCH / resolution));
             },
             nb::arg("solid"), nb::arg("distance"), nb::arg("corner"), nb::arg("resolution"), nb::arg("half"),
             nb::arg("half_length"), nb::arg("radius"))
