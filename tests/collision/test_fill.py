@@ -156,3 +156,14 @@ def test_the_yard_stays_as_free_as_it_was():
     assert world.plan.distance.tolist() == before.distance.tolist()
     shed = np.random.default_rng(0).uniform((-1.4, -3.4, 0.2), (0.6, -3.1, 1.6), (500, 3))
     assert world.occupancy.contains(shed).mean() > 0.98
+
+
+def test_a_config_clears_and_adds_boxes():
+    boxes = {"add": "[[[-0.9,-0.9,0.2],[-0.7,-0.7,0.5]]]", "clear": "[[[-0.2,-0.1,0.1],[0,1.5,0.7]]]"}
+    world = build_world(load_config([f"collision.occupancy.{name}={box}" for name, box in boxes.items()]))
+    garden_wall, block = [[-0.1, 0.7, 0.4]], [[-0.8, -0.8, 0.35]]
+    assert world.occupancy.contains(block).all()
+    assert not world.occupancy.contains(garden_wall).any()
+    plain = build_world(load_config([]))
+    assert not plain.occupancy.contains(block).any()
+    assert plain.occupancy.contains(garden_wall).all()
