@@ -259,11 +259,7 @@ class Occupancy(Voxels):
         return self | Occupancy.from_boxes(lower, upper, self.resolution)
 
     def carved(self, lower: Tensor | ArrayLike, upper: Tensor | ArrayLike) -> "Occupancy":
-        """The same without the voxels that boxes [N, 3] (lower and upper corners, metres) cover, wholly or in part.
-
-        Raises:
-            ValueError: as ``from_boxes`` does.
-        """
+        """The same without the voxels that boxes [N, 3] (lower and upper corners, metres) cover, wholly or in part."""
         occupied = self.occupied.copy()
         for first, end in zip(*box_keys(lower, upper, self.resolution), strict=True):
             x, y, z = np.clip([first - self.origin_key, end - self.origin_key], 0, occupied.shape).T
