@@ -1,3 +1,5 @@
+"""The readable twin, and the exact touches on which it, the native checker and FCL are listed."""
+
 import math
 
 import numpy as np
@@ -9,8 +11,9 @@ from hypothesis import strategies as st
 from splatrl.bodies import Body, Box, Capsule, Sphere
 from splatrl.collision import DistanceField, FclChecker, Occupancy, TorchChecker, torch_checker, verify
 from splatrl.collision.motion import Move
+from splatrl.collision.native import NativeChecker
 from splatrl.collision.verify import grown
-from splatrl.geometry import axis_rotations
+from splatrl.geometry import axis_rotations, rigid
 from tests.collision.oracle import separation
 from tests.collision.test_fcl import BODIES, CUBE, at, clutter, random_poses
 
@@ -175,3 +178,88 @@ def test_a_gpu_answers_as_the_cpu_does(body):
     assert fraction.device.type == "cuda"
     torch.testing.assert_close(fraction.cpu(), checker.touched_fraction(start, end), atol=1e-6, rtol=0)
     assert not verify(checker, FclChecker(checker.occupancy, body), start).beyond(1e-5)
+
+
+def turned(*eighths: tuple[int, float]) -> torch.Tensor:
+    """A product of rotations: (axis, angle in eighths of a turn)."""
+    rotation = torch.eye(3, dtype=torch.float64)
+    for axis, eighth in eighths:
+        rotation = rotation @ axis_rotations(axis, torch.tensor(eighth * math.pi / 4, dtype=torch.float64))
+    return rotation
+
+
+HALF = math.sqrt(0.5)
+TIP = math.atan(HALF) / (math.pi / 4)  # with an eighth of a turn it brings a cube's diagonal onto an axis
+SLAB, BLOCK, BALL, ROD = Box((0.5, 0.25, 0.125)), Box((0.5, 0.5, 0.5)), Sphere(0.25), Capsule(0.125, 0.5)
+VOXEL = Occupancy(np.ones((1, 1, 1), bool), (0, 0, 0), 0.5)
+TOUCHES = {
+    # of VOXEL: body, rotation, centre, the way out, and whether FCL calls it a hit; None where the touch cannot be
+    # written in float32, so that rounding decides
+    "box, face to face": (SLAB, turned(), (0.75, 0.25, 0.25), (1, 0, 0), True),
+    "box, face to face, half off": (SLAB, turned(), (0.75, 0.5, 0.5), (1, 0, 0), True),
+    "box, edge to edge": (SLAB, turned(), (0.75, 0.625, 0.25), (1, 1, 0), True),
+    "box, corner to corner": (SLAB, turned(), (0.75, 0.625, 0.5625), (1, 1, 1), True),
+    "box at 90°, face to face": (SLAB, turned((2, 2)), (0.625, 0.25, 0.25), (1, 0, 0), None),
+    "box at 45°, edge to face": (BLOCK, turned((2, 1)), (0.5 + 0.5 * HALF, 0.25, 0.25), (1, 0, 0), None),
+    "box at 45°, face to edge": (BLOCK, turned((2, 1)), (0.5 + 0.25 * HALF, 0.5 + 0.25 * HALF, 0.25), (1, 1, 0), None),
+    "box at 45°, edge along edge": (BLOCK, turned((2, 1)), (0.5 + 0.5 * HALF, 0.5, 0.25), (1, 0, 0), None),
+    "box at 45°, edge across edge": (BLOCK, turned((0, 1)), (0.25, 0.5, 0.5 + 0.5 * HALF), (0, 0, 1), None),
+    "box on its tip, corner to face": (
+        BLOCK,
+        turned((1, TIP), (2, -1)),
+        (0.5 + 0.25 * math.sqrt(3), 0.25, 0.25),
+        (1, 0, 0),
+        None,
+    ),
+    "sphere to face": (BALL, turned(), (0.25, 0.25, 0.75), (0, 0, 1), True),
+    "sphere to edge": (Sphere(0.3125), turned(), (0.25, 0.6875, 0.75), (0, 3, 4), True),
+    "sphere to corner": (Sphere(0.4375), turned(), (0.625, 0.6875, 0.875), (2, 3, 6), True),
+    "capsule, cap to face": (ROD, turned(), (0.25, 0.25, 0.875), (0, 0, 1), False),
+    "capsule, side to face": (ROD, turned(), (0.625, 0.25, 0.25), (1, 0, 0), False),
+    "capsule, side to edge": (Capsule(0.3125, 0.5), turned(), (0.6875, 0.75, 0.25), (3, 4, 0), False),
+    "capsule, cap to corner": (Capsule(0.4375, 0.5), turned(), (0.625, 0.6875, 1.125), (2, 3, 6), False),
+    "capsule at 45°, side to edge": (ROD, turned((1, 1)), (0.5 + 0.125 * HALF, 0.25, -0.125 * HALF), (1, 0, -1), None),
+}
+
+
+def answers_at(name: str, gap: float) -> tuple[bool, bool, bool]:
+    """What the native checker, the readable twin and FCL say ``gap`` metres off a touch."""
+    body, rotation, center, out, _ = TOUCHES[name]
+    way = torch.nn.functional.normalize(torch.tensor(out, dtype=torch.float64), dim=0)
+    pose = rigid(rotation, torch.tensor(center, dtype=torch.float64) + gap * way)[None].float()
+    native, twin, oracle = (
+        bool(checker(VOXEL, body).collides(pose)) for checker in (NativeChecker, TorchChecker, FclChecker)
+    )
+    return native, twin, oracle
+
+
+@pytest.mark.parametrize("name", TOUCHES)
+def test_a_touch_is_a_hit_and_a_gap_is_none(name):
+    assert answers_at(name, -2e-5) == (True, True, True)
+    assert answers_at(name, 2e-5) == (False, False, False)
+    if (by_fcl := TOUCHES[name][4]) is not None:
+        assert answers_at(name, 0.0) == (True, True, by_fcl)
+    else:
+        native, twin, _ = answers_at(name, 0.0)
+        assert native or not twin  # in doubt the native checker says hit
+
+
+@pytest.mark.parametrize("name", TOUCHES)
+def test_a_move_that_ends_in_a_touch_hits_and_one_that_ends_before_does_not(name):
+    body, rotation, center, out, by_fcl = TOUCHES[name]
+    way = torch.nn.functional.normalize(torch.tensor(out, dtype=torch.float64), dim=0)
+    gaps = torch.tensor([-2e-5, 2e-5] if by_fcl is None else [-2e-5, 2e-5, 0.0], dtype=torch.float64)
+    end = rigid(rotation, torch.tensor(center, dtype=torch.float64) + gaps[:, None] * way).float()
+    start = end.clone()
+    start[:, :3, 3] += torch.tensor(out).float()
+    for checker in (NativeChecker(VOXEL, body), TorchChecker(VOXEL, body)):
+        assert checker.sweeps(start, end).tolist() == [True, False, True][: len(gaps)]
+        assert (checker.touched_fraction(start, end)[::2] > 0.999).all()
+
+
+def test_what_slides_along_a_wall_touches_it_and_what_slides_beside_it_does_not():
+    wall = Occupancy(np.ones((1, 8, 8), bool), (0, 0, 0), 0.5)  # up to x = 0.5
+    start, end = (at((0.75, y, 2.0), (0.75 + 2e-5, y, 2.0)) for y in (0.5, 3.5))
+    for body in (Box((0.5, 0.25, 0.125)), Sphere(0.25), Capsule(0.25, 0.5)):
+        for checker in (NativeChecker(wall, body), TorchChecker(wall, body)):
+            assert checker.sweeps(start, end).tolist() == [True, False]

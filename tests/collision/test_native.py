@@ -1,0 +1,295 @@
+"""The fast checker against FCL and the readable twin: nothing may differ but touches within rounding."""
+
+import copy
+import math
+import pickle
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splatrl.bodies import Body, Box, Capsule, Sphere
+from splatrl.collision import FclChecker, Occupancy, TorchChecker, verify, verify_sweeps
+from splatrl.collision.motion import Move
+from splatrl.collision.native import NativeChecker
+from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
+from tests.collision.test_fcl import BODIES, CUBE, at, clutter, random_poses
+
+SURE = 1e-5
+"""Metres: within this of a touch FCL's own rounding decides."""
+SCENES = ("clutter", "rooms")
+
+
+def rooms() -> Occupancy:
+    """Thin walls with a door, a floor and a table, at other than a round place."""
+    lower = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 1.6, 0.0], [0.7, 1.2, 0.6], [0.7, 1.2, 0.0]]
+    upper = [
+        [4.0, 3.0, 0.05],
+        [0.05, 3.0, 1.5],
+        [2.05, 0.7, 1.5],
+        [2.05, 3.0, 1.5],
+        [1.5, 1.9, 0.65],
+        [0.75, 1.25, 0.6],
+    ]
+    shift = [-1.3, 0.4, -0.35]
+    return Occupancy.from_boxes(np.add(lower, shift), np.add(upper, shift), 0.05)
+
+
+@pytest.fixture(scope="module")
+def scenes() -> dict[str, Occupancy]:
+    return {"clutter": clutter(), "rooms": rooms()}
+
+
+def poses_in(occupancy: Occupancy, count: int, seed: int = 0) -> torch.Tensor:
+    lower, upper = occupancy.bounds
+    return random_poses(count, lower - 0.3, upper + 0.3, seed)
+
+
+def moves_in(occupancy: Occupancy, count: int, turning: bool, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    """Moves of up to 0.5 m along each axis."""
+    start = poses_in(occupancy, count, seed)
+    generator = torch.Generator().manual_seed(seed + 1)
+    way = torch.rand(count, 3, generator=generator) - 0.5
+    turn = 0.3 * torch.randn(count, 4, generator=generator) + torch.tensor([1.0, 0.0, 0.0, 0.0])
+    rotation = start[:, :3, :3] @ quats_to_rotations(turn) if turning else start[:, :3, :3]
+    return start, rigid(rotation, start[:, :3, 3] + way)
+
+
+def hit_in_100_steps(oracle: FclChecker, start: torch.Tensor, end: torch.Tensor) -> torch.Tensor:
+    move = Move(start.double(), end.double(), oracle.body.radius, 1.0)
+    move.steps.fill_(100)
+    hits = torch.zeros(len(start), dtype=torch.bool)
+    rows = torch.arange(len(start))
+    for step in range(101):
+        open_ = rows[~hits]
+        hits[open_] = oracle.collides(move.at(open_, torch.full_like(open_, step)))
+    return hits
+
+
+def assert_parity(occupancy: Occupancy, body: Body, count: int, seed: int = 0) -> None:
+    found = verify(NativeChecker(occupancy, body), FclChecker(occupancy, body), poses_in(occupancy, count, seed))
+    print(found)
+    assert 0.05 * count < found.hits < 0.95 * count
+    assert not found.beyond(SURE), str(found)
+
+
+def assert_nothing_missed(occupancy: Occupancy, body: Body, count: int, turning: bool) -> None:
+    start, end = moves_in(occupancy, count, turning)
+    hits = hit_in_100_steps(FclChecker(occupancy, body), start, end)
+    missed = (hits & ~NativeChecker(occupancy, body).sweeps(start, end)).nonzero()[:, 0]
+    assert 0.1 * count < hits.sum() < 0.95 * count
+    # a graze is no miss: the same pose by pose, of a body that is smaller by what FCL may round
+    closer = hit_in_100_steps(FclChecker(occupancy, smaller(body)), start[missed], end[missed])
+    assert not closer.any(), f"missed in rows {missed[closer].tolist()}"
+
+
+def smaller(body: Body) -> Body:
+    match body:
+        case Box():
+            return Box(tuple(extent - 2 * SURE for extent in body.size))
+        case Sphere():
+            return Sphere(body.radius - SURE)
+        case Capsule():
+            return Capsule(body.cap_radius - SURE, body.length)
+
+
+@pytest.mark.parametrize("count", [3000, pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("name", SCENES)
+def test_no_pose_differs_from_fcl_but_within_rounding(scenes, name, body, count):
+    assert_parity(scenes[name], body, count)
+
+
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("name", SCENES)
+def test_no_pose_differs_from_the_readable_twin(scenes, name, body):
+    occupancy = scenes[name]
+    found = verify(NativeChecker(occupancy, body), TorchChecker(occupancy, body), poses_in(occupancy, 3000, 2))
+    assert found.hits > 100
+    assert not found.beyond(1e-6), str(found)
+
+
+@pytest.mark.parametrize("count", [200, pytest.param(5000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("turning", [False, True])
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("name", SCENES)
+def test_a_sweep_misses_nothing_that_a_hundred_steps_of_fcl_find(scenes, name, body, turning, count):
+    assert_nothing_missed(scenes[name], body, count, turning)
+
+
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("name", SCENES)
+def test_no_straight_sweep_differs_from_the_readable_twin(scenes, name, body):
+    occupancy = scenes[name]
+    start, end = moves_in(occupancy, 2000, turning=False, seed=3)
+    native, twin = NativeChecker(occupancy, body), TorchChecker(occupancy, body)
+    found = verify_sweeps(native, twin, start, end)
+    assert 200 < found.hits < 1900
+    assert not found.beyond(1e-6), str(found)
+    same = torch.ones(len(start), dtype=torch.bool)
+    same[[one.row for one in found.disagreements]] = False
+    short = (twin.touched_fraction(start, end) - native.touched_fraction(start, end))[same]
+    assert short.min() > -1e-5
+    assert short.max() < 2e-3  # a micrometre of slack is this much of the way where a body comes in at a slant
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_a_turning_sweep_hits_what_the_readable_twin_does_but_within_a_fifth_of_a_voxel(scenes, body):
+    occupancy = scenes["rooms"]
+    start, end = moves_in(occupancy, 300, turning=True, seed=5)
+    found = verify_sweeps(NativeChecker(occupancy, body), TorchChecker(occupancy, body), start, end)
+    assert found.hits > 30
+    assert not found.beyond(2 * 0.2 * math.sqrt(3) * occupancy.resolution), str(found)
+
+
+@pytest.mark.parametrize("turning", [False, True])
+@pytest.mark.parametrize("body", BODIES)
+def test_the_touched_fraction_is_free_and_less_than_1_exactly_where_something_is_hit(scenes, body, turning):
+    occupancy = scenes["rooms"]
+    checker = NativeChecker(occupancy, body)
+    start, end = moves_in(occupancy, 1000, turning, seed=7)
+    fraction = checker.touched_fraction(start, end)
+    assert torch.equal(fraction < 1, checker.sweeps(start, end))
+    assert ((fraction >= 0) & (fraction <= 1)).all()
+    assert (fraction[checker.collides(start)] == 0).all()
+    assert not (checker.collides(end) & (fraction == 1)).any()
+    way = (end - start)[:, :3, 3].double()
+    stopped = rigid(start[:, :3, :3].double(), start[:, :3, 3].double() + fraction[:, None].double() * way)
+    some = (fraction > 0) & (fraction < 1)
+    assert some.any()
+    if not turning:
+        assert not TorchChecker(occupancy, smaller(body)).collides(stopped[some]).any()
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    quat=st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 0.1),
+    place=st.tuples(st.floats(-0.9, 0.9), st.floats(0.1, 1.6), st.floats(-0.4, 0.8)),
+    body=st.sampled_from(BODIES),
+)
+def test_any_rotation_gets_the_answer_of_the_readable_twin(quat, place, body):
+    occupancy = clutter()
+    pose = at(place, rotation=quats_to_rotations(torch.tensor([quat]))[0])
+    found = verify(NativeChecker(occupancy, body), TorchChecker(occupancy, body), pose)
+    assert not found.beyond(1e-6), str(found)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    quarters=st.tuples(*[st.integers(0, 7)] * 3),
+    place=st.tuples(*[st.integers(-6, 10)] * 3),
+    way=st.tuples(*[st.integers(-6, 6)] * 3),
+    body=st.sampled_from([Box((0.5, 0.25, 0.125)), Sphere(0.25), Capsule(0.125, 0.5)]),
+)
+def test_degenerate_rotations_and_ways_get_the_answer_of_the_readable_twin(quarters, place, way, body):
+    """Eighths of a turn about the axes, places and ways on a lattice: parallel edges and exact touches everywhere."""
+    occupancy = Occupancy(np.random.default_rng(0).random((3, 4, 2)) < 0.2, (0, 0, 0), 0.5)
+    rotation = torch.eye(3)
+    for axis, quarter in enumerate(quarters):
+        rotation = rotation @ axis_rotations(axis, torch.tensor(quarter * math.pi / 4))
+    start, end = (
+        at(tuple(0.25 * (p + w) for p, w in zip(place, o, strict=True)), rotation=rotation) for o in ((0, 0, 0), way)
+    )
+    native, twin = NativeChecker(occupancy, body), TorchChecker(occupancy, body)
+    assert not verify(native, twin, start).beyond(2e-6)
+    assert not verify_sweeps(native, twin, start, end).beyond(2e-6)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("count", [0, 1, 63, 5000])
+def test_neither_threads_nor_the_size_of_a_batch_change_an_answer(scenes, threads, count):
+    body = BODIES[0]
+    one = NativeChecker(scenes["rooms"], body, threads=1)
+    many = NativeChecker(scenes["rooms"], body, threads=threads)
+    start, end = moves_in(scenes["rooms"], 5000, turning=False)
+    assert torch.equal(many.collides(start[:count]), one.collides(start)[:count])
+    assert torch.equal(many.sweeps(start[:count], end[:count]), one.sweeps(start, end)[:count])
+    assert torch.equal(many.touched_fraction(start[:count], end[:count]), one.touched_fraction(start, end)[:count])
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_nothing_is_hit_where_nothing_is_solid_nor_outside_the_grid(body):
+    poses = random_poses(100, (-1, -1, -1), (1, 1, 1))
+    for empty in (Occupancy.empty(), Occupancy(np.zeros((3, 4, 5), bool), (0, 0, 0), 0.1)):
+        checker = NativeChecker(empty, body)
+        assert not checker.collides(poses).any()
+        assert (checker.touched_fraction(poses, poses.flip(0)) == 1.0).all()
+        assert not checker.sweeps(poses, poses.flip(0)).any()
+    far = at((1e6, 0.0, 0.0), (0.0, -1e6, 0.0), (0.0, 0.0, 3e30))
+    checker = NativeChecker(CUBE, body)
+    assert not checker.collides(far).any()
+    assert not checker.sweeps(far, far).any()
+    assert checker.sweeps(at((-50.0, 0.05, 0.05)), at((50.0, 0.05, 0.05))).tolist() == [True]
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        (0, 0, 0),
+        pytest.param((3, 4, 5), marks=pytest.mark.xfail(strict=True, reason="the packed distances end at 256 voxels")),
+    ],
+)
+def test_clearance_is_infinite_where_nothing_is_solid(shape):
+    empty = Occupancy(np.zeros(shape, bool), (0, 0, 0), 0.1)
+    assert NativeChecker(empty, Sphere(0.1)).clearance(torch.zeros(3, 3)).isinf().all()
+
+
+def test_clearance_is_a_bound_of_the_distance_within_a_few_voxels():
+    occupancy = rooms()
+    points = poses_in(occupancy, 2000)[:, :3, 3]
+    bound = NativeChecker(occupancy, Sphere(0.1)).clearance(points)
+    near = torch.from_numpy(occupancy.contains(points))
+    assert near.any()
+    assert (bound[near] == 0).all()
+    distance = TorchChecker(occupancy, Sphere(0.1)).clearance(points[:200])
+    assert (bound[:200] <= distance + 1e-5).all()
+    of_field = FclChecker(occupancy, Sphere(0.1)).clearance(points)
+    assert (bound <= of_field + 1e-6).all()
+    assert (bound >= of_field - 0.01 * occupancy.resolution).all()
+
+
+def test_poses_that_are_not_rigid_are_refused_by_row():
+    checker = NativeChecker(CUBE, Box((0.2, 0.2, 0.2)))
+    good = at(*[(0.0, 0.0, 0.0)] * 3)
+    for spoil, message in (
+        (math.nan, "finite numbers"),
+        (math.inf, "finite numbers"),
+        (3.0, "an orthonormal rotation"),
+    ):
+        bad = good.clone()
+        bad[1, 0, 0] = spoil
+        with pytest.raises(ValueError, match=f"body_to_world: expected {message}, got .* in row 1"):
+            checker.collides(bad)
+        with pytest.raises(ValueError, match=f"end: expected {message}, got .* in row 1"):
+            checker.touched_fraction(good, bad)
+        with pytest.raises(ValueError, match=f"start: expected {message}, got .* in row 1"):
+            checker.sweeps(bad, good)
+    with pytest.raises(ValueError, match="expected a rotation, not a reflection"):
+        checker.collides(torch.diag(torch.tensor([1.0, 1.0, -1.0, 1.0]))[None])
+    with pytest.raises(ValueError, match=r"body_to_world: expected shape \[B, 4, 4\], got \[4, 4\]"):
+        checker.collides(torch.eye(4))
+    with pytest.raises(ValueError, match="end: expected as many poses as start, 3, got 2"):
+        checker.sweeps(good, good[:2])
+    with pytest.raises(ValueError, match=r"points: expected finite metres, got .* in row 1"):
+        checker.clearance(torch.tensor([[0.0, 0.0, 0.0], [math.nan, 0.0, 0.0]]))
+
+
+def test_strided_and_double_poses_are_read_right(scenes):
+    occupancy = scenes["clutter"]
+    checker, poses = NativeChecker(occupancy, BODIES[0]), poses_in(occupancy, 500)
+    expected = checker.collides(poses)
+    assert torch.equal(checker.collides(poses.double()), expected)
+    assert torch.equal(checker.collides(poses.mT.contiguous().mT), expected)
+    assert torch.equal(checker.collides(poses[::3]), expected[::3])
+    assert torch.equal(checker.clearance(poses[:, :3, 3]), checker.clearance(poses[:, :3, 3].contiguous()))
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_copies_and_pickles_answer_alike(scenes, body):
+    checker = NativeChecker(scenes["clutter"], body, threads=1)
+    poses = poses_in(scenes["clutter"], 300)
+    for twin in (pickle.loads(pickle.dumps(checker)), copy.deepcopy(checker)):
+        assert (twin.body, twin.threads) == (body, 1)
+        assert torch.equal(twin.collides(poses), checker.collides(poses))
