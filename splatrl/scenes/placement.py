@@ -1,0 +1,147 @@
+"""Where a splat file lies in the world: from a guess, from nerfstudio, from a known distance."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from splatrl.scenes.frame import AXES, checked_similarity, similarity
+from splatrl.scenes.upright import Upright, axis_name
+
+Frame = dict[str, Any]
+"""Arguments of ``similarity`` by name, as YAML can write them."""
+
+STANDING = {
+    "x": ["y", "z", "x"],
+    "-x": ["z", "y", "-x"],
+    "y": ["x", "-z", "y"],
+    "-y": ["x", "z", "-y"],
+    "z": ["x", "y", "z"],
+    "-z": ["x", "-y", "-z"],
+}
+"""For each signed axis that is up in the file, the axes that stand the file upright."""
+
+
+def upright_frame(
+    upright: Upright,
+    axes: Sequence[str] | None = None,
+    scale: float | None = None,
+    translation: Sequence[float] | None = None,
+) -> Frame:
+    """Stand a file upright with its floor at z = 0.
+
+    Args:
+        upright: how it lies; the rest goes before what it says.
+        axes: of the file that give the world's, as for ``similarity``.
+        scale: metres a unit.
+        translation: [3] metres, added last.
+    """
+    scale = upright.metres_per_unit if scale is None else scale
+    shift = [0.0, 0.0, -upright.floor * scale] if translation is None else translation
+    short = [_rounded(value) for value in shift]
+    name = axis_name(upright.up)
+    if axes is not None or name is not None:
+        return {"axes": list(axes or STANDING[str(name)]), "scale": _rounded(scale), "translation": short}
+    transform = np.eye(4)
+    transform[:3, :3] = scale * _standing(upright.up)
+    transform[:3, 3] = short
+    return matrix_frame(transform)
+
+
+def matrix_frame(transform: Tensor | ArrayLike) -> Frame:
+    """A frame of a 4×4 similarity, with numbers short enough to read."""
+    matrix = checked_similarity(torch.as_tensor(np.asarray(transform, np.float64)))
+    return {"matrix": [[_rounded(value, 8) for value in row] for row in matrix.tolist()]}
+
+
+def nerfstudio_transform(path: Path) -> Tensor:
+    """``world_from_splat`` of a scene that nerfstudio trained: back to the frame of the cameras that it was given.
+
+    The file ``dataparser_transforms.json`` beside a trained model holds ``transform`` [R | t] (3×4, a rotation and a
+    shift) and ``scale`` s. Nerfstudio moved the cameras, and with them all that it trained, by
+    x_splat = s · (R x + t), so x = Rᵀ (x_splat / s − t). That frame is metric and z up where the cameras were, as
+    those of phones (Polycam, Record3D) are; those of COLMAP have a scale and an up of their own.
+
+    Args:
+        path: of the JSON file.
+
+    Returns:
+        [4, 4] float64.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: for what is not JSON, or not such a transform and scale.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: expected nerfstudio's dataparser_transforms.json, found no file")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:  # broken JSON and broken UTF-8
+        raise ValueError(f"{path}: expected JSON, got {error}") from error
+    if not isinstance(content, dict) or not {"transform", "scale"} <= content.keys():
+        keys = list(content) if isinstance(content, dict) else type(content).__name__
+        raise ValueError(f"{path}: expected the keys transform and scale, got {keys}")
+    try:
+        moved = np.array(content["transform"], np.float64)
+        scale = float(content["scale"])
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: expected numbers for transform and scale, got {error}") from error
+    if moved.shape not in ((3, 4), (4, 4)) or not np.isfinite(moved).all():
+        raise ValueError(f"{path}: transform: expected 3 rows of 4 finite numbers, got shape {list(moved.shape)}")
+    if not (np.isfinite(scale) and scale > 0):
+        raise ValueError(f"{path}: scale: expected a finite number above 0, got {scale}")
+    rotation, shift = moved[:3, :3], moved[:3, 3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
+        raise ValueError(f"{path}: transform: expected a rotation and a shift, got {moved.tolist()}")
+    inverse = np.eye(4)
+    inverse[:3, :3] = rotation.T / scale
+    inverse[:3, 3] = -rotation.T @ shift
+    return torch.from_numpy(inverse)
+
+
+def metres_per_unit(start: Sequence[float], end: Sequence[float], metres: float) -> float:
+    """Scale from a distance that someone measured.
+
+    Args:
+        start: [3] a point in the file's coordinates.
+        end: [3] another.
+        metres: how far apart they are.
+
+    Raises:
+        ValueError: for points at one place, or values that are not finite numbers, the distance above 0.
+    """
+    apart = float(np.linalg.norm(np.subtract(end, start)))
+    if not np.isfinite(apart) or apart == 0.0:
+        raise ValueError(f"distance: expected two different points, got {list(start)} and {list(end)}")
+    scale = metres / apart
+    if not (np.isfinite(scale) and scale > 0):
+        raise ValueError(f"distance: expected metres above 0 between the points, got {metres}")
+    return scale
+
+
+def rescaled(transform: Tensor, scale: float) -> Tensor:
+    """A similarity made larger or smaller about the world's origin, so that it has this many metres a file unit."""
+    result = transform.clone()
+    result[:3] *= scale / float(transform[:3, 0].norm())
+    return result
+
+
+def _standing(up: ArrayLike) -> NDArray[np.float64]:
+    """The rotation that turns ``up`` to +z: what the nearest axis needs, then the smallest turn that is left."""
+    direction = np.asarray(up, np.float64)
+    nearest = min(AXES, key=lambda name: -direction[AXES[name][0]] * AXES[name][1])
+    coarse = similarity(STANDING[nearest])[:3, :3].numpy()
+    x, y, z = coarse @ direction
+    # Rodrigues' formula for the turn from (x, y, z) to (0, 0, 1); z > 0.5 here.
+    slant = -x * y / (1 + z)
+    turn = np.array([[1 - x * x / (1 + z), slant, -x], [slant, 1 - y * y / (1 + z), -y], [x, y, z]])
+    return turn @ coarse
+
+
+def _rounded(value: float, digits: int = 6) -> float:
+    return float(f"{value:.{digits}g}") + 0.0  # no −0

@@ -1,0 +1,215 @@
+"""A guess of which way is up in a splat file, where its floor is, and what its units are."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from splatrl.geometry import quats_to_rotations
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.layers import ALIGNED, Layer, heaviest_layer, layer_at, tilted_layer
+
+Floats = NDArray[np.float64]
+
+SURE, LIKELY, GUESS, GIVEN = "fairly sure", "likely", "only a guess", "given"
+
+_SAMPLE = 20_000
+_THICKNESS = 0.02
+"""Of a layer on either side, in diagonals of the scene."""
+_MIN_OPACITY = 0.3
+_SNAP = math.cos(math.radians(3.0))
+"""Up is called an axis of the file where it is this close to it."""
+_ROOM = (2.2, 3.0)
+"""Metres: heights between which most rooms lie."""
+_ROOM_HEIGHT = 2.5
+_CELLS = 12
+"""A side of the scene, seen from above."""
+_OPPOSITE = 0.6
+"""A ceiling covers at least this share of its floor's cells, or the other way round: shelves and worktops do not."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """Something concluded from the Gaussians alone.
+
+    Attributes:
+        confidence: in words.
+        reason: what speaks for it.
+    """
+
+    confidence: str
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.confidence}: {self.reason}"
+
+
+@dataclass(frozen=True, eq=False)
+class Upright:
+    """How a scene seems to stand in its file.
+
+    Attributes:
+        up: [3] unit vector in the file's frame.
+        floor: height of the floor along ``up``, file units.
+        ceiling: height of the ceiling, where there is one.
+        metres_per_unit: 1 where nothing tells.
+        axis_guess: how sure the axis is, without its sign.
+        sign_guess: how sure its sign is.
+        floor_guess: how sure the floor is.
+        units_guess: how sure the units are.
+    """
+
+    up: Floats
+    floor: float
+    ceiling: float | None
+    metres_per_unit: float
+    axis_guess: Guess
+    sign_guess: Guess
+    floor_guess: Guess
+    units_guess: Guess
+
+    def __str__(self) -> str:
+        rows = [
+            f"up          {axis_name(self.up) or np.round(self.up, 4).tolist()}",
+            f"  axis      {self.axis_guess}",
+            f"  sign      {self.sign_guess}",
+            f"floor       at {self.floor:.3g} units along up; {self.floor_guess}",
+            f"units       {self.metres_per_unit:.4g} metres a unit; {self.units_guess}",
+        ]
+        return "\n".join(rows)
+
+
+def axis_name(direction: ArrayLike) -> str | None:
+    """The signed axis within 3° of a direction, such as "-y", or None."""
+    vector = np.asarray(direction, np.float64)
+    axis = int(np.abs(vector).argmax())
+    if abs(vector[axis]) < _SNAP * np.linalg.norm(vector):
+        return None
+    return ("-" if vector[axis] < 0 else "") + "xyz"[axis]
+
+
+def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None) -> Upright:
+    """Guess up, the floor and the units from where opaque Gaussians lie and which way they are flat.
+
+    The ground is the layer with the most Gaussians, those that lie flat in it above all; walls make weaker layers.
+    What stands on it tells its upper side; where that does not, the file's origin does, which structure from motion
+    puts near the cameras. All of this fails for scenes without ground.
+
+    Args:
+        gaussians: in the file's frame.
+        up: [3] the direction, where it is known; only the floor and the units are guessed then.
+    """
+    points, normals, weights = _surfaces(gaussians)
+    size = float(np.linalg.norm(np.subtract(*np.quantile(points, [0.99, 0.01], axis=0)))) or 1.0
+    if up is None:
+        layer, axis_guess = _ground(points, normals, weights, _THICKNESS * size)
+    else:
+        given = np.asarray(up, np.float64)
+        layer = layer_at(points, normals, weights, given / np.linalg.norm(given), _THICKNESS * size)
+        axis_guess = Guess(GIVEN, "up is stated, not guessed")
+    heights = points @ layer.normal
+    other = _opposite(points, normals, layer)
+    evidence, reason = _sign(heights, weights, layer, other, size)
+    sign_guess = axis_guess
+    if up is None:
+        strength = abs(evidence)
+        sign_guess = Guess(SURE if strength > 0.6 else LIKELY if strength > 0.3 else GUESS, reason)
+    sign = -1.0 if up is None and evidence < 0 else 1.0
+    ends = sorted(sign * height for height in (layer.height, other) if height is not None)
+    share = float(weights[np.abs(heights - layer.height) <= layer.thickness].sum())
+    floor_guess = Guess(
+        SURE if share > 0.3 and sign_guess.confidence in (SURE, GIVEN) else LIKELY if share > 0.15 else GUESS,
+        f"{share:.0%} of what is opaque lies in the layer" + (" or in the ceiling's" if len(ends) == 2 else ""),
+    )
+    if len(ends) == 1 and sign * evidence < -0.3:
+        ends = [float(np.quantile(heights, 0.02))]
+        floor_guess = Guess(GUESS, "the main layer lies above the rest, so this is only where the scene begins")
+    ceiling = ends[1] if len(ends) == 2 else None
+    scale, units_guess = _units(None if ceiling is None else ceiling - ends[0])
+    return Upright(sign * layer.normal, ends[0], ceiling, scale, axis_guess, sign_guess, floor_guess, units_guess)
+
+
+def _ground(points: Floats, normals: Floats, weights: Floats, thickness: float) -> tuple[Layer, Guess]:
+    """The heaviest layer, across an axis of the file where it nearly is, and how much it stands out."""
+    layer, rival = heaviest_layer(points, normals, weights, thickness)
+    ratio = layer.weight / max(rival, 1e-9)
+    guess = Guess(
+        SURE if ratio > 2 else LIKELY if ratio > 1.3 else GUESS,
+        f"the layer across it weighs {min(ratio, 99):.1f} times the next direction's",
+    )
+    layer = tilted_layer(points, normals, weights, layer)
+    if name := axis_name(layer.normal):
+        layer = layer_at(points, normals, weights, np.eye(3)["xyz".index(name[-1])], thickness)
+    return layer, guess
+
+
+def _surfaces(gaussians: Gaussians) -> tuple[Floats, Floats, Floats]:
+    """Means, short axes (length: how flat, 0 to 1) and weights of up to 20,000 opaque Gaussians."""
+    opaque = gaussians.opacities >= _MIN_OPACITY
+    chosen = gaussians[opaque] if int(opaque.sum()) >= 10 else gaussians
+    chosen = chosen[:: max(1, len(chosen.means) // _SAMPLE)]
+    means, scales, opacities = (
+        values.detach().double().cpu().numpy() for values in (chosen.means, chosen.scales, chosen.opacities)
+    )
+    axes = quats_to_rotations(chosen.quats).detach().double().cpu().numpy()
+    normals = np.take_along_axis(axes, scales.argmin(1)[:, None, None], 2)[..., 0]
+    short, middle, _ = np.sort(scales, 1).T
+    # By area, a few large and blurred Gaussians of the background would outweigh a finely captured floor.
+    return means, normals * (1 - short / middle)[:, None], opacities / opacities.sum()
+
+
+def _opposite(points: Floats, normals: Floats, layer: Layer) -> float | None:
+    """Height of a second flat layer at the other end of the scene: a ceiling above a floor, or the floor below it."""
+    heights = points @ layer.normal
+    flat = np.abs(normals @ layer.normal) > ALIGNED
+    low, high = np.quantile(heights, [0.005, 0.995])
+    far = low if layer.height - low > high - layer.height else high
+    reach = max(2 * layer.thickness, 0.1 * (high - low))
+    end = flat & (np.abs(heights - far) < reach)
+    if min(layer.height - low, high - layer.height) > reach or abs(far - layer.height) < 3 * reach or not end.any():
+        return None
+    bins = np.round(heights[end] / layer.thickness).astype(np.int64)
+    level, counts = np.unique(bins, return_counts=True)
+    middle = float(np.median(heights[end][bins == level[counts.argmax()]]))
+    across = points @ np.linalg.svd(layer.normal[None])[2][1:].T
+    lower, upper = np.quantile(across, [0.01, 0.99], axis=0)
+    cells = np.floor((across - lower) / (upper - lower) * _CELLS).astype(np.int64) @ [1, 10 * _CELLS]
+    inside = flat & ((across >= lower) & (across < upper)).all(1)
+    own, other = (
+        len(np.unique(cells[inside & (np.abs(heights - height) < layer.thickness)]))
+        for height in (layer.height, middle)
+    )
+    return middle if other >= _OPPOSITE * max(own, 0.5 * _CELLS**2) else None
+
+
+def _sign(heights: Floats, weights: Floats, layer: Layer, other: float | None, size: float) -> tuple[float, str]:
+    """Evidence in −1 … 1 that up is the layer's normal rather than against it, and the strongest reason."""
+    relative = heights - layer.height
+    if other is None:
+        above, below = weights[relative > layer.thickness].sum(), weights[relative < -layer.thickness].sum()
+        outside = above + below
+        skew = (above - below) / outside if outside > 0.01 else 0.0
+        things = skew**3
+        told = f"{max(above, below) / max(outside, 1e-9):.0%} of what is off the layer lies on that side"
+    else:
+        span = other - layer.height
+        share = relative / span
+        here, there = weights[(share > 0.1) & (share < 0.4)].sum(), weights[(share > 0.6) & (share < 0.9)].sum()
+        inside = here + there
+        things = 0.6 * float(np.sign(span)) * (here - there) / inside if inside > 0.01 else 0.0
+        told = "there is a layer at both ends, and more stands near this one"
+    origin = -layer.height / size
+    cameras = 0.5 * float(np.sign(origin)) if abs(origin) > 0.15 else 0.0
+    evidence = float(np.clip(things + cameras, -1, 1))
+    if abs(things) >= abs(cameras):
+        return evidence, told if abs(things) > 0.01 else "nothing tells one side from the other"
+    return evidence, "the file's origin, usually near the cameras, lies on that side; what is off the layer says little"
+
+
+def _units(room: float | None) -> tuple[float, Guess]:
+    if room is None:
+        return 1.0, Guess("cannot be known", "there is no ceiling to tell; measure something and give --distance")
+    if _ROOM[0] <= room <= _ROOM[1]:
+        return 1.0, Guess(LIKELY, f"floor and ceiling are {room:.2f} units apart, as rooms are in metres")
+    return _ROOM_HEIGHT / room, Guess(GUESS, f"floor and ceiling are {room:.3g} units apart, taken as {_ROOM_HEIGHT} m")

@@ -1,0 +1,260 @@
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from splatrl.geometry import axis_rotations, rigid
+from splatrl.scenes import Gaussians, load_scene, read_gaussians, similarity, write_gaussians
+from splatrl.scenes.description import write_description
+from splatrl.scenes.placement import (
+    STANDING,
+    matrix_frame,
+    metres_per_unit,
+    nerfstudio_transform,
+    rescaled,
+    upright_frame,
+)
+from splatrl.scenes.survey import floats, survey
+from splatrl.scenes.upright import axis_name, guess_upright
+
+FLOOR, BOXES = (0.0, 0.0, 0.0, 6.0, 4.0, 0.0), [(1.0, 1.0, 0.0, 2.0, 1.5, 0.8), (4.0, 2.0, 0.0, 4.5, 3.5, 1.2)]
+WALLS = [(0.0, 0.0, 0.0, 6.0, 0.0, 2.5), (0.0, 0.0, 0.0, 0.0, 4.0, 2.5), (6.0, 0.0, 0.0, 6.0, 4.0, 2.5)]
+CEILING = (0.0, 0.0, 2.5, 6.0, 4.0, 2.5)
+
+
+def surfaces(boxes: list[tuple[float, ...]], step: float = 0.1) -> Gaussians:
+    """Flat Gaussians over the faces of axis-aligned boxes, which may be flat themselves; z up, metres."""
+    means, flats = [], []
+    for box in boxes:
+        lower, upper = np.array(box[:3]), np.array(box[3:])
+        for axis in range(3):
+            u, v = (a for a in range(3) if a != axis)
+            if upper[u] == lower[u] or upper[v] == lower[v]:
+                continue
+            grid = np.meshgrid(np.arange(lower[u], upper[u], step), np.arange(lower[v], upper[v], step))
+            for side in sorted({lower[axis], upper[axis]}):
+                face = np.empty((grid[0].size, 3))
+                face[:, u], face[:, v], face[:, axis] = grid[0].ravel(), grid[1].ravel(), side
+                means.append(face)
+                flats.append(np.full(len(face), axis))
+    count = sum(len(face) for face in means)
+    scales = np.full((count, 3), 0.06)
+    scales[np.arange(count), np.concatenate(flats)] = 0.004
+    return Gaussians(
+        means=torch.from_numpy(np.concatenate(means)).float(),
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4).clone(),
+        scales=torch.from_numpy(scales).float(),
+        opacities=torch.full((count,), 0.9),
+        sh=torch.zeros(count, 1, 3),
+        batch_size=[count],
+    )
+
+
+def lying(gaussians: Gaussians, world_from_splat: Tensor) -> Gaussians:
+    """World Gaussians in the frame of a file."""
+    return gaussians.transformed(torch.linalg.inv(world_from_splat))
+
+
+def yard() -> Gaussians:
+    return surfaces([FLOOR, *BOXES])
+
+
+def room(ceiling: float = 2.5) -> Gaussians:
+    return surfaces([FLOOR, CEILING, *WALLS, *BOXES]).transformed(similarity(scale=ceiling / 2.5))
+
+
+@pytest.mark.parametrize("axis", STANDING)
+def test_the_axes_kept_for_each_up_are_a_rotation_that_stands_it_upright(axis: str) -> None:
+    assert axis_name(similarity(STANDING[axis])[2, :3]) == axis
+
+
+@pytest.mark.parametrize("axis", STANDING)
+def test_up_and_floor_of_boxes_on_a_floor_are_found_whichever_axis_is_up(axis: str) -> None:
+    placed = similarity(STANDING[axis], 1.0, [1.0, 2.0, -0.7])  # the floor is at 0.7 of the file's up
+    upright = guess_upright(lying(yard(), placed))
+    assert axis_name(upright.up) == axis
+    assert upright.floor == pytest.approx(0.7, abs=0.01)
+    assert upright.sign_guess.confidence == "fairly sure"
+    standing = lying(yard(), placed).transformed(similarity(**upright_frame(upright)))
+    assert standing.means[:, 2].quantile(0.5) == pytest.approx(0.0, abs=0.01)
+    assert standing.means[:, 2].max() == pytest.approx(1.2, abs=0.05)
+
+
+@pytest.mark.parametrize("axis", STANDING)
+def test_in_a_room_furniture_tells_the_floor_from_the_ceiling_whichever_axis_is_up(axis: str) -> None:
+    upright = guess_upright(lying(room(), similarity(STANDING[axis])))
+    assert axis_name(upright.up) == axis
+    assert upright.floor == pytest.approx(0.0, abs=0.01)
+    assert upright.ceiling == pytest.approx(2.5, abs=0.01)
+
+
+@settings(max_examples=15, deadline=None)
+@given(turns=st.tuples(*[st.floats(-math.pi, math.pi)] * 3), scale=st.floats(0.01, 100))
+def test_up_is_found_within_a_degree_of_any_direction_unless_an_axis_is_near(
+    turns: tuple[float, float, float], scale: float
+) -> None:
+    rotation = torch.eye(3, dtype=torch.float64)
+    for axis, turn in enumerate(turns):
+        rotation = axis_rotations(axis, torch.tensor(turn, dtype=torch.float64)) @ rotation
+    placed = rigid(rotation, torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64))
+    placed[:3, :3] *= scale
+    upright = guess_upright(lying(yard(), placed))
+    truth = rotation[2].numpy()
+    allowed = 3.1 if axis_name(upright.up) else 1.0
+    assert math.degrees(math.acos(min(1.0, float(upright.up @ truth)))) < allowed
+    frame = similarity(**upright_frame(upright))
+    assert torch.allclose(frame[2, :3], torch.from_numpy(upright.up), atol=1e-5)
+
+
+def test_units_come_from_the_height_of_a_room_and_from_nothing_else() -> None:
+    assert guess_upright(room()).metres_per_unit == 1.0
+    assert guess_upright(room()).units_guess.confidence == "likely"
+    small = guess_upright(room(0.5))
+    assert small.metres_per_unit == pytest.approx(5.0, rel=0.02)
+    assert small.units_guess.confidence == "only a guess"
+    unknown = guess_upright(yard())
+    assert unknown.metres_per_unit == 1.0
+    assert unknown.units_guess.confidence == "cannot be known"
+
+
+def test_where_nothing_stands_on_the_ground_the_origin_tells_its_upper_side() -> None:
+    flat = surfaces([FLOOR])
+    for height, sign in ((-3.0, 1.0), (3.0, -1.0)):
+        upright = guess_upright(flat.transformed(similarity(translation=[0.0, 0.0, height])))
+        assert upright.up[2] == sign
+        assert "origin" in upright.sign_guess.reason
+    undecided = guess_upright(flat)
+    assert undecided.sign_guess.confidence == "only a guess"
+
+
+def test_a_stated_up_is_kept_and_only_the_floor_is_guessed() -> None:
+    upright = guess_upright(yard(), [0.0, 0.0, 2.0])
+    assert upright.up.tolist() == [0.0, 0.0, 1.0]
+    assert upright.axis_guess.confidence == "given"
+    assert upright.floor == pytest.approx(0.0, abs=0.01)
+    upside_down = guess_upright(yard(), [0.0, 0.0, -1.0])
+    assert upside_down.floor < -0.5
+    assert upside_down.floor_guess.confidence == "only a guess"
+
+
+def test_a_single_gaussian_is_surveyed_and_guessed_without_a_claim() -> None:
+    single = yard()[:1]
+    assert survey(single).floaters == 0.0
+    assert guess_upright(single).units_guess.confidence == "cannot be known"
+
+
+def test_a_survey_counts_and_measures() -> None:
+    found = survey(yard())
+    assert (found.count, found.sh_degree, found.floaters) == (len(yard().means), 0, 0.0)
+    assert found.extent[0] == (0.0, 0.0, 0.0)
+    assert found.opacities == pytest.approx([0.9] * 5)
+    assert found.scales == pytest.approx([0.06] * 5)
+    assert f"{found.count:,}" in str(found)
+
+
+def test_what_hangs_apart_from_the_scene_floats_near_or_far() -> None:
+    scene: Gaussians = torch.cat([yard(), yard()[:3]])  # type: ignore[assignment]
+    scene.means[-3:] = torch.tensor([[3.0, 2.0, 2.5], [3.0, 2.0, 3.5], [400.0, 0.0, 0.0]])
+    assert floats(scene).nonzero()[0].tolist() == [len(scene.means) - 3, len(scene.means) - 2, len(scene.means) - 1]
+
+
+@pytest.mark.parametrize(
+    ("path", "up", "sure"),
+    [("kitchen/kitchen.spz", "y", True), ("playbot/playbot.sog", "-y", True), ("brighton/brighton.ply", "-z", False)],
+)
+def test_real_captures_stand_upright(shared_scenes: Path, path: str, up: str, sure: bool) -> None:
+    if path.endswith(".sog"):
+        pytest.importorskip("gsply")
+    upright = guess_upright(read_gaussians(shared_scenes / path))
+    assert axis_name(upright.up) == up
+    assert (upright.sign_guess.confidence == "fairly sure") == sure
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+def test_a_written_description_is_read_back_as_the_same_scene(tmp_path: Path, tilt: float) -> None:
+    turned = rigid(axis_rotations(0, torch.tensor(tilt, dtype=torch.float64)), torch.zeros(3, dtype=torch.float64))
+    gaussians = lying(yard(), turned @ similarity(STANDING["-y"]))
+    write_gaussians(tmp_path / 'a "yard".ply', gaussians)
+    frame = upright_frame(guess_upright(gaussians))
+    assert set(frame) == ({"matrix"} if tilt else {"axes", "scale", "translation"})
+    bounds = ((-1.0, -1.0, 0.0), (1.0, 1.0, 2.25))
+    path = write_description(tmp_path, 'a "yard".ply', "Höfchen #1: ${x}", frame, bounds)
+    assert all("  # " in line for line in path.read_text(encoding="utf-8").splitlines())
+    scene = load_scene(tmp_path)
+    assert (scene.name, scene.bounds) == ("Höfchen #1: ${x}", bounds)
+    torch.testing.assert_close(scene.gaussians.means, gaussians.transformed(similarity(**frame)).means)
+    with pytest.raises(FileExistsError, match="--force"):
+        write_description(tmp_path, "b.ply", "b", frame, bounds)
+    write_description(tmp_path, 'a "yard".ply', "b", frame, bounds, force=True)
+    assert load_scene(tmp_path).name == "b"
+
+
+def test_flat_bounds_are_left_to_the_loader(tmp_path: Path) -> None:
+    write_gaussians(tmp_path / "flat.ply", surfaces([FLOOR]))
+    write_description(tmp_path, "flat.ply", "flat", {"scale": 1.0}, ((0.0, 0.0, 0.0), (6.0, 4.0, 0.0)))
+    assert load_scene(tmp_path).bounds[1][0] > 5.0
+
+
+def dataparser(folder: Path, **changes: object) -> Path:
+    """A file as nerfstudio writes it: x_splat = 0.25 · (R x + t), R a quarter turn about x."""
+    moved = [[1.0, 0.0, 0.0, 0.5], [0.0, 0.0, -1.0, 2.0], [0.0, 1.0, 0.0, -1.0]]
+    path = folder / "dataparser_transforms.json"
+    path.write_text(json.dumps({"transform": moved, "scale": 0.25} | changes))
+    return path
+
+
+def test_nerfstudios_transform_is_undone(tmp_path: Path) -> None:
+    transform = nerfstudio_transform(dataparser(tmp_path))
+    captured = torch.tensor([3.0, 4.0, 5.0], dtype=torch.float64)
+    trained = 0.25 * torch.tensor([3.0 + 0.5, -5.0 + 2.0, 4.0 - 1.0, 4.0], dtype=torch.float64)
+    torch.testing.assert_close((transform @ trained)[:3], captured)
+    torch.testing.assert_close(similarity(**matrix_frame(transform)), transform)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"scale": 0.0}, "scale: expected a finite number above 0"),
+        ({"scale": "large"}, "expected numbers"),
+        ({"transform": [[1.0, 0.0], [0.0, 1.0]]}, "3 rows of 4"),
+        ({"transform": [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0], []]}, "expected numbers"),
+        ({"transform": np.diag([1.0, 1.0, -1.0, 1.0])[:3].tolist()}, "expected a rotation"),
+        ({"transform": np.diag([2.0, 2.0, 2.0, 1.0])[:3].tolist()}, "expected a rotation"),
+        ({"transform": np.full((3, 4), np.nan).tolist()}, "finite"),
+    ],
+)
+def test_a_transform_of_nerfstudio_that_is_none_is_refused(
+    tmp_path: Path, changes: dict[str, object], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        nerfstudio_transform(dataparser(tmp_path, **changes))
+
+
+@pytest.mark.parametrize("text", ["{", "[1, 2]", '{"scale": 1}', "\xff\xfe"])
+def test_json_that_is_broken_or_another_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "dataparser_transforms.json"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(ValueError, match=r"dataparser_transforms.json: expected"):
+        nerfstudio_transform(path)
+    with pytest.raises(FileNotFoundError, match="found no file"):
+        nerfstudio_transform(tmp_path / "other.json")
+
+
+def test_a_known_distance_gives_the_scale() -> None:
+    assert metres_per_unit([0.0, 1.0, 0.0], [3.0, 1.0, 4.0], 2.5) == 0.5
+    moved = rescaled(similarity(["x", "-z", "y"], 4.0, [1.0, 2.0, 3.0]), 2.0)
+    torch.testing.assert_close(moved, similarity(["x", "-z", "y"], 2.0, [0.5, 1.0, 1.5]))
+
+
+@pytest.mark.parametrize(
+    ("end", "metres"), [([1.0, 2.0, 3.0], 1.0), ([2.0, 2.0, 3.0], 0.0), ([2.0, 2.0, math.nan], 1.0), ([0.0] * 3, -1.0)]
+)
+def test_a_distance_that_tells_nothing_is_refused(end: list[float], metres: float) -> None:
+    with pytest.raises(ValueError, match="distance: expected"):
+        metres_per_unit([1.0, 2.0, 3.0], end, metres)
