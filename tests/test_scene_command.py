@@ -1,0 +1,167 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from splatrl.scene_command import main
+from splatrl.scenes import Gaussians, load_scene, similarity, write_gaussians
+from tests.scenes.test_survey import BOXES, FLOOR, dataparser, lying, surfaces
+
+UPRIGHT = ["x", "z", "-y"]
+ROWS = "1 0 0 0  0 0 1 0  0 -1 0 1  0 0 0 1"
+
+
+def world() -> Gaussians:
+    return surfaces([FLOOR, *BOXES])
+
+
+@pytest.fixture
+def splat(tmp_path: Path) -> Path:
+    """A yard in a file that is −y up, with the floor at 0.7 along up."""
+    folder = tmp_path / "yard"
+    folder.mkdir()
+    write_gaussians(folder / "yard.ply", lying(world(), similarity(UPRIGHT, 1.0, [0.0, 0.0, -0.7])))
+    return folder / "yard.ply"
+
+
+def heights(folder: Path) -> tuple[float, float]:
+    """Of the floor and of the highest box of a scene folder."""
+    z = load_scene(folder).gaussians.means[:, 2]
+    return float(z.median()), float(z.max())
+
+
+def test_a_capture_becomes_a_scene_folder_with_pictures_without_a_word_said(
+    splat: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main([str(splat)])
+    printed = capsys.readouterr().out
+    assert "up          -y" in printed
+    assert "cannot be known" in printed
+    assert heights(splat.parent) == pytest.approx((0.0, 1.2), abs=0.02)
+    pictures = [splat.with_name(f"yard-{kind}.png") for kind in ("free", "occupancy", "view")]
+    for picture in pictures:
+        assert str(picture) in printed
+        assert len(np.unique(np.asarray(Image.open(picture)).reshape(-1, 3 if "view" in picture.name else 1))) > 1
+
+
+def test_a_folder_is_looked_at_again_in_the_frame_that_its_yaml_states(
+    splat: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main([str(splat)])
+    description = splat.with_name("scene.yaml")
+    edited = description.read_text().replace("scale: 1.0", "scale: 2.0")
+    description.write_text(edited)
+    capsys.readouterr()
+    main([str(splat.parent)])
+    assert "up          z" in capsys.readouterr().out
+    assert description.read_text() == edited
+    with pytest.raises(SystemExit, match=r"edit its scene\.yaml"):
+        main([str(splat.parent), "--scale", "2"])
+
+
+def test_a_description_is_replaced_only_by_force_and_nothing_is_drawn_without(splat: Path) -> None:
+    splat.with_name("scene.yaml").write_text("mine")
+    with pytest.raises(SystemExit, match="--force"):
+        main([str(splat)])
+    assert splat.with_name("scene.yaml").read_text() == "mine"
+    assert not splat.with_name("yard-view.png").exists()
+    main([str(splat), "--force"])
+    assert load_scene(splat.parent).name == "yard"
+
+
+def test_out_leaves_the_files_own_folder_alone(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = splat.parent.parent / "new" / "look"
+    main([str(splat), "--out", str(out)])
+    assert sorted(path.name for path in out.iterdir()) == [
+        "scene.yaml",
+        "yard-free.png",
+        "yard-occupancy.png",
+        "yard-view.png",
+    ]
+    assert [path.name for path in splat.parent.iterdir()] == ["yard.ply"]
+    assert "put yard.ply beside it" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "floor", "top"),
+    [
+        (["--scale", "2"], 0.0, 2.4),
+        (["--axes", "x", "z", "-y"], 0.0, 1.2),
+        (["--axes", "-x", "z", "y"], 1.2, 1.2),  # upside down: what was the floor is on top
+        (["--axes=x,z,-y", "--scale", "0.5", "--translation", "1", "2", "-1e-1"], 0.25, 0.85),
+        (["--axes", "x z -y", "--distance", "0 0 0  0 -2 0  3"], 0.0, 1.8),
+        (["--distance", "-1", "0", "0", "-1", "0", "0.5", "1"], 0.0, 2.4),
+        (["--translation", "0", "0", "5"], 5.7, 6.9),
+        (["--matrix", *ROWS.split()], 1.7, 2.9),
+        (["--matrix", ROWS, "--scale", "3"], 5.1, 8.7),
+    ],
+)
+def test_what_is_stated_goes_before_the_guess(splat: Path, options: list[str], floor: float, top: float) -> None:
+    main([*options, str(splat)])
+    assert heights(splat.parent) == pytest.approx((floor, top), abs=0.03)
+
+
+def test_nerfstudios_own_frame_is_undone(tmp_path: Path) -> None:
+    transforms = dataparser(tmp_path)
+    moved = torch.tensor([[1.0, 0, 0, 0.5], [0, 0, -1, 2], [0, 1, 0, -1], [0, 0, 0, 4]], dtype=torch.float64) * 0.25
+    write_gaussians(tmp_path / "splat.ply", world().transformed(moved))
+    main([str(tmp_path / "splat.ply"), "--nerfstudio", str(transforms)])
+    torch.testing.assert_close(load_scene(tmp_path).gaussians.means, world().means, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--axes", "x", "y"], "axes: expected 3"),
+        (["--axes", "x", "z", "y"], "reflection"),
+        (["--axes", "x y z", "--nerfstudio", "a.json"], "expected one of"),
+        (["--nerfstudio", "nowhere.json"], "found no file"),
+        (["--scale", "1", "--distance", "0 0 0 1 0 0 1"], "got both"),
+        (["--scale", "-1"], "--scale: expected a finite number above 0"),
+        (["--height", "nan"], "--height: expected"),
+        (["--distance", "0 0 0 0 0 0 1"], "two different points"),
+        (["--distance", "0 0 0 1 0 0"], "expected 7 numbers, got 6"),
+        (["--distance", "0 0 0 1 0 0 far"], "expected 7 numbers"),
+        (["--matrix", " ".join("1" * 16)], "last row"),
+        (["--matrix", "1 2"], "expected 16 numbers"),
+        (["--translation", "1 2 3", "--matrix", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"], "--translation: expected beside"),
+        (["--resolution", "1e-5"], "resolution"),
+    ],
+)
+def test_an_option_that_makes_no_sense_is_one_line_of_error(splat: Path, options: list[str], message: str) -> None:
+    with pytest.raises(SystemExit, match=message) as stopped:
+        main([str(splat), *options])
+    assert str(stopped.value).startswith("splatrl-scene: ")
+    assert [path.name for path in splat.parent.iterdir()] == ["yard.ply"]
+
+
+def test_files_that_are_missing_or_damaged_are_one_line_of_error(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match=r"splatrl-scene: .*nowhere"):
+        main([str(tmp_path / "nowhere.ply")])
+    (tmp_path / "damaged.ply").write_bytes(b"ply\nnothing more")
+    with pytest.raises(SystemExit, match=r"splatrl-scene: .*damaged"):
+        main([str(tmp_path / "damaged.ply")])
+    with pytest.raises(SystemExit, match="expected a scene folder"):
+        main([str(tmp_path)])
+    assert [path.name for path in tmp_path.iterdir()] == ["damaged.ply"]
+
+
+def test_it_runs_as_a_module_and_explains_itself() -> None:
+    command = [sys.executable, "-m", "splatrl.scene_command", "--help"]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "--nerfstudio" in shown
+
+
+def test_the_kitchen_stands_in_metres_with_its_floor_at_zero(shared_scenes: Path, tmp_path: Path) -> None:
+    main([str(shared_scenes / "kitchen" / "kitchen.spz"), "--out", str(tmp_path)])
+    written = (tmp_path / "scene.yaml").read_text()
+    assert 'axes: ["x", "-z", "y"]' in written
+    assert "scale: 1.0 " in written
+    (tmp_path / "kitchen.spz").symlink_to((shared_scenes / "kitchen" / "kitchen.spz").resolve())
+    scene = load_scene(tmp_path)
+    opaque = scene.gaussians.means[scene.gaussians.opacities > 0.5]
+    assert ((opaque[:, 2].abs() < 0.03).float().mean()) > 0.2  # a fifth and more of what is opaque is the floor
