@@ -16,11 +16,12 @@ class NativeChecker:
     """Tests a box, a sphere or a capsule, at any rotation, against the voxels of an occupancy.
 
     Answers are those of ``FclChecker`` on the same voxels, but for touches: what comes within a micrometre is a hit
-    everywhere, where FCL's answer hangs on the rounding of the pose. What lies outside the grid is free. The distance field settles most poses with one look-up; the others meet the
-    voxels around them, column by column, on all separating axes at once. A move at a fixed orientation is tested as the
-    body that it sweeps (a zonotope for a box), exactly. A move that turns is cut into parts, in each of which the body
-    has the orientation of the middle and is grown by what its points can be off, at most a tenth of a voxel: it never
-    misses, and may call a pass closer than that a hit.
+    everywhere, where FCL's answer hangs on the rounding of the pose. What lies outside the grid is free. The distance
+    field settles most poses with one look-up; the others meet the voxels around them, column by column, on all
+    separating axes at once. A move at a fixed orientation is tested as the body that it sweeps (a zonotope for a box),
+    exactly. A move that turns is cut into parts, in each of which the body has the orientation of the middle and is
+    grown by what its points can be off, at most a tenth of a voxel: it never misses, and may call a pass closer than
+    that a hit.
 
     Tensors on the CPU are read and written in place; others make the way there and back.
 

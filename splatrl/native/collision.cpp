@@ -258,7 +258,7 @@ Nearby nearby(const Grid& grid, const Vec3& point) {
     return {inside, steps == FARTHEST ? NEVER : (steps + 1) / DISTANCE_STEPS + to_center};
 }
 
-bool empty(const Grid& grid) { return grid.size[0] == 0 || grid.size[1] == 0 || grid.size[2] == 0; }
+bool empty(const Grid& grid) { return grid.solid == 0; }
 
 // Turn by an angle about a unit axis, times a rotation (Rodrigues).
 Mat3 turned(const Vec3& axis, double angle, const Mat3& rotation) {

@@ -20,6 +20,7 @@ struct Grid {
     int size[3];
     double resolution;            // metres
     Vec3 corner;                  // of the grid in the world, metres
+    size_t solid;                 // voxels
     int words;                    // of a column
     std::vector<uint64_t> bits;  // [x, y, words]: bit z of a column is the voxel (x, y, z)
     // [x, y, z] from the centre of each voxel to that of the nearest solid one, in DISTANCE_STEPS a voxel, rounded down;

@@ -34,8 +34,11 @@ Grid grid_of(const Solid& solid, const Distances& distance, const Vec3& corner, 
     const size_t columns = solid.shape(0) * solid.shape(1), height = solid.shape(2);
     grid.bits.assign(columns * grid.words, 0);
     for (size_t column = 0; column < columns; ++column)
-        for (size_t z = 0; z < height; ++z)
-            grid.bits[column * grid.words + z / 64] |= uint64_t(solid.data()[column * height + z]) << z % 64;
+        for (size_t z = 0; z < height; ++z) {
+            const bool filled = solid.data()[column * height + z];
+            grid.bits[column * grid.words + z / 64] |= uint64_t(filled) << z % 64;
+            grid.solid += filled;
+        }
     grid.distance = make_buffer<uint16_t>(columns * height);
     for (size_t i = 0; i < columns * height; ++i) {
         const double steps = distance.data()[i] / resolution * (1.0 - 1e-6) * DISTANCE_STEPS;  // single precision
