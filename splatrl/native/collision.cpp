@@ -308,15 +308,24 @@ Shape Shape::grown(double by) const {
     return Shape(kind, half, half_length, radius + by);
 }
 
-bool read_pose(const float* matrix, const Grid& grid, Pose& pose) {
+Vec3 position_of(const float* matrix, const Grid& grid) {
+    Vec3 out;
+    for (int i = 0; i < 3; ++i) out[i] = (matrix[4 * i + 3] - grid.corner[i]) * grid.inverse;
+    return out;
+}
+
+Pose pose_of(const float* matrix, const Grid& grid) {
+    Pose pose;
+    pose.position = position_of(matrix, grid);
+    for (int i = 0; i < 3; ++i)
+        for (int k = 0; k < 3; ++k) pose.rotation[i][k] = matrix[4 * i + k];
+    return pose;
+}
+
+bool is_pose(const float* matrix) {
     constexpr float ORTHONORMAL = 1e-3f;
     Quad rows[4];
     std::memcpy(rows, matrix, sizeof(rows));
-    const double inverse = 1.0 / grid.resolution;
-    for (int i = 0; i < 3; ++i) {
-        for (int k = 0; k < 3; ++k) pose.rotation[i][k] = rows[i][k];
-        pose.position[i] = (rows[i][3] - grid.corner[i]) * inverse;
-    }
     // The columns are orthonormal: their squares, and the products of each with the next, three at a time.
     const Quad squares = rows[0] * rows[0] + rows[1] * rows[1] + rows[2] * rows[2] - 1.0f;
     const Quad products = rows[0] * next_of(rows[0]) + rows[1] * next_of(rows[1]) + rows[2] * next_of(rows[2]);
@@ -330,9 +339,9 @@ bool read_pose(const float* matrix, const Grid& grid, Pose& pose) {
     return right;
 }
 
-Verdict judge(const Grid& grid, const Shape& shape, const Pose& pose) {
+Verdict judge(const Grid& grid, const Shape& shape, const Vec3& position) {
     if (empty(grid)) return Verdict::FREE;
-    const Nearby near = nearby(grid, pose.position);
+    const Nearby near = nearby(grid, position);
     const bool free = near.at_least > shape.outer + MARGIN, hit = near.at_most <= shape.inner - MARGIN;
     return Verdict(2 - 2 * int(free) - int(hit));  // never both
 }
@@ -342,18 +351,23 @@ bool touches(const Grid& grid, const Shape& shape, const Pose& pose) {
 }
 
 static bool collides(const Grid& grid, const Shape& shape, const Pose& pose) {
-    const Verdict verdict = judge(grid, shape, pose);
+    const Verdict verdict = judge(grid, shape, pose.position);
     return verdict == Verdict::HIT || (verdict == Verdict::MAYBE && touches(grid, shape, pose));
 }
 
+static Vec3 between(const Vec3& start, const Vec3& end) {
+    return {end[0] - start[0], end[1] - start[1], end[2] - start[2]};
+}
+
+bool passes(const Grid& grid, const Shape& shape, const Vec3& start, const Vec3& end) {
+    if (empty(grid)) return true;
+    const Vec3 way = between(start, end);
+    return nearby(grid, along(start, way, 0.5)).at_least > shape.outer + 0.5 * norm(way) + MARGIN;
+}
+
 double touched_fraction(const Grid& grid, const Shape& shape, const Pose& start, const Pose& end, bool any) {
-    if (empty(grid)) return 1.0;
-    Vec3 way, middle;
-    for (int i = 0; i < 3; ++i) {
-        way[i] = end.position[i] - start.position[i];
-        middle[i] = start.position[i] + 0.5 * way[i];
-    }
-    if (nearby(grid, middle).at_least > shape.outer + 0.5 * norm(way) + MARGIN) return 1.0;
+    if (passes(grid, shape, start.position, end.position)) return 1.0;
+    const Vec3 way = between(start.position, end.position);
     Vec3 axis{};
     const bool turns = shape.kind != Shape::SPHERE && start.rotation != end.rotation;
     const double angle = turns ? turn_between(start.rotation, end.rotation, axis) : 0.0;

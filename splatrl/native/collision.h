@@ -18,7 +18,7 @@ using Mat3 = std::array<Vec3, 3>;  // rows
 
 struct Grid {
     int size[3];
-    double resolution;            // metres
+    double resolution, inverse;   // metres, 1 / metres
     Vec3 corner;                  // of the grid in the world, metres
     size_t solid;                 // voxels
     int words;                    // of a column
@@ -47,13 +47,20 @@ struct Pose {
     Vec3 position;  // voxels
 };
 
-// A pose from a row-major 4×4 matrix in metres. False where it is not finite, not a rotation or not rigid.
-bool read_pose(const float* matrix, const Grid& grid, Pose& pose);
+// Whether a row-major 4×4 matrix is a pose: finite, a rotation, rigid.
+bool is_pose(const float* matrix);
+
+// From such a matrix in metres.
+Vec3 position_of(const float* matrix, const Grid& grid);
+Pose pose_of(const float* matrix, const Grid& grid);
 
 // What the distance field alone says of a pose; MAYBE is for `touches` to decide.
 enum class Verdict { FREE, HIT, MAYBE };
-Verdict judge(const Grid& grid, const Shape& shape, const Pose& pose);
+Verdict judge(const Grid& grid, const Shape& shape, const Vec3& position);
 bool touches(const Grid& grid, const Shape& shape, const Pose& pose);
+
+// Whether the distance field alone says that a move touches nothing.
+bool passes(const Grid& grid, const Shape& shape, const Vec3& start, const Vec3& end);
 
 // The share of a straight move, turning evenly about one axis, that is free: 1 where nothing is touched, ends included.
 // Exact at a fixed orientation (a capsule within 1e-6 voxels). A turn is cut into parts; in each the orientation is that

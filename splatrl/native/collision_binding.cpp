@@ -29,6 +29,7 @@ Grid grid_of(const Solid& solid, const Distances& distance, const Vec3& corner, 
         if (solid.shape(i) != distance.shape(i)) throw std::invalid_argument("distance: expected the shape of solid");
     }
     grid.resolution = resolution;
+    grid.inverse = 1.0 / resolution;
     grid.corner = corner;
     grid.words = (grid.size[2] + 63) / 64;
     const size_t columns = solid.shape(0) * solid.shape(1), height = solid.shape(2);
@@ -84,28 +85,32 @@ public:
     int64_t collides(uintptr_t poses, uintptr_t out, size_t count, size_t threads) const {
         const auto* matrices = reinterpret_cast<const float*>(poses);
         auto* hits = reinterpret_cast<bool*>(out);
-        return each<Pose>(
+        return each<Vec3>(
             count, threads,
-            [&](size_t i, Pose& pose) {
-                if (!read_pose(matrices + 16 * i, grid_, pose)) return false;
-                fetch(grid_, pose.position);
+            [&](size_t i, Vec3& position) {
+                position = position_of(matrices + 16 * i, grid_);
+                if (!is_pose(matrices + 16 * i)) return false;
+                fetch(grid_, position);
                 return true;
             },
-            [&](size_t first, size_t some, const Pose* poses) {
+            [&](size_t first, size_t some, const Vec3* positions) {
                 // Judged without a branch, then those that are left: what comes next cannot be foretold.
                 size_t left[AT_ONCE], open = 0;
                 for (size_t i = 0; i < some; ++i) {
-                    const Verdict verdict = judge(grid_, shape_, poses[i]);
+                    const Verdict verdict = judge(grid_, shape_, positions[i]);
                     hits[first + i] = verdict == Verdict::HIT;
                     left[open] = i;
                     open += verdict == Verdict::MAYBE;
                 }
-                for (size_t i = 0; i < open; ++i) hits[first + left[i]] = touches(grid_, shape_, poses[left[i]]);
+                for (size_t i = 0; i < open; ++i) {
+                    const size_t row = first + left[i];
+                    hits[row] = touches(grid_, shape_, pose_of(matrices + 16 * row, grid_));
+                }
             });
     }
 
     struct Move {
-        Pose start, end;
+        Vec3 start, end;
     };
 
     template <class Answer>
@@ -114,15 +119,26 @@ public:
         return each<Move>(
             count, threads,
             [&](size_t i, Move& move) {
-                if (!read_pose(from + 16 * i, grid_, move.start) || !read_pose(to + 16 * i, grid_, move.end)) return false;
+                if (!is_pose(from + 16 * i) || !is_pose(to + 16 * i)) return false;
+                move = {position_of(from + 16 * i, grid_), position_of(to + 16 * i, grid_)};
                 Vec3 middle;
-                for (int k = 0; k < 3; ++k) middle[k] = 0.5 * (move.start.position[k] + move.end.position[k]);
+                for (int k = 0; k < 3; ++k) middle[k] = 0.5 * (move.start[k] + move.end[k]);
                 fetch(grid_, middle);
                 return true;
             },
             [&](size_t first, size_t some, const Move* moves) {
-                for (size_t i = 0; i < some; ++i)
-                    answer(first + i, splatrl::touched_fraction(grid_, shape_, moves[i].start, moves[i].end, any));
+                size_t left[AT_ONCE], open = 0;
+                for (size_t i = 0; i < some; ++i) {
+                    const bool free = passes(grid_, shape_, moves[i].start, moves[i].end);
+                    if (free) answer(first + i, 1.0);
+                    left[open] = i;
+                    open += !free;
+                }
+                for (size_t i = 0; i < open; ++i) {
+                    const size_t row = first + left[i];
+                    answer(row, splatrl::touched_fraction(grid_, shape_, pose_of(from + 16 * row, grid_),
+                                                          pose_of(to + 16 * row, grid_), any));
+                }
             });
     }
 
@@ -149,7 +165,7 @@ public:
             [&](size_t i, Vec3& point) {
                 for (int axis = 0; axis < 3; ++axis) {
                     if (!std::isfinite(from[3 * i + axis])) return false;
-                    point[axis] = (from[3 * i + axis] - grid_.corner[axis]) / grid_.resolution;
+                    point[axis] = (from[3 * i + axis] - grid_.corner[axis]) * grid_.inverse;
                 }
                 fetch(grid_, point);
                 return true;
