@@ -1,5 +1,7 @@
 """Collision in C++: a bit grid and its distance field, exact, thousands of bodies at once."""
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -86,7 +88,7 @@ class NativeChecker:
             checked_points("points", points)
         return _to_device_of(metres, points)
 
-    def _move(self, query, start: Tensor, end: Tensor, out: Tensor) -> Tensor:  # type: ignore[no-untyped-def]
+    def _move(self, query: Callable[..., int], start: Tensor, end: Tensor, out: Tensor) -> Tensor:
         starts, ends = _floats("start", start, (4, 4)), _floats("end", end, (4, 4))
         if len(starts) != len(ends):
             raise ValueError(f"end: expected as many poses as start, {len(starts)}, got {len(ends)}")

@@ -6,8 +6,8 @@
 #include <cstdint>
 
 #include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 
+#include "arrays.h"
 #include "bindings.h"
 
 namespace nb = nanobind;
@@ -15,9 +15,6 @@ namespace nb = nanobind;
 namespace splatrl {
 
 namespace {
-
-template <class T, long... SHAPE>
-using Array = nb::ndarray<T, nb::shape<SHAPE...>, nb::c_contig, nb::device::cpu>;
 
 // A Gaussian seen from voxels. With u_j its axes and s_j its standard deviations, all in voxels, the box along its
 // axes that holds the unit voxel at v reaches half_j = |u_j|_1 / 2s_j to both sides of its centre, so the squared
@@ -75,10 +72,10 @@ void splat(const Ellipsoid& g, double opacity, double extent, const Triple& firs
     }
 }
 
-void add_density(Array<const double, -1, 3> means, Array<const double, -1, 3, 3> axes,
-                 Array<const double, -1, 3> scales, Array<const double, -1> opacities,
-                 Array<const int64_t, -1, 3> first, Array<const int64_t, -1, 3> end, double extent,
-                 Array<float, -1, -1, -1> density) {
+void add_density(Tensor<const double, -1, 3> means, Tensor<const double, -1, 3, 3> axes,
+                 Tensor<const double, -1, 3> scales, Tensor<const double, -1> opacities,
+                 Tensor<const int64_t, -1, 3> first, Tensor<const int64_t, -1, 3> end, double extent,
+                 Tensor<float, -1, -1, -1> density) {
     const size_t count = means.shape(0);
     const Triple shape{int64_t(density.shape(0)), int64_t(density.shape(1)), int64_t(density.shape(2))};
     if (axes.shape(0) != count || scales.shape(0) != count || opacities.shape(0) != count ||
