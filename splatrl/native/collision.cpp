@@ -71,12 +71,12 @@ double first_contact(const Grid& grid, const Shape& shape, const Pose& pose, con
 }
 
 typedef float Quad __attribute__((vector_size(16)));
+typedef int QuadIndex __attribute__((vector_size(16)));
 
 #if defined(__clang__)
 Quad next_of(const Quad& a) { return __builtin_shufflevector(a, a, 1, 2, 0, 3); }        // y, z, x
 Quad after_next_of(const Quad& a) { return __builtin_shufflevector(a, a, 2, 0, 1, 3); }  // z, x, y
 #else
-typedef int QuadIndex __attribute__((vector_size(16)));
 Quad next_of(const Quad& a) { return __builtin_shuffle(a, QuadIndex{1, 2, 0, 3}); }
 Quad after_next_of(const Quad& a) { return __builtin_shuffle(a, QuadIndex{2, 0, 1, 3}); }
 #endif
@@ -183,17 +183,19 @@ bool is_pose(const float* matrix) {
     constexpr float ORTHONORMAL = 1e-3f;
     Quad rows[4];
     std::memcpy(rows, matrix, sizeof(rows));
+    // In the fourth lane 0, or not a number where the position is none; then the position is out of the way.
+    const Quad position = 0.0f * rows[0] + 0.0f * rows[1] + 0.0f * rows[2];
+    const QuadIndex three = {-1, -1, -1, 0};
+    const Quad x = (Quad)((QuadIndex)rows[0] & three), y = (Quad)((QuadIndex)rows[1] & three);
+    const Quad z = (Quad)((QuadIndex)rows[2] & three);
     // The columns are orthonormal: their squares, and the products of each with the next, three at a time.
-    const Quad squares = rows[0] * rows[0] + rows[1] * rows[1] + rows[2] * rows[2] - 1.0f;
-    const Quad products = rows[0] * next_of(rows[0]) + rows[1] * next_of(rows[1]) + rows[2] * next_of(rows[2]);
-    const Quad volume = rows[2] * (next_of(rows[0]) * after_next_of(rows[1]) - after_next_of(rows[0]) * next_of(rows[1]));
+    const Quad squares = x * x + y * y + z * z - Quad{1.0f, 1.0f, 1.0f, 0.0f};
+    const Quad products = x * next_of(x) + y * next_of(y) + z * next_of(z);
+    const Quad volume = z * (next_of(x) * after_next_of(y) - after_next_of(x) * next_of(y));
     const Quad last = rows[3] - Quad{0.0f, 0.0f, 0.0f, 1.0f};
-    const Quad zeros = 0.0f * (rows[0] + rows[1] + rows[2]);  // not 0 where any number is not finite
-    bool right = zeros[3] == 0.0f && volume[0] + volume[1] + volume[2] > 0.0f && std::fabs(last[3]) <= ORTHONORMAL;
-    for (int i = 0; i < 3; ++i)
-        right = right && std::fabs(squares[i]) <= ORTHONORMAL && std::fabs(products[i]) <= ORTHONORMAL &&
-                std::fabs(last[i]) <= ORTHONORMAL;
-    return right;
+    const auto small = [](const Quad& a) { return (a <= ORTHONORMAL) & (a >= -ORTHONORMAL); };
+    const auto right = small(squares) & small(products) & small(last) & small(position);
+    return (right[0] & right[1] & right[2] & right[3]) != 0 && volume[0] + volume[1] + volume[2] > 0.0f;
 }
 
 Verdict judge(const Grid& grid, const Shape& shape, const Vec3& position) {

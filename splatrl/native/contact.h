@@ -47,9 +47,9 @@ struct Pieces {
 // The s in [0, 1] at which p + s v is nearest to the unit box: the slope of the squared distance is linear between the
 // pieces and never falls.
 inline double nearest_on_segment(const Vec3& corner, const Vec3& p, const Vec3& v) {
-    const Pieces pieces(corner, p, v);
     double last = dot(excess(corner, p), v);
     if (last >= 0.0) return 0.0;
+    const Pieces pieces(corner, p, v);
     for (int i = 1; i < pieces.count; ++i) {
         const double slope = dot(excess(corner, along(p, v, pieces.at[i])), v);
         if (slope >= 0.0) {
