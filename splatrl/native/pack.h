@@ -1,6 +1,7 @@
 // Lanes from and to memory: half floats, and records of the lanes that a mask names, one after another.
 #pragma once
 
+#include "half.h"
 #include "kernel.h"
 #include "lanes.h"
 
@@ -62,7 +63,7 @@ LANE_INLINE Lanes from_halves(const IntLanes& halves) {
     Lanes out;
     FOR_PARTS {
         const IntPart magnitude = (halves.part[p] & 0x7fff) << 13, sign = (halves.part[p] & 0x8000) << 16;
-        const FloatPart scaled = (FloatPart)magnitude * 5.192296858534828e33f;  // 2^112: the difference of the biases
+        const FloatPart scaled = (FloatPart)magnitude * HALF_BIAS;
         out.part[p] = (FloatPart)((IntPart)scaled | sign);
     }
     return out;
@@ -85,8 +86,7 @@ LANE_INLINE Lanes load_halves(const uint16_t* from) {
 
 // Numbers to half floats in the low halves of words, rounded to nearest; what is larger becomes the largest.
 LANE_INLINE IntLanes to_halves(const Lanes& a) {
-    constexpr float LARGEST = 65504.0f;
-    const Lanes bounded = max(min(a, LARGEST), -LARGEST);
+    const Lanes bounded = max(min(a, LARGEST_HALF), -LARGEST_HALF);
     IntLanes out;
 #if defined(SPLATRL_AVX512)
     const __m256i halves = _mm512_maskz_cvtps_ph(0xffff, (__m512)bounded.part[0], _MM_FROUND_TO_NEAREST_INT);
@@ -95,7 +95,7 @@ LANE_INLINE IntLanes to_halves(const Lanes& a) {
     FOR_PARTS {
         const IntPart sign = ((IntPart)bounded.part[p] >> 16) & 0x8000;
         const FloatPart magnitude = (FloatPart)((IntPart)bounded.part[p] & 0x7fffffff);
-        const IntPart bits = (IntPart)(magnitude * 1.925929944387236e-34f);  // 2^-112
+        const IntPart bits = (IntPart)(magnitude * INVERSE_HALF_BIAS);
         out.part[p] = ((bits + 0xfff + ((bits >> 13) & 1)) >> 13) | sign;
     }
 #endif
@@ -107,16 +107,7 @@ LANE_INLINE void store_four_halves(float* to, const uint16_t* from) {
 #if defined(SPLATRL_AVX512) || defined(SPLATRL_AVX2)
     _mm_storeu_ps(to, _mm_cvtph_ps(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(from))));
 #else
-    for (int i = 0; i < 4; ++i) {
-        const uint32_t magnitude = uint32_t(from[i] & 0x7fff) << 13, sign = uint32_t(from[i] & 0x8000) << 16;
-        float scaled;
-        std::memcpy(&scaled, &magnitude, sizeof(scaled));
-        scaled *= 5.192296858534828e33f;  // 2^112
-        uint32_t bits;
-        std::memcpy(&bits, &scaled, sizeof(bits));
-        bits |= sign;
-        std::memcpy(to + i, &bits, sizeof(bits));
-    }
+    for (int i = 0; i < 4; ++i) to[i] = from_half(from[i]);
 #endif
 }
 

@@ -6,19 +6,13 @@
 #include <limits>
 #include <numeric>
 
+#include "half.h"
+
 namespace splatrl {
 
 namespace {
 
 size_t groups_of(const Node& node) { return (node.count + GROUP - 1) / GROUP; }
-
-// The nearest half float; what is larger becomes the largest.
-uint16_t to_half(float value) {
-    const float scaled = std::min(std::fabs(value), 65504.0f) * 1.925929944387236e-34f;  // 2^-112
-    uint32_t bits;
-    std::memcpy(&bits, &scaled, sizeof(bits));
-    return uint16_t(((bits + 0xfff + ((bits >> 13) & 1)) >> 13) | (std::signbit(value) ? 0x8000 : 0));
-}
 
 // The most standard deviations at which a Gaussian of this opacity shows.
 float reach_of(float opacity) {

@@ -57,8 +57,9 @@ struct Merging {
 };
 
 // The opacity of n Gaussians that lie within one, each x / n of it, is 1 - (1 - x g / n)^n where that one's fall-off is
-// g: a peak and a fall-off with a flat top. min(peak, 2^log2_opacity g) has the same peak and the same integral, which is
-// peak (1 + ln(2^log2_opacity / peak)); the ratio in the logarithm is a rational fit, within 5 % for any x and n.
+// g: a peak and a fall-off with a flat top. min(peak, 2^log2_opacity g) has the same peak and nearly the same integral, which
+// is peak (1 + ln(2^log2_opacity / peak)). The ratio in the logarithm is a fit for many members, carried to few by y: for
+// few that cover each other it falls short, and it never adds.
 template <class F>
 SPLAT_INLINE void merge_opacities(F x, F members, F& log2_opacity, F& peak) {
     const F share = reciprocal(members);

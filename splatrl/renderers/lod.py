@@ -21,7 +21,7 @@ LEVELS_VERSION = 1
 
 
 def build_levels(arrays: Mapping[str, Tensor], degree: int) -> Arrays:
-    """Build the levels of a scene: about 1 s per 200 thousand Gaussians.
+    """Build the levels of a scene: seconds for a million Gaussians.
 
     Args:
         arrays: ``means`` [N, 3], ``axes`` [N, 3, 3], ``opacities`` [N] and ``sh`` [N, harmonics, 3], float32.

@@ -41,7 +41,7 @@ class NativeRenderer:
 
     With a ``tolerance``, what is far is drawn by fewer, larger Gaussians, in which neighbours were merged once for the
     scene: as few as keep the displacement of what is shown within the tolerance. It is measured in pixels of the image
-    that is asked for, so images are sharp at every resolution. Half a pixel cannot be seen.
+    that is asked for, so images are sharp at every resolution.
 
     Frame i has the same bytes alone, in any batch, in any order and with any number of threads. Instruction sets may
     differ in the last bits; ``SPLATRL_ISA=avx512|avx2|baseline|portable`` forces one for the renderers made after
