@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from splatrl.files import replacing
 from splatrl.scenes.cache import DAMAGED
 
+MOST_COMPRESSED = 1032
+"""Bytes that deflate can make of one."""
+
 
 def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write arrays to an npz file, which appears whole or not at all."""
@@ -22,7 +25,7 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]
 
 
 def read_arrays(path: str | os.PathLike[str], names: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Read arrays from an npz file, allocating no more than the file holds.
+    """Read arrays from an npz file, allocating no more than a file of its size can hold.
 
     Raises:
         FileNotFoundError: where there is no such file.
@@ -33,7 +36,8 @@ def read_arrays(path: str | os.PathLike[str], names: Sequence[str]) -> dict[str,
             missing = [name for name in names if f"{name}.npy" not in archive.namelist()]
             if missing:
                 raise ValueError(f"arrays named {', '.join(names)}, got none named {', '.join(missing)}")
-            return {name: _read_array(archive, name) for name in names}
+            most = MOST_COMPRESSED * os.path.getsize(path)
+            return {name: _read_array(archive, name, most) for name in names}
     except FileNotFoundError:
         raise
     except ValueError as error:
@@ -42,11 +46,13 @@ def read_arrays(path: str | os.PathLike[str], names: Sequence[str]) -> dict[str,
         raise ValueError(f"{path}: expected an npz file, got something else or a damaged one: {error}") from error
 
 
-def _read_array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
+def _read_array(archive: zipfile.ZipFile, name: str, most: int) -> NDArray[Any]:
     info = archive.getinfo(f"{name}.npy")
     with archive.open(info) as stream:
         shape, dtype = _read_header(stream)
         promised, held = math.prod(shape) * dtype.itemsize, info.file_size - stream.tell()
+        if held > most:
+            raise ValueError(f"{name}: expected at most {most} bytes in a file of this size, got {held}")
         if dtype.hasobject or promised != held:
             raise ValueError(f"{name}: expected {held} bytes of plain numbers, got a header for {promised} of {dtype}")
     with archive.open(info) as stream:

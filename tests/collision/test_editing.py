@@ -1,4 +1,6 @@
 import json
+import struct
+import zipfile
 from types import SimpleNamespace
 
 import numpy as np
@@ -144,3 +146,16 @@ def test_a_report_remembers_the_floaters_that_were_dropped():
     assert kept.report().floaters == every.count - kept.count > 0
     assert (kept | every).carved([[0, 0, 0]], [[1, 1, 1]]).trimmed().floaters == kept.floaters
     assert Occupancy.from_arrays(kept.to_arrays()).floaters == kept.floaters
+
+
+def test_a_header_that_promises_more_than_the_file_can_hold_is_refused_before_anything_is_allocated(tmp_path):
+    path, promised = tmp_path / "grid.npz", 2**31
+    random_grid(0).save(path)
+    with zipfile.ZipFile(path) as archive:
+        held = archive.getinfo("occupied_bits.npy").file_size
+    content = path.read_bytes()
+    entry = content.rindex(b"occupied_bits.npy") - 46  # of the directory, whose size is 24 bytes on
+    assert struct.unpack_from("<I", content, entry + 24) == (held,)
+    path.write_bytes(content[: entry + 24] + struct.pack("<I", promised) + content[entry + 28 :])
+    with pytest.raises(ValueError, match=f"occupied_bits: expected at most .* got {promised - 128}"):
+        Occupancy.load(path)
