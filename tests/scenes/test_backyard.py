@@ -10,7 +10,7 @@ from splatrl.bodies import Box, Sphere
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.collision import FclChecker, Occupancy
 from splatrl.curriculum.planner import Plan, plan
-from splatrl.envs.dynamics import LatticeMotion
+from splatrl.envs.motions import LatticeMotion
 from splatrl.envs.tasks import Grid
 from splatrl.geometry import rigid
 from splatrl.renderers import NativeRenderer

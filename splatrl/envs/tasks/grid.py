@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from splatrl.envs.dynamics import LatticeMotion
+from splatrl.envs.motions import LatticeMotion
 from splatrl.envs.tasks.base import Outcome, Verdict
 
 

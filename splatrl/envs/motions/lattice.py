@@ -1,4 +1,4 @@
-"""How actions move a robot."""
+"""Steps along the world's axes and turns on the spot: the motion of the grid task."""
 
 import math
 from collections.abc import Sequence
@@ -42,9 +42,9 @@ class LatticeMotion(nn.Module):
         upper: Sequence[float] = (1.0, 1.0),
     ):
         super().__init__()
-        headings = _whole("angle_step_deg", 360.0, angle_step_deg)
+        headings = whole_steps("angle_step_deg", 360.0, angle_step_deg)
         columns, rows = (
-            _whole(f"step: bounds along {axis}", high - low, step) + 1
+            whole_steps(f"step: bounds along {axis}", high - low, step) + 1
             for axis, low, high in zip("xy", lower, upper, strict=True)
         )
         self.height, self.step, self.angle_step = height, step, math.tau / headings
@@ -105,7 +105,12 @@ class LatticeMotion(nn.Module):
         )
 
 
-def _whole(name: str, length: float, step: float) -> int:
+def whole_steps(name: str, length: float, step: float) -> int:
+    """How many steps make up a length.
+
+    Raises:
+        ValueError: when they are not a whole number, at least one.
+    """
     count = round(length / step) if step > 0 and length > 0 else 0
     if count < 1 or abs(count * step - length) > 1e-6 * length:
         raise ValueError(

@@ -1,0 +1,96 @@
+"""A differential drive: linear and angular velocity, held for a time step."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torchrl.data import Bounded
+
+from splatrl.envs.motions.planar import Plane, along
+
+CELL = 0.05
+ANGLE_CELL = math.radians(5.0)
+
+
+class DriveMotion(Plane):
+    """Two driven wheels: an action is a linear and an angular velocity, reached at once and held for a time step.
+
+    A state is [..., 3] float32: x and y in metres and yaw in radians. The robot follows the exact arc; what it touches
+    is judged on the straight line between the ends of the step, along which it turns evenly.
+
+    Paths are searched among full speed ahead, astern and turning, and the arcs between, in cells of 5 cm and 5°.
+
+    Args:
+        height: z of every pose, metres.
+        time_step: seconds.
+        linear: lowest and highest linear velocity, metres a second; forwards is positive.
+        angular_deg: highest angular velocity either way, degrees a second.
+        lower: smallest x and y, metres.
+        upper: largest x and y, metres.
+        spacing: distance between neighbouring starts, metres.
+        headings: number of directions of the starts.
+
+    Raises:
+        ValueError: for a time step that is not positive, velocities out of order, or bounds without area.
+    """
+
+    limits: Tensor  # [2, 2] float32: lowest and highest linear and angular velocity
+
+    def __init__(
+        self,
+        height: float,
+        time_step: float = 0.2,
+        linear: Sequence[float] = (-0.25, 0.5),
+        angular_deg: float = 90.0,
+        lower: Sequence[float] = (-1.0, -1.0),
+        upper: Sequence[float] = (1.0, 1.0),
+        spacing: float = 0.1,
+        headings: int = 36,
+    ):
+        if not time_step > 0:
+            raise ValueError(f"task.motion.time_step: expected more than 0 seconds, got {time_step}")
+        if len(linear) != 2 or not linear[0] <= 0 < linear[1] or not angular_deg > 0:
+            raise ValueError(
+                f"task.motion: expected linear = [at most 0, more than 0] m/s and angular_deg > 0, "
+                f"got {list(linear)} and {angular_deg}"
+            )
+        super().__init__(height, lower, upper, spacing, headings, CELL, ANGLE_CELL)
+        angular = math.radians(angular_deg)
+        self.time_step = time_step
+        self.step, self.angle_step = linear[1] * time_step, angular * time_step
+        limits = torch.tensor([[linear[0], -angular], [linear[1], angular]], dtype=torch.float32)
+        self.register_buffer("limits", limits, persistent=False)
+
+    @property
+    def action_spec(self) -> Bounded:
+        """Linear velocity in metres a second and angular velocity in radians a second, [2]; no batch."""
+        return Bounded(low=self.limits[0], high=self.limits[1], shape=(2,), dtype=torch.float32)
+
+    def actions(self) -> Tensor:
+        """The actions from which paths are made: [N, 2] float32."""
+        (back, right), (ahead, left) = self.limits.tolist()
+        pairs = [(v, w) for v in sorted({back, 0.0, ahead}) for w in (right, 0.0, left) if (v, w) != (0.0, 0.0)]
+        return torch.tensor(pairs, device=self.limits.device)
+
+    def advance(self, state: Tensor, action: Tensor) -> Tensor:
+        """Where an unhindered action leads; it can be outside the bounds.
+
+        Args:
+            state: [B, 3] float32.
+            action: [B, 2] float32, clamped to the limits.
+
+        Returns:
+            [B, 3] float32.
+        """
+        return self._arc(state, action.clamp(self.limits[0], self.limits[1]))
+
+    def before(self, state: Tensor, action: Tensor) -> Tensor:
+        """Where an unhindered action had begun that ends here; shapes as in ``advance``."""
+        return self._arc(state, -action)
+
+    def _arc(self, state: Tensor, velocity: Tensor) -> Tensor:
+        """Follow a circle: its chord has the arc's length times sin(turn / 2) / (turn / 2)."""
+        turn = velocity[:, 1] * self.time_step
+        chord = velocity[:, 0] * self.time_step * torch.sinc(0.5 * turn / math.pi)
+        return along(state, chord, turn, 0.5 * turn)

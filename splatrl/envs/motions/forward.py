@@ -1,0 +1,84 @@
+"""Steps along the heading and turns on the spot: the motion of the fps task."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torchrl.data import Categorical
+
+from splatrl.envs.motions.planar import Plane, along
+
+CELLS_A_STEP = 4
+
+
+class ForwardMotion(Plane):
+    """Forward and back by a step along the heading, left and right by an angle, off any lattice.
+
+    A state is [..., 3] float32: x and y in metres and yaw in radians. The four actions, in the published order, are
+    forward, back, left (counter-clockwise) and right.
+
+    Paths are searched in cells of a quarter of a step; see ``Plane``.
+
+    Args:
+        height: z of every pose, metres.
+        step: length of a step, metres.
+        angle_step_deg: angle of a turn, degrees; it divides 360.
+        lower: smallest x and y, metres.
+        upper: largest x and y, metres.
+        spacing: distance between neighbouring starts, metres; None takes the step. They have every heading that turns
+            lead to from 0.
+
+    Raises:
+        ValueError: for a step that is not positive, an angle that does not divide a turn, or bounds without area.
+    """
+
+    action_names = ("forward", "back", "left", "right")
+    lengths: Tensor  # [4] float32
+    turns: Tensor  # [4] float32
+
+    def __init__(
+        self,
+        height: float,
+        step: float = 0.1,
+        angle_step_deg: float = 10.0,
+        lower: Sequence[float] = (-1.0, -1.0),
+        upper: Sequence[float] = (1.0, 1.0),
+        spacing: float | None = None,
+    ):
+        if not step > 0:
+            raise ValueError(f"task.motion.step: expected more than 0 metres, got {step}")
+        headings = round(360.0 / angle_step_deg) if angle_step_deg > 0 else 0
+        if headings < 1 or abs(headings * angle_step_deg - 360.0) > 1e-6:
+            raise ValueError(f"task.motion.angle_step_deg: expected a divisor of 360, got {angle_step_deg}")
+        angle_step = math.tau / headings
+        super().__init__(height, lower, upper, spacing or step, headings, step / CELLS_A_STEP, angle_step)
+        self.step, self.angle_step = step, angle_step
+        self.register_buffer("lengths", torch.tensor([step, -step, 0.0, 0.0]), persistent=False)
+        self.register_buffer("turns", torch.tensor([0.0, 0.0, angle_step, -angle_step]), persistent=False)
+
+    @property
+    def action_spec(self) -> Categorical:
+        """One of four actions; no batch."""
+        return Categorical(len(self.lengths), shape=(), dtype=torch.int64)
+
+    def actions(self) -> Tensor:
+        """The actions from which paths are made: [4] int64."""
+        return torch.arange(len(self.lengths), device=self.lengths.device)
+
+    def advance(self, state: Tensor, action: Tensor) -> Tensor:
+        """Where an unhindered action leads; it can be outside the bounds.
+
+        Args:
+            state: [B, 3] float32.
+            action: [B] int64 in [0, 4).
+
+        Returns:
+            [B, 3] float32.
+        """
+        turn = self.turns[action]
+        return along(state, self.lengths[action], turn, torch.zeros_like(turn))
+
+    def before(self, state: Tensor, action: Tensor) -> Tensor:
+        """Where an unhindered action had begun that ends here; shapes as in ``advance``."""
+        return self.advance(state, action ^ 1)  # each action has its inverse beside it

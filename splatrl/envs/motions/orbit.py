@@ -1,0 +1,124 @@
+"""Steps around a thing and towards it: the motion of the circle, polar plane and hemisphere tasks."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torchrl.data import Bounded, Categorical
+
+from splatrl.envs.motions.lattice import whole_steps
+from splatrl.geometry import axis_rotations, rigid
+
+
+class OrbitMotion(nn.Module):
+    """Looks at an origin from a lattice of azimuths, distances and elevations.
+
+    A state is [..., 3] int64: the indices of azimuth, distance and elevation. Azimuth 0 stands at +x of the origin and
+    goes round counter-clockwise; elevation 0 is level with the origin. The actions, in order, are + and − of each of
+    azimuth, elevation and distance that has more than one value.
+
+    Args:
+        origin: what is looked at, world, metres.
+        angle_step_deg: of azimuth and elevation, degrees; it divides 360.
+        distance_step: metres.
+        distance: smallest and largest, metres, a whole number of steps apart.
+        elevation_deg: smallest and largest, degrees, a whole number of steps apart, both in [−90, 90].
+
+    Raises:
+        ValueError: for steps that do not divide, or ranges out of order.
+    """
+
+    moves: Tensor  # [A, 3] int64
+    smallest: Tensor  # [3] float64: azimuth, distance, elevation
+    steps: Tensor  # [3] float64
+    origin: Tensor  # [3] float64
+
+    def __init__(
+        self,
+        origin: Sequence[float],
+        angle_step_deg: float = 10.0,
+        distance_step: float = 0.1,
+        distance: Sequence[float] = (0.5, 1.5),
+        elevation_deg: Sequence[float] = (0.0, 90.0),
+    ):
+        super().__init__()
+        if origin is None or len(origin) != 3:
+            raise ValueError(f"task.motion.origin: expected x, y and z in metres, got {origin}")
+        if not 0 < distance[0] <= distance[1] or not -90 <= elevation_deg[0] <= elevation_deg[1] <= 90:
+            raise ValueError(
+                "task.motion: expected 0 < distance[0] ≤ distance[1] and −90 ≤ elevation_deg[0] ≤ elevation_deg[1] ≤ "
+                f"90, got {list(distance)} and {list(elevation_deg)}"
+            )
+        turns = whole_steps("task.motion.angle_step_deg", 360.0, angle_step_deg)
+        rings = _count("task.motion.distance", distance, distance_step)
+        tiers = _count("task.motion.elevation_deg", elevation_deg, angle_step_deg)
+        self.shape = (turns, rings, tiers)
+        self.step, self.angle_step = distance_step, math.radians(angle_step_deg)
+        axes = [
+            (name, axis) for name, axis in (("azimuth", 0), ("elevation", 2), ("distance", 1)) if self.shape[axis] > 1
+        ]
+        self.action_names = tuple(f"{sign}{name}" for name, _ in axes for sign in "+-")
+        moves = torch.zeros(2 * len(axes), 3, dtype=torch.int64)
+        for row, (_, axis) in enumerate(axes):
+            moves[2 * row, axis], moves[2 * row + 1, axis] = 1, -1
+        smallest = [0.0, distance[0], math.radians(elevation_deg[0])]
+        self.register_buffer("moves", moves, persistent=False)
+        self.register_buffer("smallest", torch.tensor(smallest, dtype=torch.float64), persistent=False)
+        steps = torch.tensor([self.angle_step, distance_step, self.angle_step], dtype=torch.float64)
+        self.register_buffer("steps", steps, persistent=False)
+        self.register_buffer("origin", torch.tensor(tuple(origin), dtype=torch.float64), persistent=False)
+
+    @property
+    def action_spec(self) -> Categorical:
+        """One of two, four or six actions; no batch."""
+        return Categorical(len(self.moves), shape=(), dtype=torch.int64)
+
+    @property
+    def state_spec(self) -> Bounded:
+        """Lattice indices [3]; no batch."""
+        high = torch.tensor(self.shape) - 1
+        return Bounded(low=torch.zeros_like(high), high=high, shape=(3,), dtype=torch.int64)
+
+    def states(self) -> Tensor:
+        """Every state of the lattice, in the order of ``index``: [S, 3] int64."""
+        return torch.cartesian_prod(*(torch.arange(n, device=self.moves.device) for n in self.shape))
+
+    def index(self, state: Tensor) -> Tensor:
+        """The row of each state in ``states()``: [..., 3] int64, inside the lattice -> [...] int64."""
+        _, rings, tiers = self.shape
+        return (state[..., 0] * rings + state[..., 1]) * tiers + state[..., 2]
+
+    def advance(self, state: Tensor, action: Tensor) -> Tensor:
+        """Where an unhindered action leads; it can be outside the lattice: [B, 3] int64, [B] int64 -> [B, 3] int64."""
+        moved = state + self.moves[action]
+        return torch.cat([moved[:, :1] % self.shape[0], moved[:, 1:]], 1)
+
+    def inside(self, state: Tensor) -> Tensor:
+        """Whether distance and elevation are within their ranges, which are inclusive: [B, 3] -> [B] bool."""
+        ring, tier = state[:, 1], state[:, 2]
+        return (ring >= 0) & (ring < self.shape[1]) & (tier >= 0) & (tier < self.shape[2])
+
+    def sphere(self, state: Tensor) -> Tensor:
+        """Azimuth (radians), distance (metres) and elevation (radians) of states: [B, 3] int64 -> [B, 3] float64."""
+        return self.smallest + state * self.steps
+
+    def planar(self, state: Tensor) -> Tensor:
+        """Position and heading of states: [B, 3] int64 -> [B, 3] float64, x and y in metres, yaw in radians."""
+        azimuth, distance, elevation = self.sphere(state).unbind(1)
+        reach = distance * elevation.cos()
+        x, y = self.origin[0] + reach * azimuth.cos(), self.origin[1] + reach * azimuth.sin()
+        return torch.stack([x, y, (azimuth + math.pi) % math.tau], 1)
+
+    def body_to_world(self, state: Tensor) -> Tensor:
+        """Poses of states, the body's +x towards the origin: [B, 3] int64 -> [B, 4, 4] float32."""
+        azimuth, distance, elevation = self.sphere(state).unbind(1)
+        rotation = axis_rotations(2, azimuth + math.pi) @ axis_rotations(1, elevation)
+        place = self.origin - distance.unsqueeze(1) * rotation[:, :, 0]
+        return rigid(rotation, place).float()
+
+
+def _count(name: str, limits: Sequence[float], step: float) -> int:
+    """How many values a range has, both ends included."""
+    low, high = limits
+    return whole_steps(name, high - low, step) + 1 if high > low else 1

@@ -1,0 +1,118 @@
+"""Poses anywhere on a plane: what the motions share whose state is x, y and yaw."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torchrl.data import Unbounded
+
+from splatrl.geometry import axis_rotations, rigid
+
+EDGE = 1e-5
+"""Metres by which rounding may carry a robot over an inclusive bound."""
+
+
+class Plane(nn.Module):
+    """A state is [..., 3] float32: x and y in metres and yaw in radians in [0, τ).
+
+    Episodes begin on a lattice of positions, ``spacing`` apart within the bounds, and ``headings`` directions; from
+    there robots may come to stand anywhere.
+
+    Args:
+        height: z of every pose, metres.
+        lower: smallest x and y, metres.
+        upper: largest x and y, metres.
+        spacing: distance between neighbouring starts, metres.
+        headings: number of directions of the starts, from 0 (along +x).
+        cell: side of the squares in which a search for paths takes positions for the same, metres.
+        angle_cell: likewise for headings, radians; it divides a turn.
+
+    Raises:
+        ValueError: for bounds without area, a spacing that is not positive or fewer than one heading.
+    """
+
+    lower: Tensor  # [2] float32
+    upper: Tensor  # [2] float32
+
+    def __init__(
+        self,
+        height: float,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        spacing: float,
+        headings: int,
+        cell: float,
+        angle_cell: float,
+    ):
+        super().__init__()
+        if len(lower) != 2 or len(upper) != 2 or not all(low < high for low, high in zip(lower, upper, strict=True)):
+            raise ValueError(f"task.motion: expected lower < upper in x and y, got {list(lower)} and {list(upper)}")
+        if spacing <= 0 or headings < 1:
+            raise ValueError(f"task.motion: expected spacing > 0 and headings ≥ 1, got {spacing} and {headings}")
+        self.height, self.spacing, self.headings = height, spacing, headings
+        self.cell, self.angle_cell = cell, angle_cell
+        counts = [math.ceil((high - low) / cell) + 1 for low, high in zip(lower, upper, strict=True)]
+        self.cells = (*counts, round(math.tau / angle_cell))
+        self.register_buffer("lower", torch.tensor(tuple(lower), dtype=torch.float32), persistent=False)
+        self.register_buffer("upper", torch.tensor(tuple(upper), dtype=torch.float32), persistent=False)
+
+    @property
+    def state_spec(self) -> Unbounded:
+        """x, y and yaw, [3]; no batch."""
+        return Unbounded(shape=(3,), dtype=torch.float32)
+
+    def states(self) -> Tensor:
+        """The lattice of starts: [S, 3] float32."""
+        axes = [
+            low + self.spacing * torch.arange(math.floor((high - low) / self.spacing + 1e-6) + 1, dtype=torch.float64)
+            for low, high in zip(self.lower.double().tolist(), self.upper.double().tolist(), strict=True)
+        ]
+        yaws = torch.arange(self.headings, dtype=torch.float64) * (math.tau / self.headings)
+        return torch.cartesian_prod(*axes, yaws).float().to(self.lower.device)
+
+    def index(self, state: Tensor) -> Tensor:
+        """The cell of a search in which states lie: [N, 3] -> [N] int64; states beyond the bounds go to the edge."""
+        place = ((state[:, :2] - self.lower) / self.cell).round().long()
+        column, row = (place[:, axis].clamp(0, self.cells[axis] - 1) for axis in (0, 1))
+        return (column * self.cells[1] + row) * self.cells[2] + (state[:, 2] / self.angle_cell).round().long() % (
+            self.cells[2]
+        )
+
+    def centres(self) -> Tensor:
+        """The middle of every cell, in the order of ``index``: [cells, 3] float32."""
+        axes = [torch.arange(count, device=self.lower.device) for count in self.cells]
+        column, row, heading = torch.cartesian_prod(*axes).unbind(1)
+        x, y = (low + self.cell * place for low, place in zip(self.lower, (column, row), strict=True))
+        return torch.stack([x, y, self.angle_cell * heading], 1)
+
+    def inside(self, state: Tensor) -> Tensor:
+        """Whether states are within the bounds, which are inclusive: [B, 3] -> [B] bool."""
+        place = state[:, :2]
+        return ((place >= self.lower - EDGE) & (place <= self.upper + EDGE)).all(1)
+
+    def planar(self, state: Tensor) -> Tensor:
+        """Position and heading of states: [B, 3] -> [B, 3] float64, x and y in metres, yaw in radians."""
+        return state.double()
+
+    def body_to_world(self, state: Tensor) -> Tensor:
+        """Poses of states: [B, 3] -> [B, 4, 4] float32."""
+        height = state.new_full((len(state), 1), self.height)
+        return rigid(axis_rotations(2, state[:, 2]), torch.cat([state[:, :2], height], 1))
+
+
+def along(state: Tensor, distance: Tensor, turn: Tensor, bend: Tensor) -> Tensor:
+    """Move states by a distance along their heading and turn them.
+
+    Args:
+        state: [B, 3] x, y and yaw.
+        distance: [B] metres.
+        turn: [B] radians by which the heading changes.
+        bend: [B] radians between the heading before the move and the way it takes.
+
+    Returns:
+        [B, 3], the yaw in [0, τ).
+    """
+    way = state[:, 2] + bend
+    yaw = (state[:, 2] + turn) % math.tau
+    return torch.stack([state[:, 0] + distance * way.cos(), state[:, 1] + distance * way.sin(), yaw], 1)
