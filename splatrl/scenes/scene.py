@@ -103,6 +103,7 @@ def load_scene(
     bounds: Sequence[Sequence[float]] | None = None,
     name: str | None = None,
     seed: int = 0,
+    clutter: int = 0,
 ) -> Scene:
     """Load a scene by name, from a splat file, or from a folder.
 
@@ -121,6 +122,7 @@ def load_scene(
         bounds: lower and upper corner, world, metres; by default where the opaque Gaussians are, or the yard.
         name: by default that of the file or folder.
         seed: of the built-in scene; files have none.
+        clutter: of the built-in scene: where the small things stand; 0 is where they have always stood.
 
     Raises:
         FileNotFoundError: where there is no such file or folder.
@@ -129,7 +131,7 @@ def load_scene(
     path = os.fspath(path)
     settings: dict[str, Any] = {}
     if path == BACKYARD:
-        gaussians = backyard(seed)
+        gaussians = backyard(seed, clutter)
         settings = {"name": BACKYARD, "bounds": BACKYARD_BOUNDS}
     else:
         splat = Path(path).expanduser()

@@ -15,6 +15,7 @@ from splatrl.envs.tasks import Grid
 from splatrl.geometry import rigid
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes.backyard import BOUNDS, EGG, GOAL, ROBOT_HEIGHT, backyard, backyard_obstacles
+from splatrl.scenes.backyard.clutter import BELONGS_TO, Move, clutter_moves, moved
 from splatrl.scenes.backyard.enclosure import enclosure
 from splatrl.scenes.backyard.furniture import egg, furniture
 from splatrl.scenes.backyard.layout import EGG_STONE, Solid, trees
@@ -22,20 +23,22 @@ from splatrl.scenes.backyard.light import SUN, occluders, sunlight
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
 
-SEEDS = (0, 7)
+YARDS = ((0, 0), (7, 1))
+"""Seed and clutter."""
 ROBOT = Box((0.4, 0.4, 0.1))
 ABOVE_GRASS = 0.15
 ROUND = ("shrub", "pots on the table", "egg", "egg stone", "shrub pot", "rain barrel", "trunk")
 
 
-@pytest.fixture(scope="module", params=SEEDS)
-def seed(request: pytest.FixtureRequest) -> int:
-    return int(request.param)
+@pytest.fixture(scope="module", params=YARDS)
+def numbers(request: pytest.FixtureRequest) -> tuple[int, int]:
+    seed, clutter = request.param
+    return seed, clutter
 
 
 @pytest.fixture(scope="module")
-def yard(seed: int) -> Gaussians:
-    return backyard(seed)
+def yard(numbers: tuple[int, int]) -> Gaussians:
+    return backyard(*numbers)
 
 
 @pytest.fixture(scope="module")
@@ -171,12 +174,52 @@ def test_what_is_near_the_robot_stands_in_the_same_place_for_every_seed() -> Non
     assert backyard_obstacles(0) != backyard_obstacles(7)
 
 
-def test_a_cube_in_free_space_touches_nothing(seed: int, occupancy: Occupancy) -> None:
+def test_without_clutter_nothing_is_moved_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    home = furniture(np.random.default_rng(0), clutter=0)
+    elsewhere = furniture(np.random.default_rng(0), clutter=1)
+    monkeypatch.setattr("splatrl.scenes.backyard.furniture.moved", lambda part, center, move: part)
+    never = furniture(np.random.default_rng(0), clutter=1)
+    assert home.means.tobytes() == never.means.tobytes() != elsewhere.means.tobytes()
+    assert home.axes.tobytes() == never.axes.tobytes()
+    assert home.colors.tobytes() == elsewhere.colors.tobytes()
+    assert backyard_obstacles(3, clutter=0) == backyard_obstacles(3)
+
+
+@pytest.mark.parametrize("clutter", range(1, 9))
+def test_clutter_moves_its_things_out_of_the_robots_reach_and_nothing_else(clutter: int) -> None:
+    reach = 1.0 + ROBOT.radius
+    for (name, *before), (same, *after) in zip(backyard_obstacles(3), backyard_obstacles(3, clutter), strict=True):
+        assert name == same
+        shift = np.subtract(after, before)
+        assert np.allclose(shift[0], shift[1])
+        assert (np.linalg.norm(shift[0]) > 0.1) == (name in BELONGS_TO and name != "pots on the table"), name
+        if shift.any():
+            low, high = np.array(after)[:, :2]
+            assert (low > reach).any() or (high < -reach).any(), name
+            assert shift[:, 2].max() == 0 and np.abs(shift).max() < 0.8
+
+
+def test_every_clutter_is_another_and_a_negative_one_is_refused() -> None:
+    assert len({str(clutter_moves(clutter)) for clutter in range(20)}) == 20
+    with pytest.raises(ValueError, match="clutter"):
+        backyard(0, clutter=-1)
+
+
+def test_a_moved_thing_is_turned_about_its_own_middle() -> None:
+    part = furniture(np.random.default_rng(0))
+    turned = moved(part, (0.3, -1.0), Move(x=0.1, turn=math.pi))
+    assert np.allclose(turned.means[:, :2] + part.means[:, :2], [0.3 * 2 + 0.1, -2.0])
+    assert np.allclose(turned.axes[:, :2], -part.axes[:, :2]) and np.allclose(turned.axes[:, 2], part.axes[:, 2])
+    assert np.allclose(turned.normals * (-1, -1, 1), part.normals)
+    assert moved(part, (0.3, -1.0), Move()) is part
+
+
+def test_a_cube_in_free_space_touches_nothing(numbers: tuple[int, int], occupancy: Occupancy) -> None:
     half, margin = 0.1, 0.05
     low, high = (-1.4, -1.4, ABOVE_GRASS + half + margin), (1.4, 1.4, 1.2)
     centers = random_points(4000, low, high, salt=1)
     clear = torch.ones(len(centers), dtype=torch.bool)
-    for _, corner, opposite in backyard_obstacles(seed):
+    for _, corner, opposite in backyard_obstacles(*numbers):
         reach = half + margin
         inside = (centers > torch.tensor(corner) - reach) & (centers < torch.tensor(opposite) + reach)
         clear &= ~inside.all(1)
@@ -184,9 +227,9 @@ def test_a_cube_in_free_space_touches_nothing(seed: int, occupancy: Occupancy) -
     assert not FclChecker(occupancy, Box((0.2, 0.2, 0.2))).collides(at(centers[clear])).any()
 
 
-def test_the_faces_of_every_obstacle_are_solid(seed: int, occupancy: Occupancy) -> None:
+def test_the_faces_of_every_obstacle_are_solid(numbers: tuple[int, int], occupancy: Occupancy) -> None:
     touch = FclChecker(occupancy, Sphere(0.05))
-    for name, low, high in backyard_obstacles(seed):
+    for name, low, high in backyard_obstacles(*numbers):
         corner, opposite = torch.tensor(low).clamp(-3.1, 3.1), torch.tensor(high).clamp(-3.1, 3.1)
         height = max(0.5 * float(corner[2] + opposite[2]), ABOVE_GRASS + 0.05)
         for axis, end in itertools.product((0, 1), (corner, opposite)):
@@ -197,9 +240,9 @@ def test_the_faces_of_every_obstacle_are_solid(seed: int, occupancy: Occupancy) 
             assert touch.collides(at(point[None])).all(), (name, axis, point.tolist())
 
 
-def test_nothing_slips_through_an_obstacle(seed: int, occupancy: Occupancy) -> None:
+def test_nothing_slips_through_an_obstacle(numbers: tuple[int, int], occupancy: Occupancy) -> None:
     needle = FclChecker(occupancy, Sphere(0.005))
-    for name, low, high in backyard_obstacles(seed):
+    for name, low, high in backyard_obstacles(*numbers):
         if name in ROUND or name in ("table leg", "bench"):
             continue
         inset_low = (*(v + 0.03 for v in low[:2]), max(low[2] + 0.01, ABOVE_GRASS))

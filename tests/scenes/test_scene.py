@@ -146,7 +146,9 @@ def test_bounds_leave_out_floaters_and_what_is_hardly_there() -> None:
 
 
 def test_the_backyard_is_built_in_and_its_seed_makes_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("splatrl.scenes.scene.backyard", lambda seed: sample_gaussians(seed=seed))
+    monkeypatch.setattr(
+        "splatrl.scenes.scene.backyard", lambda seed, clutter: sample_gaussians(seed=seed + 10 * clutter)
+    )
     assert_same(load_scene().gaussians, sample_gaussians(seed=0))
     scene = load_scene("backyard", seed=1)
     assert_same(scene.gaussians, sample_gaussians(seed=1))

@@ -2,14 +2,17 @@
 
 import numpy as np
 
+from splatrl.scenes.backyard.clutter import BELONGS_TO, Move, clutter_moves, moved
 from splatrl.scenes.backyard.layout import (
     BENCH,
     EGG,
+    EGG_BOX,
     EGG_RADII,
     EGG_STONE,
     GARDEN_WALL,
     RAIN_BARREL,
     SHRUB_POT,
+    TABLE_POTS,
     TABLE_TOP,
     WOOD_PILE,
     table_legs,
@@ -36,13 +39,19 @@ def garden_wall(rng: Rng) -> Surfels:
 
 
 def table(rng: Rng) -> Surfels:
-    """A low garden table of painted wood with pots on it."""
+    """A low garden table of painted wood."""
     paint = (0.86, 0.86, 0.82)
     top, *rims = faces(TABLE_TOP.low, TABLE_TOP.high, "+z+x-x+y-y-z")
     parts = [boards(top, rng, paint, 0.07, (0.018, 0.028), upright=False, contrast=0.35)]
     parts += [plaster(rim, rng, paint, 0.02, stain=0.04) for rim in rims]
     for leg in table_legs():
         parts += [plaster(face, rng, paint, 0.02, stain=0.05) for face in faces(leg.low, leg.high, "+x-x+y-y")]
+    return join(parts)
+
+
+def table_pots(rng: Rng) -> Surfels:
+    """Two flower pots on the table."""
+    parts = []
     x, y, z = TABLE_TOP.low[0], TABLE_TOP.low[1], TABLE_TOP.high[2]
     parts.append(pot((x + 0.13, y + 0.13, z), 0.065, 0.11, (0.25, 0.42, 0.62), rng, 0.014))
     parts.append(
@@ -159,10 +168,25 @@ def bench(rng: Rng) -> Surfels:
     return join(parts)
 
 
-def furniture(rng: Rng) -> Surfels:
-    """Everything that stands in the yard."""
-    builders = (garden_wall, table, shrub_pot, wood_pile, egg, rain_barrel, bench)
-    return join([build(rng) for build in builders])
+def furniture(rng: Rng, clutter: int = 0) -> Surfels:
+    """Everything that stands in the yard, where ``clutter`` has put it."""
+    moves = clutter_moves(clutter)
+    things = [
+        (garden_wall, GARDEN_WALL),
+        (table, TABLE_TOP),
+        (table_pots, TABLE_POTS),
+        (shrub_pot, SHRUB_POT),
+        (wood_pile, WOOD_PILE),
+        (egg, EGG_BOX),
+        (rain_barrel, RAIN_BARREL),
+        (bench, BENCH[0]),
+    ]
+    parts = []
+    for build, solid in things:
+        (x0, y0, _), (x1, y1, _) = solid.low, solid.high
+        move = moves.get(BELONGS_TO.get(solid.name, ""), Move())
+        parts.append(moved(build(rng), ((x0 + x1) / 2, (y0 + y1) / 2), move))
+    return join(parts)
 
 
 def roof(eaves: Rectangle, rng: Rng, color: Color, step: tuple[float, float]) -> Surfels:

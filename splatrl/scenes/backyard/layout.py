@@ -2,12 +2,14 @@
 
 World frame, metres, ground at z = 0. The yard is 6 m wide: a hedge in the east (+x), a wooden fence in the north
 (+y), a brick wall in the west and a shed in the south. What a robot inside ``BOUNDS`` can touch stands in the same
-place for every seed; only the trees move with it.
+place for every seed; only the trees move with it. What ``clutter`` moves is in ``clutter.py``.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+
+from splatrl.scenes.backyard.clutter import BELONGS_TO, Move, clutter_moves
 
 BOUNDS = ((-1.0, -1.0), (1.0, 1.0))
 """Lowest and highest (x, y) of the robot's pose, inclusive, metres: 121 positions in steps of 0.2 m."""
@@ -112,8 +114,9 @@ def table_legs() -> list[Solid]:
     ]
 
 
-def solids(seed: int) -> list[Solid]:
+def solids(seed: int, clutter: int = 0) -> list[Solid]:
     """Everything solid in the yard and around it, trunks included, the house left out."""
+    moves = clutter_moves(clutter)
     trunks = [
         Solid(
             "trunk",
@@ -124,19 +127,27 @@ def solids(seed: int) -> list[Solid]:
     ]
     near = [GARDEN_WALL, TABLE_TOP, *table_legs(), WOOD_PILE, SHRUB_POT, SHRUB, TABLE_POTS, EGG_STONE, EGG_BOX]
     around = [BRICK_WALL, FENCE, HEDGE, SHED, GARAGE, SOUTH_WALL, RAIN_BARREL, *BENCH]
-    return near + around + trunks
+    return [moved_solid(solid, moves) for solid in near + around] + trunks
+
+
+def moved_solid(solid: Solid, moves: dict[str, Move]) -> Solid:
+    """The box of a solid where its thing has been moved to."""
+    move = moves.get(BELONGS_TO.get(solid.name, ""), Move())
+    (x0, y0, z0), (x1, y1, z1) = solid.low, solid.high
+    return Solid(solid.name, (x0 + move.x, y0 + move.y, z0), (x1 + move.x, y1 + move.y, z1))
 
 
 def backyard_obstacles(
-    seed: int = 0,
+    seed: int = 0, clutter: int = 0
 ) -> list[tuple[str, tuple[float, float, float], tuple[float, float, float]]]:
-    """The ground truth for collision: what is solid in ``backyard(seed)``.
+    """The ground truth for collision: what is solid in ``backyard(seed, clutter)``.
 
     Args:
         seed: the one that the scene was made with.
+        clutter: likewise.
 
     Returns:
         Name, lowest and highest corner of the box around each thing, metres, world frame. A thing fills its box but
         for round ones, which fill the ellipse or ellipsoid in it. The ground and the grass are not in the list.
     """
-    return [(solid.name, solid.low, solid.high) for solid in solids(seed)]
+    return [(solid.name, solid.low, solid.high) for solid in solids(seed, clutter)]

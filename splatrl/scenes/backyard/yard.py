@@ -17,14 +17,15 @@ from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
 
 
-def backyard(seed: int = 0) -> Gaussians:
+def backyard(seed: int = 0, clutter: int = 0) -> Gaussians:
     """A backyard of 6 × 6 m in the sun: lawn, hedge, fence, brick wall, shed, trees, things in the way, a red egg.
 
     The task in it is the same for every seed; leaves, grain, clouds and the place of the trees are not. The same
-    seed gives the same bytes.
+    numbers give the same bytes.
 
     Args:
         seed: from 0.
+        clutter: from 0; any other moves pots, wood pile, barrel and bench, and none of them towards the robots.
 
     Returns:
         About 50,000 Gaussians, spherical harmonics of degree 0, world frame, metres, ground at z = 0.
@@ -34,12 +35,12 @@ def backyard(seed: int = 0) -> Gaussians:
         turf(rng),
         stones(rng),
         *beds(rng),
-        furniture(rng),
+        furniture(rng, clutter),
         enclosure(rng),
         *orchard(seed, rng),
         country(rng, RADIUS),
     ]
-    blockers = occluders([*solids(seed), HOUSE], trees(seed))
+    blockers = occluders([*solids(seed, clutter), HOUSE], trees(seed))
     return to_gaussians(join([lit(join(things), blockers), sky(rng)]))
 
 
