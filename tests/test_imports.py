@@ -23,10 +23,11 @@ ORDER = [
     {"evaluation"},
     {"reconstruct"},
     {"configuration"},
-    {"train", "evaluate", "scene_command"},
+    {"experiments"},
+    {"train", "evaluate", "scene_command", "experiment_command"},
 ]
 """Rooms and single modules under splatrl/; a new one finds its place here."""
-ENTRY_POINTS = {"train", "evaluate", "scene_command"}
+ENTRY_POINTS = {"train", "evaluate", "scene_command", "experiment_command"}
 HYDRA_USERS = {"hydra": {"configuration"} | ENTRY_POINTS, "omegaconf": {"configuration", "scenes"} | ENTRY_POINTS}
 DEVICE_CHOICES = {"cuda", "mps", "xpu"}
 

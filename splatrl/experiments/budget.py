@@ -1,0 +1,77 @@
+"""What is still to be trained, and how long that takes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from splatrl.experiments.experiment import Experiment
+from splatrl.experiments.folders import evaluation, frames_done, status
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The trainings of one experiment.
+
+    Attributes:
+        name: of the experiment.
+        trainings: all of them.
+        finished: those that are done.
+        seeds: that are trained.
+        frames: of all of them.
+        frames_left: still to be trained.
+        speed: frames a second of one training.
+        measured: finished trainings that the speed comes from; 0 for a figure of the experiment's YAML.
+        seconds_left: of one training after the other.
+    """
+
+    name: str
+    trainings: int
+    finished: int
+    seeds: tuple[int, ...]
+    frames: int
+    frames_left: int
+    speed: float
+    measured: int
+    seconds_left: float
+
+    def __str__(self) -> str:
+        source = f"measured in {self.measured} finished" if self.measured else "expected"
+        seeds = ", ".join(map(str, self.seeds))
+        return (
+            f"{self.name:<9} {self.trainings} trainings, seeds {seeds}, {self.frames:,} frames; "
+            f"{self.finished} trainings done, {self.frames_left:,} frames left at {self.speed:,.0f} frames/s ({source})"
+        )
+
+
+def budget(experiment: Experiment) -> Budget:
+    """Count what is trained and what is left, at the speed of what is finished or else at the expected one."""
+    finished = [run for run in experiment.runs if status(run) == "finished"]
+    left = [run for run in experiment.runs if run not in finished]
+    figures = [evaluation(run) for run in finished]
+    frames, seconds = (sum(values[key] for values in figures) for key in ("frames", "wall_seconds"))
+    speed = frames / seconds if seconds else experiment.frames_per_second
+    frames_left = sum(run.frames - frames_done(run) for run in left)
+    return Budget(
+        name=experiment.name,
+        trainings=len(experiment.runs),
+        finished=len(finished),
+        seeds=tuple(sorted({run.seed for run in experiment.runs})),
+        frames=sum(run.frames for run in experiment.runs),
+        frames_left=frames_left,
+        speed=speed,
+        measured=len(finished) if seconds else 0,
+        seconds_left=frames_left / speed + experiment.overhead * len(left),
+    )
+
+
+def statement(budgets: Sequence[Budget], jobs: int) -> str:
+    """All budgets and their sum, a line each.
+
+    Args:
+        budgets: of the experiments.
+        jobs: trainings at a time.
+    """
+    trainings, left = (sum(values) for values in zip(*((b.trainings, b.frames_left) for b in budgets), strict=True))
+    hours = sum(each.seconds_left for each in budgets) / jobs / 3600
+    done = sum(each.finished for each in budgets)
+    total = f"{trainings - done} of {trainings} trainings to do, {left:,} frames, about {hours:.1f} h, {jobs} at a time"
+    return "\n".join([*map(str, budgets), total])

@@ -1,0 +1,85 @@
+"""Learning curves of the arms of a comparison, over their seeds."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
+from numpy.typing import NDArray
+
+from splatrl.evaluation.figures import BLUE, DPI, GOAL, MISSED, PARTLY, REACHED, _column, _save
+from splatrl.experiments.results import Entry
+
+COLORS = (BLUE, MISSED, REACHED, PARTLY, GOAL)
+MARKERS = "osD^v"
+"""Beside the colours, so that curves that lie on each other are told apart."""
+
+
+def learning_curves(group: Sequence[Entry], path: Path) -> None:
+    """Draw success in tests and in training episodes and the curriculum level over frames, mean and range of seeds.
+
+    Args:
+        group: arms with finished runs.
+        path: of the picture; its suffix is the format.
+    """
+    staged = [entry.has_curriculum for entry in group]
+    rows = 3 if any(staged) else 2
+    figure = Figure(figsize=(7.2, 2.2 * rows + 0.6), dpi=DPI, layout="constrained")
+    panels: list[Axes] = list(figure.subplots(rows, 1, sharex=True, height_ratios=(3, 3, 2)[:rows]))
+    handles = []
+    for number, entry in enumerate(group):
+        color, marker = COLORS[number % len(COLORS)], MARKERS[number % len(MARKERS)]
+        _band(panels[0], entry, "test_success", color, marker)
+        _band(panels[1], entry, "success", color)
+        if staged[number]:
+            _band(panels[2], entry, "level", color)
+        seeds = f"{len(entry.runs)} seed{'s' if len(entry.runs) > 1 else ''}"
+        label = f"{entry.label} ({seeds})"
+        handles.append(Line2D([], [], color=color, marker=marker, markersize=4.5, linewidth=2, label=label))
+    for panel, label in zip(panels, ("success, tests", "success, training"), strict=False):
+        panel.set(ylabel=label, ylim=(-0.02, 1.02))
+        panel.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    if any(staged):
+        panels[2].set(ylabel="curriculum level")
+        panels[2].set_ylim(bottom=0)
+        panels[2].yaxis.set_major_locator(MaxNLocator(integer=True, nbins=5))
+    for panel in panels:
+        panel.grid(color="0.9", linewidth=0.8)
+        panel.set_axisbelow(True)
+        panel.margins(x=0.01)
+    panels[-1].set(xlabel="frames")
+    panels[-1].set_xlim(left=0)
+    panels[-1].xaxis.set_major_formatter(EngFormatter(sep=""))
+    figure.align_ylabels(panels)
+    figure.legend(handles=handles, loc="outside upper center", ncols=min(len(handles), 3), frameon=False)
+    _save(figure, path)
+
+
+def _band(axes: Axes, entry: Entry, key: str, color: str, marker: str = "") -> None:
+    """The mean of the seeds as a line, and from the lowest to the highest as a band."""
+    length = min(len(rows) for rows in entry.histories)
+    if not length:
+        return
+    frames = _column(entry.histories[0][:length], "frames")
+    seeds = np.stack([_values(rows[:length], key) for rows in entry.histories])
+    known = ~np.isnan(seeds).any(0)
+    frames, seeds = frames[known], seeds[:, known]
+    axes.fill_between(frames, seeds.min(0), seeds.max(0), color=color, alpha=0.18, linewidth=0)
+    axes.plot(frames, seeds.mean(0), color=color, marker=marker, markersize=4.5, linewidth=2, clip_on=not marker)
+
+
+def _values(rows: Sequence[dict[str, float]], key: str) -> NDArray[np.float64]:
+    """A column as it is drawn: success in training as its mean over the last twelfth, levels from 1."""
+    values = _column(rows, key)
+    if key == "level":
+        return values + 1
+    if key != "success":
+        return values
+    weights = np.where(np.isnan(values), 0.0, np.nan_to_num(_column(rows, "episodes"), nan=1.0))
+    window = np.ones(math.ceil(len(values) / 12))
+    sums, counts = (np.convolve(part, window)[: len(values)] for part in (weights * np.nan_to_num(values), weights))
+    return np.divide(sums, counts, out=np.full(len(values), math.nan), where=counts > 0)

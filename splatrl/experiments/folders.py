@@ -1,0 +1,65 @@
+"""What the folder of a training tells: how far it is, with which settings, and what came out."""
+
+import csv
+import json
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from splatrl.experiments.experiment import Run
+
+Status = Literal["finished", "begun", "new"]
+SPEED_ONLY = {"threads", "renderer.views.threads", "resume"}
+"""Keys of a config that change no result."""
+VIDEO = "rollouts.mp4"
+"""The last file that a run writes."""
+
+
+def status(run: Run) -> Status:
+    """Whether a training is finished, can be gone on with, or is to be begun."""
+    filmed = (run.folder / VIDEO).exists() or not run.config["logger"]["video"]
+    if (run.folder / "evaluation.json").exists() and filmed:
+        return "finished"
+    return "begun" if (run.folder / "checkpoints" / "last.pt").exists() else "new"
+
+
+def evaluation(run: Run) -> dict[str, Any]:
+    """What ``evaluation.json`` says."""
+    result: dict[str, Any] = json.loads((run.folder / "evaluation.json").read_text())
+    return result
+
+
+def history(run: Run) -> list[dict[str, float]]:
+    """The rows of ``progress.csv``, NaN where a cell is empty; no rows where there is no file."""
+    path = run.folder / "progress.csv"
+    if not path.exists():
+        return []
+    with path.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    return [{key: float(value) if value else math.nan for key, value in row.items()} for row in rows]
+
+
+def frames_done(run: Run) -> int:
+    """Frames that a training has behind it and on disk."""
+    rows = history(run)
+    return int(rows[-1]["frames"]) if rows else 0
+
+
+def differences(asked: Mapping[str, Any], found: Mapping[str, Any]) -> list[str]:
+    """Keys in which two configs differ, with what is asked and what was found; what only changes speed is left out."""
+    wanted, there = dict(_flat(asked)), dict(_flat(found))
+    return [
+        f"{key}: asked for {wanted.get(key, 'nothing')}, found {there.get(key, 'nothing')}"
+        for key in sorted(wanted.keys() | there.keys())
+        if key not in SPEED_ONLY and wanted.get(key) != there.get(key)
+    ]
+
+
+def _flat(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in node.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{name}.")
+        else:
+            yield name, str(Path(value).expanduser().absolute()) if name == "scene.path" else value

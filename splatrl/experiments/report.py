@@ -1,0 +1,195 @@
+"""The report of an experiment: ``report.md``, ``report.json`` and its figures, from what is finished."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from splatrl.evaluation.report import write_json
+from splatrl.experiments.curves import learning_curves
+from splatrl.experiments.experiment import Experiment
+from splatrl.experiments.results import Entry, Spread, comparable, entries
+from splatrl.experiments.tables import main_table, marks_table, scores_table, verdicts
+from splatrl.files import replacing
+
+SCORES, MACHINE = "scores.json", "machine.json"
+MAPS = {"starts.png": "start poses by success", "success_map.png": "success by start position"}
+"""Pictures of a run that stand side by side."""
+EXPLANATION = (
+    "Success is over every start pose, actions sampled from the policy; argmax takes its most likely action. "
+    "SPL weighs success by the shortest path over the path taken. "
+    "Values are means over seeds ± their standard deviation."
+)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A figure of a comparison.
+
+    Attributes:
+        title: what it compares.
+        path: of the picture.
+    """
+
+    title: str
+    path: Path
+
+
+def write_report(experiment: Experiment, machine: str) -> Path:
+    """Write the report of one experiment into its folder.
+
+    Args:
+        experiment: what was run.
+        machine: a sentence on what it was run on, for where none was noted when it was.
+
+    Returns:
+        ``report.md``.
+    """
+    experiment.folder.mkdir(parents=True, exist_ok=True)
+    found = entries(experiment)
+    curves = _draw(found, experiment.folder)
+    write_json(experiment.folder / "report.json", _numbers(experiment, found, machine))
+    path = experiment.folder / "report.md"
+    _write(path, [*_section(experiment, found, curves, experiment.folder, "#", machine), ""])
+    return path
+
+
+def write_joint_report(experiments: Sequence[Experiment], folder: Path, machine: str) -> Path:
+    """Write one report of several experiments, whose own reports and figures are there.
+
+    Args:
+        experiments: what was run.
+        folder: of all experiments.
+        machine: as in ``write_report``.
+
+    Returns:
+        ``report.md``.
+    """
+    lines = ["# Experiments", "", EXPLANATION, ""]
+    for experiment in experiments:
+        found = entries(experiment)
+        lines += [*_section(experiment, found, _curves(found, experiment.folder), folder, "##", machine), ""]
+    path = folder / "report.md"
+    _write(path, lines)
+    return path
+
+
+def _section(
+    experiment: Experiment, found: Sequence[Entry], curves: Sequence[Curve], base: Path, heading: str, machine: str
+) -> list[str]:
+    finished = sum(len(entry.runs) for entry in found)
+    lines = [f"{heading} {experiment.title}", ""]
+    lines += [f"**Asked.** {experiment.question}", "", f"**The paper.** {experiment.paper}", ""]
+    if not finished:
+        return [*lines, f"**Here.** None of {len(experiment.runs)} trainings is finished."]
+    lines += ["**Here.**", "", *verdicts(found), ""]
+    if finished < len(experiment.runs):
+        lines += [f"*{finished} of {len(experiment.runs)} trainings are finished; the rest is left out.*", ""]
+    lines += [*main_table(found), ""]
+    if heading == "#":
+        lines += [EXPLANATION, ""]
+    scores = _scores(experiment)
+    if scores:
+        lines += [f"{heading}# Actions on labelled clips", "", *scores_table(scores, experiment), ""]
+    lines += [f"{heading}# Success while learning", "", *marks_table(found, experiment), ""]
+    lines += ["Tests are episodes from starts spread over the whole start set, whatever the curriculum's level.", ""]
+    for curve in curves:
+        lines += [
+            f"![{curve.title}]({_link(curve.path, base)})",
+            "",
+            f"*{curve.title}: mean and range of the seeds.*",
+            "",
+        ]
+    lines += [f"{heading}# Policies of the median seed", ""]
+    for entry in found:
+        lines += _pictures(entry, base)
+    return [*lines, f"Run on: {_machine(experiment, machine)}."]
+
+
+def _pictures(entry: Entry, base: Path) -> list[str]:
+    """The pictures of the median seed that are there, linked."""
+    if not entry.runs:
+        return []
+    run = entry.median()
+    rate = Spread((entry.evaluations[list(entry.runs).index(run)]["success_rate"],)).percent()
+    lines = [f"**{entry.scene}, {entry.label}**, seed {run.seed}, success {rate}", ""]
+    maps = [name for name in MAPS if (run.folder / name).exists()]
+    if maps:
+        pictures = [f"![{MAPS[name]}]({_link(run.folder / name, base)})" for name in maps]
+        lines += [f"| {' | '.join(MAPS[name] for name in maps)} |", "| " + "--- | " * len(maps)]
+        lines += [f"| {' | '.join(pictures)} |", ""]
+    more = {"learning_curve.png": "learning curve", "rollouts.mp4": "video of rollouts"}
+    links = [f"[{more[name]}]({_link(run.folder / name, base)})" for name in more if (run.folder / name).exists()]
+    return [*lines, " · ".join(links), ""] if links else lines
+
+
+def _curves(found: Sequence[Entry], folder: Path) -> list[Curve]:
+    return [
+        Curve(
+            f"{group[0].scene}, {group[0].budget:,} frames", folder / f"curves-{group[0].scene}-{group[0].budget}.png"
+        )
+        for group in comparable(found)
+    ]
+
+
+def _draw(found: Sequence[Entry], folder: Path) -> list[Curve]:
+    curves = _curves(found, folder)
+    for curve, group in zip(curves, comparable(found), strict=True):
+        learning_curves(group, curve.path)
+    return curves
+
+
+def _numbers(experiment: Experiment, found: Sequence[Entry], machine: str) -> dict[str, Any]:
+    keys = ("success_rate", "success_rate_argmax", "spl", "level", "frames", "wall_seconds")
+    arms = [
+        {
+            "scene": entry.scene,
+            "arm": entry.label,
+            "budget": entry.budget,
+            "seeds": [run.seed for run in entry.runs],
+            **{key: _values(entry.spread(key)) for key in keys},
+            "frames_per_second": _values(entry.speed()),
+            "tested_at": {str(mark): _values(entry.tested_at(mark)) for mark in experiment.marks},
+            f"frames_to_{experiment.threshold}": _values(entry.frames_to(experiment.threshold)),
+        }
+        for entry in found
+    ]
+    return {
+        "experiment": experiment.name,
+        "title": experiment.title,
+        "machine": _machine(experiment, machine),
+        "trainings": len(experiment.runs),
+        "arms": arms,
+        "scores": _scores(experiment),
+    }
+
+
+def _values(spread: Spread) -> dict[str, Any]:
+    several = len(spread.values) > 1
+    return {
+        "mean": spread.mean if spread.values else None,
+        "deviation": spread.deviation if several else None,
+        "values": list(spread.values),
+    }
+
+
+def _scores(experiment: Experiment) -> list[Mapping[str, Any]]:
+    path = experiment.folder / SCORES
+    return list(json.loads(path.read_text())["scores"]) if path.exists() else []
+
+
+def _machine(experiment: Experiment, otherwise: str) -> str:
+    path = experiment.folder / MACHINE
+    return str(json.loads(path.read_text())["machine"]) if path.exists() else otherwise
+
+
+def _link(path: Path, base: Path) -> str:
+    return quote(Path(os.path.relpath(path, base)).as_posix())
+
+
+def _write(path: Path, lines: Sequence[str]) -> None:
+    with replacing(path) as stream:
+        stream.write("\n".join(lines).rstrip("\n").encode() + b"\n")

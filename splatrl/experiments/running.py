@@ -1,0 +1,151 @@
+"""Trainings as processes, a few at a time."""
+
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from typing import BinaryIO
+
+from tqdm import tqdm
+
+from splatrl.experiments.experiment import Run
+from splatrl.experiments.folders import frames_done, status
+
+LOG = "log.txt"
+POLL = 0.5
+"""Seconds between looks at the trainings."""
+PATIENCE = 15.0
+"""Seconds that a training has to end when it is asked to."""
+
+
+class BusyError(RuntimeError):
+    """Another process trains in a run folder."""
+
+
+def command(run: Run, threads: int) -> list[str]:
+    """The command that begins a training, or goes on with it.
+
+    Args:
+        run: the training.
+        threads: of the renderer.
+    """
+    line = [sys.executable, "-m", "splatrl.train"]
+    if status(run) == "new":
+        line += [*run.overrides, f"hydra.run.dir={_quoted(run.folder)}"]
+    else:
+        line += [f"resume={_quoted(run.folder)}"]
+    views = run.config.get("renderer", {}).get("views", {})
+    return [*line, f"renderer.views.threads={threads}"] if "threads" in views else line
+
+
+def start(run: Run, threads: int) -> subprocess.Popen[bytes]:
+    """Start a training that writes what it says to its log, and holds its folder until it ends.
+
+    Args:
+        run: the training.
+        threads: of the renderer.
+
+    Raises:
+        BusyError: where another process trains in its folder, such as one that outlived its command.
+    """
+    run.folder.mkdir(parents=True, exist_ok=True)
+    settings = os.environ | {"OMP_NUM_THREADS": "1", "TQDM_DISABLE": "1"}
+    with (run.folder / LOG).open("ab") as log:
+        _hold(run, log)
+        return subprocess.Popen(
+            command(run, threads),
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env=settings,
+            start_new_session=True,  # an interrupt at the terminal goes to the command alone, which ends its trainings
+        )
+
+
+def _hold(run: Run, log: BinaryIO) -> None:
+    """Lock an open log: the process that inherits it holds the lock for as long as it lives."""
+    try:
+        fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise BusyError(f"{run.folder}: expected to be alone, but another process trains there") from error
+
+
+def train(
+    runs: Sequence[Run],
+    jobs: int,
+    threads: int,
+    begin: Callable[[Run, int], subprocess.Popen[bytes]] = start,
+    poll: float = POLL,
+) -> list[Run]:
+    """Train all that is not finished, with a progress bar over all frames; a run that fails leaves the others going.
+
+    Args:
+        runs: the trainings.
+        jobs: at a time.
+        threads: of the renderer of each.
+        begin: starts a training.
+        poll: seconds between looks.
+
+    Returns:
+        The runs that failed.
+
+    Raises:
+        KeyboardInterrupt: once the trainings have ended.
+    """
+    waiting = deque(run for run in runs if status(run) != "finished")
+    running: dict[Run, subprocess.Popen[bytes]] = {}
+    failed: list[Run] = []
+    todo = set(waiting)
+    frames = {run: frames_done(run) if run in todo else run.frames for run in runs}
+    total, initial = sum(run.frames for run in runs), sum(frames.values())
+    with tqdm(total=total, initial=initial, unit="frame", unit_scale=True, smoothing=0, dynamic_ncols=True) as bar:
+        try:
+            while waiting or running:
+                while waiting and len(running) < jobs:
+                    run = waiting.popleft()
+                    try:
+                        running[run] = begin(run, threads)
+                    except BusyError as error:
+                        failed.append(run)
+                        bar.write(f"failed: {error}")
+                for run, process in list(running.items()):
+                    code = process.poll()
+                    if code is not None:
+                        del running[run]
+                    if code:
+                        failed.append(run)
+                        bar.write(f"failed: {run.folder.name}, see {run.folder / LOG}")
+                    frames[run] = run.frames if code == 0 else frames_done(run)
+                done = len(runs) - len(waiting) - len(running) - len(failed)
+                bar.set_description(f"{done} of {len(runs)} trained", refresh=False)
+                bar.update(max(sum(frames.values()) - bar.n, 0))
+                bar.refresh()
+                if running:
+                    time.sleep(poll)
+        finally:
+            stop(running.values())
+    return failed
+
+
+def stop(processes: Iterable[subprocess.Popen[bytes]]) -> None:
+    """End trainings: they are interrupted, so that they leave no half file, and killed where that takes too long."""
+    alive = [process for process in processes if process.poll() is None]
+    for process in alive:
+        process.send_signal(signal.SIGINT)
+    until = time.monotonic() + PATIENCE
+    for process in alive:
+        try:
+            process.wait(max(until - time.monotonic(), 0.1))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _quoted(value: object) -> str:
+    """A value in Hydra's grammar, whatever it holds."""
+    text = str(value).replace("'", "\\'")
+    return f"'{text}'"
