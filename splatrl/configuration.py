@@ -4,6 +4,7 @@ import difflib
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -14,11 +15,13 @@ from hydra.errors import HydraException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
+from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 from torchrl.modules import ActorValueOperator
 
 from splatrl.collision.base import Checker
 from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Curriculum, Plan, plan
+from splatrl.curriculum.field import PlanarMotion
 from splatrl.curriculum.planner import FiniteMotion
 from splatrl.envs.robot import Robot
 from splatrl.envs.splat_env import SplatEnv
@@ -26,6 +29,9 @@ from splatrl.envs.tasks import Task
 from splatrl.files import replacing
 from splatrl.renderers.base import Renderer
 from splatrl.scenes.scene import BACKYARD, Scene
+
+TRANSFORMS = ("pose_noise", "sprite", "goal", "appearance", "stack")
+"""The order in which transforms stand around the env, the innermost first."""
 
 OmegaConf.register_new_resolver("splatrl.run_dir", lambda resume, fresh: resume or fresh, replace=True)
 
@@ -150,6 +156,7 @@ class World:
         robot: body and camera.
         task: goal, motion and rewards.
         plan: free poses and shortest paths.
+        make_transforms: makes new transforms for an env, the innermost first.
     """
 
     scene: Scene
@@ -159,6 +166,7 @@ class World:
     robot: Robot
     task: Task
     plan: Plan
+    make_transforms: Callable[[], dict[str, Transform]]
 
     def env(
         self,
@@ -166,10 +174,29 @@ class World:
         curriculum: Curriculum | None = None,
         seed: int | None = 0,
         device: torch.device | str = "cpu",
-    ) -> SplatEnv:
-        """A batch of robots in this world; without a curriculum they start anywhere in the start set."""
+    ) -> EnvBase:
+        """A batch of robots in this world, under its transforms.
+
+        Args:
+            num_envs: number of robots.
+            curriculum: where episodes begin; None lets them begin anywhere in the start set.
+            seed: of the env's generator.
+            device: of its tensors.
+        """
         curriculum = curriculum or Curriculum(self.plan, first=None)
-        return SplatEnv(self.renderer, self.checker, self.robot, self.task, curriculum, [num_envs], seed, device)
+        transforms = self.make_transforms()
+        env = SplatEnv(
+            self.renderer,
+            self.checker,
+            self.robot,
+            self.task,
+            curriculum,
+            [num_envs],
+            seed,
+            device,
+            depth="sprite" in transforms,
+        )
+        return TransformedEnv(env, Compose(*transforms.values())) if transforms else env
 
 
 def build_world(cfg: DictConfig) -> World:
@@ -182,12 +209,33 @@ def build_world(cfg: DictConfig) -> World:
     scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
     occupancy = instantiate(cfg.collision.occupancy)(scene, *_start_region(task.motion, task.reached, robot))
     checker = instantiate(cfg.collision.checker)(occupancy, robot.body)
-    renderer = instantiate(cfg.renderer.memory)(instantiate(cfg.renderer.views)(scene))
-    return World(scene, occupancy, checker, renderer, robot, task, plan(task.motion, checker, task.reached))
+    renderer = instantiate(cfg.renderer.views)(scene)
+    if cfg.renderer.memory is not None:
+        renderer = instantiate(cfg.renderer.memory)(renderer)
+    return World(
+        scene,
+        occupancy,
+        checker,
+        renderer,
+        robot,
+        task,
+        plan(task.motion, checker, task.reached),
+        partial(_make_transforms, cfg.transforms, robot),
+    )
+
+
+def _make_transforms(nodes: DictConfig, robot: Robot) -> dict[str, Transform]:
+    unknown = set(nodes) - set(TRANSFORMS)
+    if unknown:
+        raise ValueError(f"transforms: expected {', '.join(TRANSFORMS)}, got {', '.join(sorted(map(str, unknown)))}")
+    made = {name: instantiate(nodes[name]) for name in TRANSFORMS if nodes.get(name)}
+    if "sprite" in made:
+        made["sprite"] = made["sprite"](robot.K)
+    return made
 
 
 def _start_region(
-    motion: FiniteMotion, reached: Callable[[Tensor], Tensor], robot: Robot
+    motion: FiniteMotion | PlanarMotion, reached: Callable[[Tensor], Tensor], robot: Robot
 ) -> tuple[Tensor, tuple[list[float], list[float]]]:
     """Where the goal is, positions [N, 3] in metres, and the corners of the box in which the robots' bodies are."""
     states = motion.states()
@@ -198,15 +246,15 @@ def _start_region(
 
 def build_model(cfg: DictConfig, env: SplatEnv) -> ActorValueOperator:
     """Build the actor and critic for an env; its first weights come from PyTorch's global generator."""
-    image_shape, actions = env.observation_spec["pixels"].shape[1:], env.action_spec.space.n
-    return instantiate(cfg.network)(image_shape, actions).to(cfg.device)
+    image_shape = env.observation_spec["pixels"].shape[1:]
+    return instantiate(cfg.network)(image_shape, env.action_spec).to(cfg.device)
 
 
 def make_env(
     overrides: Sequence[str] = (),
     batch_size: Sequence[int] | None = None,
     seed: int = 0,
-) -> SplatEnv:
+) -> EnvBase:
     """Make an env from names and paths alone, so that a worker process can.
 
     Args:

@@ -1,6 +1,7 @@
 """Learning: networks, PPO, checkpoints and the loop around them."""
 
 from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
+from splatrl.training.memory import memory_transforms
 from splatrl.training.networks import actor_critic
 from splatrl.training.ppo import PPO
 from splatrl.training.settings import LossSettings, OptimSettings
@@ -13,5 +14,6 @@ __all__ = [
     "Trainer",
     "actor_critic",
     "load_checkpoint",
+    "memory_transforms",
     "save_checkpoint",
 ]

@@ -3,16 +3,16 @@
 from collections.abc import Sequence
 
 import torch
-from tensordict.nn import (
-    InteractionType,
-    ProbabilisticTensorDictModule,
-    ProbabilisticTensorDictSequential,
-    TensorDictModule,
-    TensorDictSequential,
-)
+from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
-from torch.distributions import Categorical
+from torchrl.data import TensorSpec
 from torchrl.modules import ActorValueOperator, ValueOperator
+
+from splatrl.training.heads import orthogonal, policy_head
+from splatrl.training.memory import gru
+
+GAIN = 2**0.5
+"""Of first weights before a ReLU."""
 
 
 class Shrink(nn.Module):
@@ -27,9 +27,9 @@ class Shrink(nn.Module):
         self.pool = nn.AvgPool2d(pool)
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """Shrink images: [..., H, W, 3] uint8 -> [..., 3, H // pool, W // pool] float32 in [−0.5, 0.5]."""
-        images = pixels.reshape(-1, *pixels.shape[-3:]).permute(0, 3, 1, 2).contiguous().float()
-        images = self.pool(images) / 255.0 - 0.5
+        """Shrink images: [..., H, W, C] uint8 -> [..., H // pool, W // pool, C] float32 in [−0.5, 0.5]."""
+        images = pixels.reshape(-1, *pixels.shape[-3:]).permute(0, 3, 1, 2).float()
+        images = (self.pool(images) / 255.0 - 0.5).permute(0, 2, 3, 1)
         return images.reshape(*pixels.shape[:-3], *images.shape[1:])
 
 
@@ -39,6 +39,7 @@ class Trunk(nn.Module):
     Args:
         height: of the image, pixels.
         width: of the image, pixels.
+        depth: channels of the image: 3 for each frame that is stacked in it.
         channels: of the two convolutions.
         features: size of the output.
 
@@ -46,68 +47,59 @@ class Trunk(nn.Module):
         ValueError: for an image of which the convolutions leave nothing.
     """
 
-    def __init__(self, height: int, width: int, channels: Sequence[int] = (16, 32), features: int = 128):
+    def __init__(
+        self, height: int, width: int, depth: int = 3, channels: Sequence[int] = (16, 32), features: int = 128
+    ):
         super().__init__()
         if min(height, width) < 8:
             raise ValueError(f"image: expected sides of at least 8 · pool pixels, got {height} × {width} after pooling")
         first, second = channels
         self.convolutions = nn.Sequential(
-            nn.Conv2d(3, first, 4, stride=2),
-            nn.ReLU(),
-            nn.Conv2d(first, second, 3, stride=2),
-            nn.ReLU(),
-            nn.Flatten(),
+            orthogonal(nn.Conv2d(depth, first, 4, stride=2), GAIN),
+            nn.ReLU(inplace=True),
+            orthogonal(nn.Conv2d(first, second, 3, stride=2), GAIN),
+            nn.ReLU(inplace=True),
         )
-        flat = self.convolutions(torch.zeros(1, 3, height, width)).shape[1]
-        self.head = nn.Sequential(nn.Linear(flat, features), nn.ReLU())
+        flat = self.convolutions(torch.zeros(1, depth, height, width)).numel()
+        self.head = nn.Sequential(orthogonal(nn.Linear(flat, features), GAIN), nn.ReLU(inplace=True))
 
     def forward(self, image: Tensor) -> Tensor:
-        """Encode images: [..., 3, H, W] float32 -> [..., features] float32."""
-        features = self.head(self.convolutions(image.reshape(-1, *image.shape[-3:])))
-        return features.reshape(*image.shape[:-3], -1)
+        """Encode images: [..., H, W, C] float32 -> [..., features] float32."""
+        images = image.reshape(-1, *image.shape[-3:]).permute(0, 3, 1, 2)  # channels stay last in memory: faster
+        found = self.convolutions(images).permute(0, 2, 3, 1).flatten(1)
+        return self.head(found).reshape(*image.shape[:-3], -1)
 
 
 def actor_critic(
     image_shape: Sequence[int],
-    actions: int,
+    action_spec: TensorSpec,
     pool: int = 2,
     channels: Sequence[int] = (16, 32),
     features: int = 128,
+    memory: int = 0,
 ) -> ActorValueOperator:
     """Actor and critic over one trunk: ``pixels`` -> ``image`` -> ``hidden`` -> ``action`` and ``state_value``.
 
     Args:
-        image_shape: (H, W, 3).
-        actions: number of discrete actions.
+        image_shape: (H, W, C), C being 3 for each frame that is stacked in the image.
+        action_spec: of the env, batched or not; see ``policy_head``.
         pool: see ``Shrink``.
         channels: see ``Trunk``.
         features: see ``Trunk``.
+        memory: size of a GRU's state between trunk and heads, whose env needs ``memory_transforms(memory)``; 0 is none.
 
     Returns:
         Operator whose ``get_policy_operator()`` acts, and whose heads share the ``hidden`` that the trunk computed.
     """
-    trunk = Trunk(image_shape[0] // pool, image_shape[1] // pool, channels, features)
-    policy, value = nn.Linear(features, actions), nn.Linear(features, 1)
-    layers = [module for module in trunk.modules() if isinstance(module, (nn.Conv2d, nn.Linear))]
-    for layer, gain in [*((layer, 2**0.5) for layer in layers), (policy, 0.01), (value, 1.0)]:
-        nn.init.orthogonal_(layer.weight, gain)
-        nn.init.constant_(layer.get_parameter("bias"), 0.0)
-    head = ProbabilisticTensorDictSequential(
-        TensorDictModule(policy, in_keys=["hidden"], out_keys=["logits"]),
-        ProbabilisticTensorDictModule(
-            in_keys=["logits"],
-            out_keys=["action"],
-            distribution_class=Categorical,
-            default_interaction_type=InteractionType.RANDOM,  # TorchRL's default is the mode, also in env.rollout
-            return_log_prob=True,
-            log_prob_key="action_log_prob",
-        ),
-    )
-    return ActorValueOperator(
-        TensorDictSequential(
-            TensorDictModule(Shrink(pool), in_keys=["pixels"], out_keys=["image"]),
-            TensorDictModule(trunk, in_keys=["image"], out_keys=["hidden"]),
-        ),
-        head,
-        ValueOperator(value, in_keys=["hidden"]),
-    )
+    height, width, depth = image_shape
+    trunk = Trunk(height // pool, width // pool, depth, channels, features)
+    seen = "features" if memory else "hidden"
+    layers: list[TensorDictModuleBase] = [
+        TensorDictModule(Shrink(pool), in_keys=["pixels"], out_keys=["image"]),
+        TensorDictModule(trunk, in_keys=["image"], out_keys=[seen]),
+    ]
+    if memory:
+        layers.append(gru(features, memory))
+    known = memory or features
+    value = ValueOperator(orthogonal(nn.Linear(known, 1), 1.0), in_keys=["hidden"])
+    return ActorValueOperator(TensorDictSequential(*layers), policy_head(action_spec, known), value)

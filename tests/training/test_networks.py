@@ -3,12 +3,14 @@
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from splatrl.training import actor_critic
 from splatrl.training.networks import Shrink
 
 HEIGHT, WIDTH, ACTIONS, FEATURES = 14, 20, 5, 24
+SPEC = Categorical(ACTIONS)
 
 
 def images(*batch: int, seed: int = 0) -> TensorDict:
@@ -20,7 +22,7 @@ def images(*batch: int, seed: int = 0) -> TensorDict:
 @pytest.fixture
 def model() -> torch.nn.Module:
     torch.manual_seed(0)
-    return actor_critic((HEIGHT, WIDTH, 3), ACTIONS, pool=1, channels=(4, 7), features=FEATURES)
+    return actor_critic((HEIGHT, WIDTH, 3), SPEC, pool=1, channels=(4, 7), features=FEATURES)
 
 
 @pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
@@ -29,7 +31,7 @@ def test_it_writes_action_and_value_for_any_batch(model: torch.nn.Module, batch:
     shapes = {key: value.shape for key, value in td.items()}
     assert shapes == {
         "pixels": (*batch, HEIGHT, WIDTH, 3),
-        "image": (*batch, 3, HEIGHT, WIDTH),
+        "image": (*batch, HEIGHT, WIDTH, 3),
         "hidden": (*batch, FEATURES),
         "logits": (*batch, ACTIONS),
         "action": batch,
@@ -81,19 +83,30 @@ def test_shrinking_takes_the_mean_of_each_cell() -> None:
     pixels = torch.zeros(2, 4, 6, 3, dtype=torch.uint8)
     pixels[1, 2:, 4:, 0] = torch.tensor([[255, 0], [0, 255]])
     pixels[0, 0, 0, 2] = 255
-    expected = torch.full((2, 3, 2, 3), -0.5)
-    expected[1, 0, 1, 2], expected[0, 2, 0, 0] = 0.0, -0.25
+    expected = torch.full((2, 2, 3, 3), -0.5)
+    expected[1, 1, 2, 0], expected[0, 0, 0, 2] = 0.0, -0.25
     torch.testing.assert_close(Shrink(2)(pixels), expected)
 
 
 @pytest.mark.parametrize(("height", "width", "pool"), [(16, 15, 2), (7, 20, 1)])
 def test_an_image_that_is_too_small_is_refused(height: int, width: int, pool: int) -> None:
     with pytest.raises(ValueError, match=rf"expected sides of at least 8 · pool pixels, got {height // pool} × "):
-        actor_critic((height, width, 3), ACTIONS, pool)
+        actor_critic((height, width, 3), SPEC, pool)
 
 
 @pytest.mark.parametrize("pool", [1, 2, 3])
 def test_the_smallest_image_is_seen(pool: int) -> None:
     pixels = torch.zeros(2, 8 * pool, 9 * pool, 3, dtype=torch.uint8)
-    td = actor_critic((8 * pool, 9 * pool, 3), ACTIONS, pool)(TensorDict({"pixels": pixels}, [2]))
+    td = actor_critic((8 * pool, 9 * pool, 3), SPEC, pool)(TensorDict({"pixels": pixels}, [2]))
     assert td["hidden"].shape == (2, 128)
+
+
+def test_stacked_frames_are_all_seen() -> None:
+    torch.manual_seed(0)
+    model = actor_critic((HEIGHT, WIDTH, 12), SPEC, pool=1, channels=(4, 7), features=FEATURES)
+    pixels = torch.randint(0, 256, (1, HEIGHT, WIDTH, 12), dtype=torch.uint8)
+    first = model(TensorDict({"pixels": pixels}, [1]))
+    for frame in range(4):
+        changed = pixels.clone()
+        changed[..., 3 * frame : 3 * frame + 3] = 255 - changed[..., 3 * frame : 3 * frame + 3]
+        assert not torch.allclose(model(TensorDict({"pixels": changed}, [1]))["hidden"], first["hidden"], atol=1e-3)

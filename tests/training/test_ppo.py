@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import torch
+from tensordict import TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
@@ -35,7 +36,7 @@ def learner(env: SplatEnv, seed: int = 0, frames_per_batch: int = 64, total_fram
     torch.manual_seed(seed)
     loss = replace(LOSS, **{key: value for key, value in change.items() if hasattr(LOSS, key)})
     optim = replace(OPTIM, **{key: value for key, value in change.items() if hasattr(OPTIM, key)})
-    model = actor_critic(env.observation_spec["pixels"].shape[1:], 6, pool=1, channels=(8, 16), features=32)
+    model = actor_critic(env.observation_spec["pixels"].shape[1:], env.action_spec, 1, (8, 16), 32)
     return PPO(env, model, loss, optim, frames_per_batch, total_frames)
 
 
@@ -43,11 +44,18 @@ def parameters(ppo: PPO) -> torch.Tensor:
     return torch.cat([p.detach().flatten() for p in ppo.model.parameters()])
 
 
+def minibatch(ppo: PPO) -> tuple[TensorDictBase, dict[str, torch.Tensor]]:
+    """A collected batch with its advantages, and all of it as one minibatch."""
+    ppo.learner.loss = replace(ppo.learner.loss, mini_batch_size=10**6)
+    batch = ppo.collect()
+    batch["advantage"], batch["value_target"] = ppo.learner.advantages(batch)
+    (frames,) = ppo.learner.minibatches(batch)
+    return batch, frames
+
+
 def test_one_pass_through_the_trunk_gives_the_gradient_of_two() -> None:
     ppo = learner(tiny_env([4], max_steps=5), max_grad_norm=math.inf)
-    batch = ppo._collect()
-    batch["advantage"], batch["value_target"] = ppo._advantages(batch)
-    frames = batch.reshape(-1)
+    batch, frames = minibatch(ppo)
     twice = copy.deepcopy(ppo.model)
     loss = ClipPPOLoss(
         ProbabilisticTensorDictSequential(twice.module[0], *twice.get_policy_head().module),
@@ -56,33 +64,32 @@ def test_one_pass_through_the_trunk_gives_the_gradient_of_two() -> None:
         entropy_coeff=LOSS.entropy_coeff,
         critic_coeff=LOSS.critic_coeff,
         normalize_advantage=True,
-    )(frames.clone())
+    )(batch.reshape(-1))
     (loss["loss_objective"] + loss["loss_critic"] + loss["loss_entropy"]).backward()
     expected = torch.cat([p.grad.flatten() for p in twice.parameters()])
-    ppo.optimizer = torch.optim.SGD(ppo.model.parameters(), lr=1.0)
+    ppo.learner.optimizer = torch.optim.SGD(ppo.model.parameters(), lr=1.0)
     before = parameters(ppo)
-    ppo._update(frames)
+    ppo.learner.step(frames)
     assert expected.abs().max() > 1e-3
     torch.testing.assert_close(before - parameters(ppo), expected, atol=2e-6, rtol=1e-3)
 
 
 def test_gradients_are_clipped_to_the_norm() -> None:
     ppo = learner(tiny_env([4], max_steps=5), max_grad_norm=1e-3)
-    batch = ppo._collect()
-    batch["advantage"], batch["value_target"] = ppo._advantages(batch)
-    ppo.optimizer = torch.optim.SGD(ppo.model.parameters(), lr=1.0)
+    _, frames = minibatch(ppo)
+    ppo.learner.optimizer = torch.optim.SGD(ppo.model.parameters(), lr=1.0)
     before = parameters(ppo)
-    ppo._update(batch.reshape(-1))
+    ppo.learner.step(frames)
     assert (parameters(ppo) - before).norm().item() == pytest.approx(1e-3, rel=1e-2)
 
 
 def test_advantages_are_those_of_torchrls_estimator() -> None:
     ppo = learner(tiny_env([6], max_steps=4), frames_per_batch=6 * 13)
-    batch = ppo._collect()
+    batch = ppo.collect()
     middle = batch["next"][:, :-1]
     assert middle["truncated"].any() and middle["terminated"].any()  # else this shows too little
     assert not batch["next", "done"][:, -1].all()
-    advantage, target = ppo._advantages(batch)
+    advantage, target = ppo.learner.advantages(batch)
     scaled = batch.exclude("state_value").clone()
     scaled["next", "reward"] *= LOSS.reward_scale
     estimator = GAE(
@@ -96,7 +103,7 @@ def test_advantages_are_those_of_torchrls_estimator() -> None:
 
 def test_a_batch_begins_where_the_last_one_stopped() -> None:
     ppo = learner(tiny_env([16], max_steps=4))
-    first, second = ppo._collect(), ppo._collect()
+    first, second = ppo.collect(), ppo.collect()
     assert first.shape == second.shape == (16, 4)
     ended = first["next", "done"][:, -1]
     assert ended.any() and not ended.all()
@@ -106,7 +113,7 @@ def test_a_batch_begins_where_the_last_one_stopped() -> None:
 
 
 def test_collecting_samples_the_actions() -> None:
-    batch = learner(tiny_env([8]), frames_per_batch=512)._collect()
+    batch = learner(tiny_env([8]), frames_per_batch=512).collect()
     counts = batch["action"].flatten().bincount(minlength=6)
     assert counts.min() > 512 / 6 / 2  # the first policy is nearly uniform
 
@@ -114,7 +121,7 @@ def test_collecting_samples_the_actions() -> None:
 def test_the_report_counts_the_episodes_of_the_batch() -> None:
     report = learner(tiny_env([4], max_steps=1)).iterate()
     assert (report["frames"], report["episodes"], report["length"]) == (64, 64, 1.0)
-    batch = learner(tiny_env([4], max_steps=5, first=1), frames_per_batch=256)._collect()
+    batch = learner(tiny_env([4], max_steps=5, first=1), frames_per_batch=256).collect()
     report = learner(tiny_env([4], max_steps=5, first=1), frames_per_batch=256).iterate()  # the same batch
     ended = batch["next"][batch["next", "done"].squeeze(-1)]
     assert report["episodes"] == len(ended)
@@ -130,8 +137,8 @@ def test_rate_and_entropy_bonus_fall_linearly_to_the_end_if_asked(anneal: bool) 
     rates, bonuses = [], []
     for _ in range(4):
         ppo.iterate()
-        rates.append(ppo.optimizer.param_groups[0]["lr"] / OPTIM.lr)
-        bonuses.append(ppo.objective.entropy_coeff.item() / LOSS.entropy_coeff)
+        rates.append(ppo.learner.optimizer.param_groups[0]["lr"] / OPTIM.lr)
+        bonuses.append(ppo.learner.entropy_coeff / LOSS.entropy_coeff)
     assert rates == pytest.approx([1, 0.75, 0.5, 0.25] if anneal else [1] * 4)
     assert bonuses == pytest.approx(rates)
 
@@ -155,9 +162,9 @@ def test_a_resumed_training_is_the_same_to_the_byte(tmp_path: Path) -> None:
     assert str(again) == str(reports[2:])  # NaN equals NaN in writing
     assert torch.equal(parameters(resumed), parameters(whole))
     rng = torch.get_rng_state()
-    resumed_next = resumed._collect()
+    resumed_next = resumed.collect()
     torch.set_rng_state(rng)
-    whole_next = whole._collect()
+    whole_next = whole.collect()
     assert set(resumed_next.keys(True, True)) == set(whole_next.keys(True, True))
     for key in whole_next.keys(True, True):
         assert torch.equal(resumed_next[key], whole_next[key]), key

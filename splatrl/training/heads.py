@@ -1,0 +1,98 @@
+"""What the policy says about actions: the head that an action spec asks for."""
+
+import torch
+from tensordict.nn import (
+    InteractionType,
+    ProbabilisticTensorDictModule,
+    ProbabilisticTensorDictSequential,
+    TensorDictModule,
+)
+from torch import Tensor, nn
+from torch.distributions import Categorical as CategoricalDistribution
+from torch.distributions import Distribution
+from torchrl.data import Bounded, Categorical, TensorSpec
+from torchrl.modules import TanhNormal
+
+FIRST_GAIN = 0.01
+"""Of the last layer's first weights: the first policy hardly looks at the image."""
+LOG_SCALE = -0.5
+"""Logarithm of the first standard deviation, before the tanh: actions spread over most of their range."""
+
+
+def orthogonal(layer: nn.Linear | nn.Conv2d, gain: float) -> nn.Linear | nn.Conv2d:
+    """Give a layer orthogonal weights of this gain and no bias, in place."""
+    assert layer.bias is not None
+    nn.init.orthogonal_(layer.weight, gain)
+    nn.init.constant_(layer.bias, 0.0)
+    return layer
+
+
+class Normal(nn.Module):
+    """Mean and standard deviation of a normal distribution; the deviation is learnt and the same for every input.
+
+    Args:
+        features: size of the input.
+        dimensions: of the action.
+    """
+
+    def __init__(self, features: int, dimensions: int):
+        super().__init__()
+        self.loc = orthogonal(nn.Linear(features, dimensions), FIRST_GAIN)
+        self.log_scale = nn.Parameter(torch.full((dimensions,), LOG_SCALE))
+
+    def forward(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation: [..., features] -> two of [..., dimensions], float32."""
+        loc = self.loc(hidden)
+        return loc, self.log_scale.exp().expand_as(loc)
+
+
+def policy_head(action_spec: TensorSpec, features: int) -> ProbabilisticTensorDictSequential:
+    """From ``hidden`` to ``action`` and ``action_log_prob``.
+
+    Args:
+        action_spec: of an env, batched or not. ``Categorical``: a categorical distribution. ``Bounded`` floats in the
+            last axis: a normal one, squashed by a tanh to the limits of the spec.
+        features: size of ``hidden``.
+
+    Raises:
+        ValueError: for any other spec.
+    """
+    layer: nn.Module
+    if isinstance(action_spec, Categorical):
+        layer = orthogonal(nn.Linear(features, action_spec.space.n), FIRST_GAIN)
+        parameters, kind, options = ["logits"], CategoricalDistribution, {"validate_args": False}
+    elif isinstance(action_spec, Bounded) and action_spec.dtype.is_floating_point and action_spec.ndim:
+        layer = Normal(features, action_spec.shape[-1])
+        limits = {"low": action_spec.space.low, "high": action_spec.space.high}
+        parameters, kind = ["loc", "scale"], TanhNormal
+        options = {name: limit.reshape(-1, limit.shape[-1])[0] for name, limit in limits.items()}
+    else:
+        raise ValueError(f"action_spec: expected Categorical or Bounded floats, got {action_spec}")
+    return ProbabilisticTensorDictSequential(
+        TensorDictModule(layer, in_keys=["hidden"], out_keys=parameters),
+        ProbabilisticTensorDictModule(
+            in_keys=parameters,
+            out_keys=["action"],
+            distribution_class=kind,
+            distribution_kwargs=options,
+            default_interaction_type=InteractionType.RANDOM,  # TorchRL's default is the mode, also in env.rollout
+            return_log_prob=True,
+            log_prob_key="action_log_prob",
+        ),
+    )
+
+
+def distribution(head: ProbabilisticTensorDictSequential, hidden: Tensor) -> Distribution:
+    """The distribution of actions, without the detour by TensorDicts: ``hidden`` [..., features] float32."""
+    layer, sampler = head.module
+    parameters = layer.module(hidden)
+    parameters = parameters if isinstance(parameters, tuple) else (parameters,)
+    named = dict(zip(sampler.in_keys, parameters, strict=True))
+    return sampler.distribution_class(**named, **sampler.distribution_kwargs)
+
+
+def entropy(policy: Distribution) -> Tensor:
+    """Entropy of each distribution in a batch; where no formula is known, one sample's estimate with its gradient."""
+    if isinstance(policy, TanhNormal):
+        return -policy.rsample_and_log_prob()[1]
+    return policy.entropy()

@@ -1,0 +1,107 @@
+"""From a batch of frames to better weights: advantages, minibatches, gradient steps."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor, nn
+from torchrl.modules import ActorValueOperator, set_recurrent_mode
+from torchrl.objectives.value.functional import vec_generalized_advantage_estimate
+
+from splatrl.training.heads import distribution
+from splatrl.training.loss import STATISTICS, clipped_loss
+from splatrl.training.memory import STATE
+from splatrl.training.settings import LossSettings, OptimSettings
+
+
+class Learner:
+    """Adam on the clipped loss. A policy without memory learns from single frames, one with memory from sequences.
+
+    The trunk is evaluated once a frame, and both heads read its output. What the first layer pools, and the critic's
+    values, come from collection.
+
+    Args:
+        model: actor and critic over a shared trunk.
+        loss: settings of the loss.
+        optim: settings of the optimiser.
+    """
+
+    def __init__(self, model: ActorValueOperator, loss: LossSettings, optim: OptimSettings):
+        self.model, self.loss, self.optim = model, loss, optim
+        self.entropy_coeff = loss.entropy_coeff
+        self.parameters = list(model.parameters())
+        self.optimizer = torch.optim.Adam(self.parameters, lr=optim.lr, eps=optim.eps, fused=True)
+        _, trunk, *memory = model.module[0].module
+        self._trunk, self._memory = trunk.module, memory
+        self._policy, self._value = model.get_policy_head(), model.get_value_head().module
+
+    def anneal(self, left: float) -> None:
+        """Set learning rate and entropy bonus to what they are with a share of ``left`` of the training to come."""
+        if self.optim.anneal_lr:
+            for group in self.optimizer.param_groups:
+                group["lr"] = self.optim.lr * left
+        if self.loss.anneal_entropy:
+            self.entropy_coeff = self.loss.entropy_coeff * left
+
+    def learn(self, batch: TensorDictBase) -> dict[str, float]:
+        """Go over a batch of collected frames [B, T]; returns the means of ``STATISTICS`` over the gradient steps."""
+        batch["advantage"], batch["value_target"] = self.advantages(batch)
+        steps = [self.step(frames) for _ in range(self.loss.ppo_epochs) for frames in self.minibatches(batch)]
+        return dict(zip(STATISTICS, torch.stack(steps).mean(0).tolist(), strict=True))
+
+    @torch.no_grad()
+    def advantages(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Generalised advantages and value targets, [B, T, 1] each.
+
+        The value of the next observation is the next column's own; only where the rollout ends, or was truncated and
+        so goes on from a new start, the critic is asked again, with what it remembers after that step.
+        """
+        value, after = batch["state_value"], batch["next"]
+        next_value = torch.cat([value[:, 1:], value[:, -1:]], 1)
+        asked = after["truncated"].squeeze(-1).clone()
+        asked[:, -1] = True
+        seen = after.select("pixels", STATE, "is_init", strict=False)[asked]
+        next_value[asked] = self.model.get_value_operator()(seen)["state_value"]
+        return vec_generalized_advantage_estimate(
+            self.loss.gamma,
+            self.loss.gae_lambda,
+            value,
+            next_value,
+            after["reward"] * self.loss.reward_scale,
+            after["done"],
+            after["terminated"],
+        )
+
+    def minibatches(self, batch: TensorDictBase) -> Iterator[dict[str, Tensor]]:
+        """Every frame once, in random order: [N, ...] each, or with memory whole rows of the batch, [N, T, ...]."""
+        frames: dict[str, Any] = {key: batch[key] for key in ("image", "action", "action_log_prob")}
+        frames |= {key: batch[key].squeeze(-1) for key in ("advantage", "value_target")}
+        size = self.loss.mini_batch_size
+        if self._memory:
+            frames |= {key: batch[key] for key in (STATE, "is_init")}
+            size = max(size // batch.shape[1], 1)
+        else:
+            frames = {key: value.flatten(0, 1) for key, value in frames.items()}
+        count, device = len(frames["action"]), frames["action"].device
+        for rows in torch.randperm(count, device=device).split(size):
+            yield {key: value.index_select(0, rows) for key, value in frames.items()}
+
+    def step(self, frames: dict[str, Tensor]) -> Tensor:
+        """One gradient step on a minibatch; returns ``STATISTICS``."""
+        hidden = self._hidden(frames)
+        policy, value = distribution(self._policy, hidden), self._value(hidden).squeeze(-1)
+        loss, statistics = clipped_loss(policy, value, frames, self.loss, self.entropy_coeff)
+        self.optimizer.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.parameters, self.optim.max_grad_norm)
+        self.optimizer.step()
+        return statistics
+
+    def _hidden(self, frames: dict[str, Tensor]) -> Tensor:
+        hidden = self._trunk(frames["image"])
+        for module in self._memory:
+            known = {"features": hidden, **{key: frames[key] for key in (STATE, "is_init")}}
+            with set_recurrent_mode(True):
+                hidden = module(TensorDict(known, hidden.shape[:2]))["hidden"]
+        return hidden
