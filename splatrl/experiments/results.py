@@ -86,11 +86,13 @@ class Entry:
 
     def tested_at(self, frames: int) -> Spread:
         """Success in the test that was taken at a number of frames, within one batch."""
-        return Spread(tuple(value for rows in self.histories if (value := tested_at(rows, frames)) is not None))
+        return Spread(tuple(value for rows in self.histories if (value := success_near(rows, frames)) is not None))
 
     def frames_to(self, success: float) -> Spread:
         """Frames of the first test with a success of at least this, of the seeds that got there."""
-        first = (next((at for at, value in tests(rows) if value >= success), None) for rows in self.histories)
+        first = (
+            next((at for at, value in success_in_tests(rows) if value >= success), None) for rows in self.histories
+        )
         return Spread(tuple(float(at) for at in first if at is not None))
 
     def median(self) -> Run:
@@ -121,16 +123,16 @@ def comparable(found: Iterable[Entry]) -> list[list[Entry]]:
     return list(groups.values())
 
 
-def tests(rows: Sequence[Mapping[str, float]]) -> list[tuple[int, float]]:
+def success_in_tests(rows: Sequence[Mapping[str, float]]) -> list[tuple[int, float]]:
     """Frames and success of each test of a training."""
     return [
         (int(row["frames"]), row["test_success"]) for row in rows if not math.isnan(row.get("test_success", math.nan))
     ]
 
 
-def tested_at(rows: Sequence[Mapping[str, float]], frames: int) -> float | None:
+def success_near(rows: Sequence[Mapping[str, float]], frames: int) -> float | None:
     """Success in the test nearest to a number of frames, None where none is within one batch of it."""
-    taken = tests(rows)
+    taken = success_in_tests(rows)
     if not taken:
         return None
     at, success = min(taken, key=lambda test: abs(test[0] - frames))

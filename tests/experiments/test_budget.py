@@ -1,0 +1,32 @@
+"""What is left to train."""
+
+from pathlib import Path
+
+from splatrl.experiments import budget, statement
+from tests.experiments.made_up import begin, finish, made_up
+
+
+def test_a_budget_counts_frames_of_begun_runs_and_takes_the_expected_speed(tmp_path: Path) -> None:
+    experiment = made_up(tmp_path)
+    begin(experiment.runs[0], 120)
+    found = budget(experiment)
+    assert (found.trainings, found.finished, found.seeds) == (6, 0, (0, 1))
+    assert (found.frames, found.frames_left) == (2400, 2280)
+    assert found.seconds_left == 2280 / 100 + 6 * 10
+    assert "expected" in str(found)
+
+
+def test_a_budget_takes_the_speed_of_what_is_finished(tmp_path: Path) -> None:
+    experiment = made_up(tmp_path)
+    for run in experiment.runs[:2]:
+        finish(run, 0.5, seconds=20.0)
+    found = budget(experiment)
+    assert (found.speed, found.measured, found.finished) == (20.0, 2, 2)
+    assert found.seconds_left == 1600 / 20 + 4 * 10
+
+
+def test_the_statement_sums_up_over_experiments(tmp_path: Path) -> None:
+    first, second = budget(made_up(tmp_path / "a")), budget(made_up(tmp_path / "b"))
+    hours = (first.seconds_left + second.seconds_left) / 2 / 3600
+    *_, last = statement([first, second], jobs=2).splitlines()
+    assert last == f"12 of 12 trainings to do, 4,800 frames, about {hours:.1f} h, 2 at a time"

@@ -1,0 +1,45 @@
+"""Experiments as data."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from splatrl.experiments import Selection
+from tests.experiments.made_up import NODE, made_up
+
+
+def test_every_arm_is_trained_in_its_scenes_with_its_seeds(tmp_path: Path) -> None:
+    names = {run.folder.relative_to(tmp_path).as_posix() for run in made_up(tmp_path).runs}
+    places = ("yard-with", "hall-with", "yard-without")
+    assert names == {f"tried/{place}-s{seed}" for place in places for seed in (0, 1)}
+
+
+def test_every_arm_has_its_first_seed_before_any_has_its_second(tmp_path: Path) -> None:
+    assert [run.seed for run in made_up(tmp_path).runs] == [0, 0, 0, 1, 1, 1]
+
+
+def test_a_run_knows_its_overrides_its_config_and_its_whole_batches(tmp_path: Path) -> None:
+    run = made_up(tmp_path).runs[-1]
+    assert run.overrides == ("scene=yard", "curriculum=no", "seed=1")
+    assert run.config["seed"] == 1
+    assert (run.budget, run.frames) == (430, 400)
+    assert not run.has_curriculum
+
+
+def test_seeds_frames_and_scenes_can_be_chosen(tmp_path: Path) -> None:
+    runs = made_up(tmp_path, selection=Selection(seeds=[7], frames=120, scenes=["hall"])).runs
+    assert [(run.scene, run.seed, run.frames) for run in runs] == [("hall", 7, 120)]
+    assert "collector.total_frames=120" in runs[0].overrides
+
+
+def test_a_key_that_an_arm_does_not_know_is_named(tmp_path: Path) -> None:
+    node: dict[str, Any] = NODE | {"arms": {"with": NODE["arms"]["with"] | {"sedes": [0]}}}
+    with pytest.raises(ValueError, match=r"experiments\.tried\.arms\.with: expected the keys .*, got .*sedes"):
+        made_up(tmp_path, node)
+
+
+def test_a_key_that_an_experiment_lacks_is_named(tmp_path: Path) -> None:
+    node = {key: value for key, value in NODE.items() if key != "paper"}
+    with pytest.raises(ValueError, match=r"experiments\.tried: expected the keys .*paper"):
+        made_up(tmp_path, node)

@@ -1,0 +1,47 @@
+"""What run folders tell."""
+
+import math
+from pathlib import Path
+
+from splatrl.experiments.folders import differences, frames_done, history, status
+from tests.experiments.made_up import begin, compose, finish, made_up
+
+
+def test_a_folder_is_new_then_begun_then_finished(tmp_path: Path) -> None:
+    new, begun, finished, *_ = made_up(tmp_path).runs
+    new.folder.mkdir(parents=True)
+    (new.folder / "config.yaml").touch()
+    begin(begun, 120)
+    finish(finished, 0.9)
+    assert [status(run) for run in (new, begun, finished)] == ["new", "begun", "finished"]
+    assert [frames_done(run) for run in (new, begun, finished)] == [0, 120, 400]
+
+
+def test_a_run_that_was_killed_before_its_video_is_not_finished(tmp_path: Path) -> None:
+    run = made_up(tmp_path).runs[0]
+    run.config["logger"]["video"] = True
+    finish(run, 0.9)
+    assert status(run) == "begun"
+    (run.folder / "rollouts.mp4").touch()
+    assert status(run) == "finished"
+
+
+def test_an_empty_cell_of_the_history_is_nan(tmp_path: Path) -> None:
+    run = made_up(tmp_path).runs[0]
+    begin(run, 80)
+    first, second = history(run)
+    assert math.isnan(first["success"])
+    assert (second["frames"], second["success"]) == (80, 0.08)
+
+
+def test_configs_differ_in_what_changes_results_and_not_in_speed() -> None:
+    asked, found = compose(["scene=yard"]), compose(["scene=yard", "collector.total_frames=80"])
+    found["threads"] = 7
+    assert differences(asked, found) == ["collector.total_frames: asked for 430, found 80"]
+    del found["collector"]["total_frames"]
+    assert differences(asked, found) == ["collector.total_frames: asked for 430, found nothing"]
+
+
+def test_a_path_and_its_absolute_form_are_the_same() -> None:
+    asked, found = compose(["scene=yard.spz"]), compose([f"scene={Path('yard.spz').absolute()}"])
+    assert differences(asked, found) == []

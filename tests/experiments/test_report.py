@@ -1,0 +1,80 @@
+"""Reports of made-up experiments."""
+
+import json
+import re
+from pathlib import Path
+
+from PIL import Image
+
+from splatrl.experiments import Experiment, write_joint_report, write_report
+from tests.experiments.made_up import finish, made_up
+
+
+def reported(folder: Path) -> Experiment:
+    experiment = made_up(folder)
+    for number, run in enumerate(experiment.runs):
+        finish(run, (9 - number) / 10)
+        for name in ("starts.png", "success_map.png", "learning_curve.png", "rollouts.mp4"):
+            (run.folder / name).touch()
+    return experiment
+
+
+def links(report: Path) -> list[str]:
+    return re.findall(r"\]\(([^)]*)\)", report.read_text())
+
+
+def test_a_report_says_question_paper_results_and_machine(tmp_path: Path) -> None:
+    text = write_report(reported(tmp_path), "an abacus").read_text()
+    order = ["# A title", "Does it?", "It does.", "| yard | with it |", "frames to 90%", "median seed", "an abacus"]
+    places = [text.index(part) for part in order]
+    assert places == sorted(places)
+
+
+def test_whatever_a_report_links_is_there(tmp_path: Path) -> None:
+    experiment = reported(tmp_path / "two words")
+    own = write_report(experiment, "an abacus")
+    joint = write_joint_report([experiment], tmp_path / "two words", "an abacus")
+    assert len(links(own)) == len(links(joint)) == 2 + 3 * 4
+    for report in (own, joint):
+        assert all((report.parent / link.replace("%20", " ")).is_file() for link in links(report))
+
+
+def test_a_report_shows_pictures_of_the_median_seed(tmp_path: Path) -> None:
+    report = write_report(reported(tmp_path), "an abacus")
+    assert "yard-with-s1/starts.png" in links(report)
+    assert "yard-with-s0/starts.png" not in links(report)
+
+
+def test_a_figure_has_a_comparison_each(tmp_path: Path) -> None:
+    write_report(reported(tmp_path), "an abacus")
+    figures = {path.name: Image.open(path).size for path in tmp_path.glob("tried/*.png")}
+    assert figures.keys() == {"curves-yard-430.png", "curves-hall-430.png"}
+    assert all(min(size) > 400 for size in figures.values())
+
+
+def test_the_numbers_of_a_report_are_there_as_json(tmp_path: Path) -> None:
+    write_report(reported(tmp_path), "an abacus")
+    numbers = json.loads((tmp_path / "tried" / "report.json").read_text())
+    arm = numbers["arms"][0]
+    assert (arm["scene"], arm["arm"], arm["seeds"], arm["budget"]) == ("yard", "with it", [0, 1], 430)
+    assert arm["success_rate"]["values"] == [0.9, 0.6]
+    assert numbers["machine"] == "an abacus"
+
+
+def test_a_report_without_a_finished_run_says_so(tmp_path: Path) -> None:
+    experiment = made_up(tmp_path)
+    assert "None of 6 trainings is finished" in write_report(experiment, "an abacus").read_text()
+
+
+def test_a_report_of_some_runs_says_how_many(tmp_path: Path) -> None:
+    experiment = made_up(tmp_path)
+    finish(experiment.runs[0], 0.5)
+    assert "1 of 6 trainings are finished" in write_report(experiment, "an abacus").read_text()
+
+
+def test_the_machine_of_the_trainings_is_told_rather_than_that_of_the_report(tmp_path: Path) -> None:
+    experiment = reported(tmp_path)
+    (experiment.folder / "machine.json").write_text(json.dumps({"machine": "a loom"}))
+    text = write_report(experiment, "an abacus").read_text()
+    assert "a loom" in text
+    assert "an abacus" not in text

@@ -1,0 +1,68 @@
+"""Tables and sentences of reports."""
+
+from pathlib import Path
+
+import pytest
+
+from splatrl.experiments.results import entries
+from splatrl.experiments.tables import main_table, marks_table, scores_table, verdicts
+from tests.experiments.made_up import finish, made_up
+
+
+def finished(folder: Path, *success: float) -> list[str]:
+    """The sentences for seeds with these rates: yard with, hall with, yard without, of seed 0 and then of seed 1."""
+    experiment = made_up(folder)
+    for run, value in zip(experiment.runs, success, strict=False):
+        finish(run, value)
+    return verdicts(entries(experiment))
+
+
+def test_a_lead_beyond_the_spread_of_seeds_wins(tmp_path: Path) -> None:
+    first, second = finished(tmp_path, 0.90, 0.5, 0.70, 0.92, 0.5, 0.72)
+    assert first == "- **yard, 430 frames**: with it won with 91.0 ± 1.4 %, against without 71.0 ± 1.4 %."
+    assert second == "- **hall, 430 frames**: with it reaches 50.0 ± 0.0 %, SPL 0.400 ± 0.000, over 2 seeds."
+
+
+def test_a_lead_within_the_spread_of_seeds_wins_nothing(tmp_path: Path) -> None:
+    assert "no clear winner" in finished(tmp_path, 0.90, 0.5, 0.80, 0.70, 0.5, 0.70)[0]
+
+
+def test_one_seed_settles_nothing(tmp_path: Path) -> None:
+    assert "with it is ahead" in (found := finished(tmp_path, 0.9, 0.5, 0.2)[0])
+    assert "one seed settles nothing" in found
+
+
+def test_the_main_table_has_a_row_an_arm_and_scene(tmp_path: Path) -> None:
+    experiment = made_up(tmp_path)
+    for run in experiment.runs[:3]:
+        finish(run, 0.8, seconds=8.0)
+    found = entries(experiment)
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in main_table(found)]
+    assert len({len(row) for row in rows}) == 1
+    assert rows[2] == ["yard", "with it", "1", "**80.0 %**", "40.0 %", "0.700", "3.0", "400", "8", "50"]
+    assert dict(zip(rows[0], rows[3], strict=True))["level"] == "–"  # there is none without a curriculum
+    marks = marks_table(found, experiment)
+    assert marks[2] == "| yard | with it | 50.0 % | 95.0 % | 400 | 1 of 1 |"
+
+
+def test_matches_are_given_for_each_clip_and_for_all_frames_together(tmp_path: Path) -> None:
+    experiment = made_up(tmp_path)
+    scores = [
+        {"run": f"yard-with-s{seed}", "clip": clip, "frames": frames, "matches": matches}
+        for seed, clip, frames, matches in [(0, "a", 10, 5), (0, "b", 30, 27), (1, "a", 10, 7), (1, "b", 30, 29)]
+    ]
+    rows = scores_table([*scores, {"run": "another", "clip": "a", "frames": 1, "matches": 1}], experiment)[2:]
+    assert [row.split(" | ")[2:] for row in rows] == [
+        ["a", "10", "2", "60.0 ± 14.1 % |"],
+        ["b", "30", "2", "93.3 ± 4.7 % |"],
+        ["**all**", "40", "2", "85.0 ± 7.1 % |"],
+    ]
+
+
+@pytest.mark.parametrize("done", [0, 1, 6])
+def test_tables_can_be_made_at_any_time(tmp_path: Path, done: int) -> None:
+    experiment = made_up(tmp_path)
+    for run in experiment.runs[:done]:
+        finish(run, 0.5)
+    found = entries(experiment)
+    assert len(main_table(found)) == len(marks_table(found, experiment)) == 2 + 3
