@@ -17,13 +17,26 @@ from splatrl.configuration import (
 )
 from tests.tiny import tiny_overrides
 
-GROUPS = sorted(path for path in conf_dir().glob("*/*.yaml") if path.parent.name != "scene")
+TASKS = sorted((conf_dir() / "task").glob("*.yaml"))
 SCENES = sorted((conf_dir() / "scene").glob("*.yaml"))
+NOT_OF_TRAIN = {"scene", "task", "experiment"}
+OPTIONS = sorted(
+    path.relative_to(conf_dir()).with_suffix("")
+    for path in conf_dir().rglob("*/*.yaml")
+    if path.relative_to(conf_dir()).parts[0] not in NOT_OF_TRAIN
+)
 
 
-@pytest.mark.parametrize("path", GROUPS, ids=lambda path: f"{path.parent.name}-{path.stem}")
-def test_every_option_of_every_group_builds_an_env_that_steps(path: Path, tmp_path: Path) -> None:
-    env = make_env([*tiny_overrides(tmp_path), f"{path.parent.name}={path.stem}"], batch_size=[2])
+@pytest.mark.parametrize("option", OPTIONS, ids=str)
+def test_every_option_of_every_group_builds_an_env_that_steps(option: Path, tmp_path: Path) -> None:
+    task = "apple" if option.parent.name == "sprite" else "grid"
+    env = make_env([*tiny_overrides(tmp_path, task), f"{option.parent.as_posix()}={option.name}"], batch_size=[2])
+    assert env.rollout(2)["next", "reward"].shape[0] == 2
+
+
+@pytest.mark.parametrize("path", TASKS, ids=lambda path: path.stem)
+def test_every_task_builds_an_env_that_steps(path: Path, tmp_path: Path) -> None:
+    env = make_env(tiny_overrides(tmp_path, path.stem), batch_size=[2])
     assert env.rollout(2)["next", "reward"].shape[0] == 2
 
 

@@ -177,22 +177,29 @@ def tiny_env(
     return SplatEnv(renderer, BlockChecker(), tiny_robot(), tiny_task(max_steps), curriculum, batch_size, seed)
 
 
-def tiny_overrides(folder: Path) -> list[str]:
+def tiny_overrides(folder: Path, task: str = "grid") -> list[str]:
     """Write the room into a folder and say it in Hydra's grammar: what ``splatrl.make_env`` needs to build it."""
     path = folder / "tiny.ply"
     write_gaussians(path, tiny_gaussians())
-    return [
+    overrides = [
+        f"task={task}",
         "scene=file",
         f"scene.path={path}",
-        "robot.body.size=[0.3,0.3,0.2]",
+        "landmarks.goal=[0.5,1.0,0.0]",
+        "landmarks.object=[0.75,1.0,0.5]",
         f"robot.height={HEIGHT}",
         "robot.image_width=16",
         "robot.image_height=12",
-        "task.motion.step=0.5",
-        "task.motion.angle_step_deg=45.0",
-        "task.motion.lower=[-1.0,-1.5]",
-        "task.motion.upper=[1.0,1.5]",
-        "task.goal=[0.5,1.0,0.0]",
         "task.max_steps=20",
         "network.pool=1",
     ]
+    bounds = ["task.motion.lower=[-1.0,-1.5]", "task.motion.upper=[1.0,1.5]"]
+    if task == "grid":
+        return [
+            *overrides,
+            *bounds,
+            "robot.body.size=[0.3,0.3,0.2]",
+            "task.motion.step=0.5",
+            "task.motion.angle_step_deg=45.0",
+        ]
+    return overrides if task in ("circle", "polar_plane", "hemisphere") else [*overrides, *bounds]

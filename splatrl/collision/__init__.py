@@ -4,6 +4,7 @@ from splatrl.collision.base import Checker
 from splatrl.collision.distances import DistanceField
 from splatrl.collision.fcl import FclChecker
 from splatrl.collision.native import NativeChecker
+from splatrl.collision.nothing import NoChecker
 from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.torch_checker import TorchChecker
 from splatrl.collision.verify import Disagreement, Verification, verify, verify_sweeps
@@ -14,6 +15,7 @@ __all__ = [
     "DistanceField",
     "FclChecker",
     "NativeChecker",
+    "NoChecker",
     "Occupancy",
     "TorchChecker",
     "Verification",

@@ -1,4 +1,4 @@
-"""Shortest paths over the free poses of a finite motion."""
+"""Shortest paths over the free poses of a motion: exact where its states can be listed, a field where they cannot."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,8 +9,11 @@ from torch import Tensor
 from torchrl.data import TensorSpec
 
 from splatrl.collision.base import Checker
+from splatrl.curriculum.field import FAR, PlanarMotion, steps_field
 
 UNREACHABLE = -1
+ALIKE = 0.1
+"""Steps: two actions are equally good where what is left after them differs by no more."""
 
 
 class FiniteMotion(Protocol):
@@ -32,30 +35,63 @@ class FiniteMotion(Protocol):
 
 @dataclass(frozen=True)
 class Plan:
-    """Every state of a finite motion, what each action does there, and how far the goal is.
+    """The states in which episodes may begin, and how far the goal is from any state.
 
     Attributes:
-        states: [S, D] int64, all states.
+        states: [S, D], all states from which one could start.
         free: [S] bool, where the body touches nothing.
-        successors: [S, A] int64, row of the state that an action leads to; UNREACHABLE where the move is blocked.
-        distance: [S] int64, fewest steps to a free goal state; 0 at one, UNREACHABLE where there is no way.
+        distance: [S] int64, fewest steps to the goal; 0 at it, UNREACHABLE where there is no way.
+        actions: [A, ...], the actions that paths are made of.
+        motion: moves between the states.
+        checker: tells which moves are free.
+        steps_to_go: fewest steps to the goal from any states inside the bounds, [N, D] -> [N] float32, FAR where there
+            is no way. Whole numbers for a finite motion.
+        reached: whether states are at the goal, [N, D] -> [N] bool.
     """
 
     states: Tensor
     free: Tensor
-    successors: Tensor
     distance: Tensor
+    actions: Tensor
+    motion: FiniteMotion | PlanarMotion
+    checker: Checker
+    steps_to_go: Callable[[Tensor], Tensor]
+    reached: Callable[[Tensor], Tensor]
 
     @property
     def start_rows(self) -> Tensor:
         """Rows of the start set: free states from which a goal state can be reached, goal states left out."""
         return (self.distance > 0).nonzero().squeeze(1)
 
+    def optimal(self, state: Tensor) -> Tensor:
+        """Which actions begin a shortest path.
 
-def plan(motion: FiniteMotion, checker: Checker, reached: Callable[[Tensor], Tensor]) -> Plan:
+        Args:
+            state: [N, D], anywhere inside the bounds.
+
+        Returns:
+            [N, A] bool; no action at the goal, or where no free move leads to it.
+        """
+        after = torch.stack([self._after(state, action) for action in self.actions], 1)
+        best = after.amin(1, keepdim=True)
+        return (after <= best + ALIKE) & (best < FAR) & ~self.reached(state).unsqueeze(1)
+
+    def _after(self, state: Tensor, action: Tensor) -> Tensor:
+        """Steps that are left after an action, 0 where it reaches the goal, FAR where it is blocked: [N] float32."""
+        ahead = self.motion.advance(state, action.expand(len(state), *action.shape))
+        start, end = self.motion.body_to_world(state), self.motion.body_to_world(ahead)
+        left = torch.full((len(state),), FAR, device=state.device)
+        rows = (self.motion.inside(ahead) & ~self.checker.sweeps(start, end)).nonzero().squeeze(1)
+        steps = self.steps_to_go(ahead[rows])
+        left[rows] = torch.where(self.reached(ahead[rows]), 0.0, steps)
+        return left
+
+
+def plan(motion: FiniteMotion | PlanarMotion, checker: Checker, reached: Callable[[Tensor], Tensor]) -> Plan:
     """Find the shortest path from every state to the goal.
 
-    A move counts as open when the swept body touches nothing, by the same checker that moves the robots.
+    A move counts as open when the swept body touches nothing, by the same checker that moves the robots. For a finite
+    motion the paths are exact. For poses anywhere on a plane see ``steps_field``; its distances are rounded.
 
     Args:
         motion: lists the states and moves between them.
@@ -67,29 +103,59 @@ def plan(motion: FiniteMotion, checker: Checker, reached: Callable[[Tensor], Ten
     """
     states = motion.states()
     free = ~checker.collides(motion.body_to_world(states))
+    if isinstance(motion, PlanarMotion):
+        actions, field = motion.actions(), steps_field(motion, checker, reached)
+        left = field(states)
+        distance = torch.where(free & (left < FAR), left.round().clamp_min(1).long(), UNREACHABLE)
+        distance = torch.where(free & reached(states), 0, distance)
+        found = Plan(states, free, distance, actions, motion, checker, field, reached)
+    else:
+        found = _exact(motion, checker, reached, states, free)
+    if not len(found.start_rows):
+        raise ValueError(f"task.goal: expected a way to it from some free pose, got none from {int(free.sum())}")
+    return found
+
+
+def _exact(
+    motion: FiniteMotion, checker: Checker, reached: Callable[[Tensor], Tensor], states: Tensor, free: Tensor
+) -> Plan:
     goals = free & reached(states)
     if not free.any():
         raise ValueError(f"scene: expected free poses, got {len(states)} poses that all collide")
     if not goals.any():
         raise ValueError(f"task.goal: expected a free pose at the goal, got {int(reached(states).sum())} that collide")
-    successors = _successors(motion, checker, states, free)
-    distance = _distances(successors, goals)
-    if not (distance > 0).any():
-        raise ValueError(f"task.goal: expected a way to it from some free pose, got none from {int(free.sum())}")
-    return Plan(states, free, successors, distance)
-
-
-def _successors(motion: FiniteMotion, checker: Checker, states: Tensor, free: Tensor) -> Tensor:
     actions = motion.action_spec.enumerate()
-    successors = states.new_full((len(states), len(actions)), UNREACHABLE)
+    distance = _distances(successors(motion, checker, states, free), goals)
+
+    def steps_to_go(state: Tensor) -> Tensor:
+        steps = distance[motion.index(state)]
+        return torch.where(steps == UNREACHABLE, FAR, steps.float())
+
+    return Plan(states, free, distance, actions, motion, checker, steps_to_go, reached)
+
+
+def successors(motion: FiniteMotion, checker: Checker, states: Tensor, free: Tensor) -> Tensor:
+    """Row of the state that each action leads to.
+
+    Args:
+        motion: moves between the states.
+        checker: tells which moves are free.
+        states: [S, D], all of the motion's.
+        free: [S] bool, where the body touches nothing.
+
+    Returns:
+        [S, A] int64, UNREACHABLE where the move is blocked.
+    """
+    actions = motion.action_spec.enumerate()
+    rows_after = torch.full((len(states), len(actions)), UNREACHABLE, device=states.device)
     for column, action in enumerate(actions):
         ahead = motion.advance(states, action.expand(len(states)))
         rows = (free & motion.inside(ahead)).nonzero().squeeze(1)
         rows = rows[free[motion.index(ahead[rows])]]
         start, end = motion.body_to_world(states[rows]), motion.body_to_world(ahead[rows])
         rows = rows[~checker.sweeps(start, end)]
-        successors[rows, column] = motion.index(ahead[rows])
-    return successors
+        rows_after[rows, column] = motion.index(ahead[rows])
+    return rows_after
 
 
 def _distances(successors: Tensor, goals: Tensor) -> Tensor:

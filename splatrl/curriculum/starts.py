@@ -84,6 +84,11 @@ class Curriculum(nn.Module):
         """Draw start states of the present level: [count, D]."""
         return self.starts.sample(self.level, count, generator)
 
+    def anywhere(self, count: int, generator: torch.Generator) -> Tensor:
+        """Draw states from the whole start set, whatever the level: [count, D]."""
+        highest = torch.full_like(self.level, self.starts.levels - 1)
+        return self.starts.sample(highest, count, generator)
+
     def record(self, level: Tensor, finished: Tensor, success: Tensor) -> None:
         """Take note of ended episodes; see ``Schedule.advance``."""
         self.progress = self.schedule.advance(self.progress, level, finished, success)

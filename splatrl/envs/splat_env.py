@@ -12,8 +12,8 @@ from torchrl.envs import EnvBase
 from splatrl.collision.base import Checker
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.robot import Robot
-from splatrl.envs.tasks.base import Outcome, Task
-from splatrl.renderers.base import Renderer
+from splatrl.envs.tasks.base import Outcome, SeenGoal, Task
+from splatrl.renderers.base import Renderer, to_pixels
 
 
 class SplatEnv(EnvBase):
@@ -25,9 +25,12 @@ class SplatEnv(EnvBase):
     Observation: ``pixels`` [B, H, W, 3] uint8. For users, not for the policy: ``state`` (the task's), ``step_count``
         [B, 1] int64, ``episode_return`` [B, 1] float32, ``level`` [B, 1] int64 at which the episode began, ``outcome``
         [B, 1] int64 (an ``Outcome``), ``touched_fraction`` [B, 1] float32 (how much of the last move was free; 1 when
-        nothing was touched).
+        nothing was touched). With ``depth`` also ``depth`` [B, H, W] float32, metres along the optical axis (0 where
+        there is nothing), and ``camera_to_world`` [B, 4, 4] float32 of the camera that took the pixels. With a task
+        whose goal is an object, ``target`` [B, 3] float32, its place in the world, metres.
     Action: the task's.
     Reward: [B, 1] float32, the task's.
+        A goal that must be seen is granted by the ``ImageGoal`` transform, which then also tells the curriculum.
     Termination: the task's. A blocked move leaves the robot where it was.
     Truncation: after ``task.max_steps`` steps; never together with termination.
     Reset: start states from the curriculum, or with ``reset(td, set_state=True)`` those in ``td["state"]``.
@@ -42,6 +45,7 @@ class SplatEnv(EnvBase):
         batch_size: [B], the number of robots.
         seed: of the env's generator.
         device: of every tensor that it takes and gives.
+        depth: whether to observe depth and the camera's pose beside the pixels, as ``SpriteOverlay`` needs them.
 
     Raises:
         ValueError: for a batch size that is not one positive number, or a given state that the task does not have.
@@ -60,12 +64,14 @@ class SplatEnv(EnvBase):
         batch_size: Sequence[int],
         seed: int | None = 0,
         device: torch.device | str = "cpu",
+        depth: bool = False,
     ):
         if len(batch_size) != 1 or batch_size[0] < 1:
             raise ValueError(f"batch_size: expected one number of at least 1, got {list(batch_size)}")
         super().__init__(device=device, batch_size=torch.Size(batch_size))
         self.renderer, self.checker, self.robot = renderer, checker, robot
-        self.task, self.curriculum = task, curriculum
+        self.task, self.curriculum, self.depth = task, curriculum, depth
+        self.seen_goal = task if isinstance(task, SeenGoal) else None
         self.generator = torch.Generator(self.device)
         torch.nn.Module.to(self, self.device)  # EnvBase.to does nothing for the device that it already has
         self._make_specs()
@@ -81,11 +87,16 @@ class SplatEnv(EnvBase):
             "episode_return": number,
             "level": count.clone(),
         }
+        if self.seen_goal is not None:
+            carried["target"] = Unbounded(shape=(3,), dtype=torch.float32)
         shown: dict[str, TensorSpec] = {
             "pixels": Bounded(0, 255, shape=(robot.image_height, robot.image_width, 3), dtype=torch.uint8),
             "outcome": Categorical(len(Outcome), shape=(1,), dtype=torch.int64),
             "touched_fraction": Bounded(0.0, 1.0, shape=(1,), dtype=torch.float32),
         }
+        if self.depth:
+            shown["depth"] = Bounded(0.0, torch.inf, shape=(robot.image_height, robot.image_width), dtype=torch.float32)
+            shown["camera_to_world"] = Unbounded(shape=(4, 4), dtype=torch.float32)
         flag = Categorical(2, shape=(1,), dtype=torch.bool)
         done = {"done": flag, "terminated": flag.clone(), "truncated": flag.clone()}
         self.observation_spec = self._batched({**shown, **carried})
@@ -111,8 +122,10 @@ class SplatEnv(EnvBase):
             level = self.curriculum.level.expand(len(rows), 1)
         offset = None if tensordict is None else tensordict.get("camera_offset", None)
         poses = self.task.motion.body_to_world(state)
-        pixels = self._pixels(poses, None if offset is None else offset[rows])
-        begun = {"state": state, "level": level, "pixels": pixels}
+        begun = {"state": state, "level": level, **self._views(poses, None if offset is None else offset[rows])}
+        if self.seen_goal is not None:
+            given = tensordict.get("target", None) if set_state and tensordict is not None else None
+            begun["target"] = self.fresh_targets(len(rows)) if given is None else given[rows]
         count = torch.zeros(self.numel(), 1, dtype=torch.int64, device=self.device)
         values = {
             **{key: value.new_zeros(self.numel(), *value.shape[1:]) for key, value in begun.items()},
@@ -151,9 +164,10 @@ class SplatEnv(EnvBase):
         truncated = (step_count >= self.task.max_steps) & ~terminated
         outcome = torch.where(truncated, Outcome.TIMEOUT, outcome)
         level, done = tensordict["level"], terminated | truncated
-        self.curriculum.record(level.flatten(), done.flatten(), (outcome == Outcome.GOAL).flatten())
+        if self.seen_goal is None:
+            self.curriculum.record(level.flatten(), done.flatten(), (outcome == Outcome.GOAL).flatten())
         values = {
-            "pixels": self._pixels(poses, tensordict.get("camera_offset", None)),
+            **self._views(poses, tensordict.get("camera_offset", None)),
             "state": state,
             "step_count": step_count,
             "episode_return": tensordict["episode_return"] + reward,
@@ -165,10 +179,22 @@ class SplatEnv(EnvBase):
             "terminated": terminated,
             "truncated": truncated,
         }
+        if self.seen_goal is not None:
+            values["target"] = tensordict["target"].clone()
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
-    def _pixels(self, body_to_world: Tensor, camera_offset: Tensor | None) -> Tensor:
-        return self.renderer.pixels(self.robot.cameras(body_to_world, camera_offset))
+    def _views(self, body_to_world: Tensor, camera_offset: Tensor | None) -> dict[str, Tensor]:
+        """What robots at some poses observe with their cameras, by key."""
+        cameras = self.robot.cameras(body_to_world, camera_offset)
+        if not self.depth:
+            return {"pixels": self.renderer.pixels(cameras)}
+        rgb, depth, _ = self.renderer.render(cameras)
+        return {"pixels": to_pixels(rgb), "depth": depth, "camera_to_world": cameras.camera_to_world}
+
+    def fresh_targets(self, count: int) -> Tensor:
+        """Draw places for the object of the task: [count, 3] float32, world, metres."""
+        assert self.seen_goal is not None
+        return self.seen_goal.targets(self.curriculum.anywhere(count, self.generator))
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is None:

@@ -14,12 +14,9 @@ class Planner:
 
     def __init__(self, slip: float = 0.0):
         self.plan, self.slip = tiny_plan(), slip
-        self.motion = tiny_env([1]).task.motion
 
     def __call__(self, td: TensorDictBase) -> TensorDictBase:
-        after = self.plan.successors[self.motion.index(td["state"])]
-        far = torch.where(after < 0, 10**6, self.plan.distance[after.clamp_min(0)])
-        best = far.argmin(1)
+        best = self.plan.optimal(td["state"]).int().argmax(1)
         slips = torch.rand(len(best)) < self.slip
         td["action"] = torch.where(slips, torch.randint(0, 6, best.shape), best)
         return td

@@ -10,7 +10,9 @@ from torchrl.data import Bounded
 from splatrl.envs.motions.planar import Plane, along
 
 CELL = 0.05
-ANGLE_CELL = math.radians(5.0)
+"""Metres between the positions at which paths are computed."""
+HEADINGS_A_TURN = 4
+"""How many headings paths are computed at for the largest turn of a time step."""
 
 
 class DriveMotion(Plane):
@@ -19,7 +21,7 @@ class DriveMotion(Plane):
     A state is [..., 3] float32: x and y in metres and yaw in radians. The robot follows the exact arc; what it touches
     is judged on the straight line between the ends of the step, along which it turns evenly.
 
-    Paths are searched among full speed ahead, astern and turning, and the arcs between, in cells of 5 cm and 5°.
+    Paths are made of full speed ahead, astern, turning, and the arcs between.
 
     Args:
         height: z of every pose, metres.
@@ -55,8 +57,9 @@ class DriveMotion(Plane):
                 f"task.motion: expected linear = [at most 0, more than 0] m/s and angular_deg > 0, "
                 f"got {list(linear)} and {angular_deg}"
             )
-        super().__init__(height, lower, upper, spacing, headings, CELL, ANGLE_CELL)
         angular = math.radians(angular_deg)
+        angle_cell = math.tau / math.ceil(HEADINGS_A_TURN * math.tau / (angular * time_step) - 1e-9)
+        super().__init__(height, lower, upper, spacing, headings, CELL, angle_cell)
         self.time_step = time_step
         self.step, self.angle_step = linear[1] * time_step, angular * time_step
         limits = torch.tensor([[linear[0], -angular], [linear[1], angular]], dtype=torch.float32)
@@ -83,14 +86,7 @@ class DriveMotion(Plane):
         Returns:
             [B, 3] float32.
         """
-        return self._arc(state, action.clamp(self.limits[0], self.limits[1]))
-
-    def before(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unhindered action had begun that ends here; shapes as in ``advance``."""
-        return self._arc(state, -action)
-
-    def _arc(self, state: Tensor, velocity: Tensor) -> Tensor:
-        """Follow a circle: its chord has the arc's length times sin(turn / 2) / (turn / 2)."""
+        velocity = action.clamp(self.limits[0], self.limits[1])
         turn = velocity[:, 1] * self.time_step
-        chord = velocity[:, 0] * self.time_step * torch.sinc(0.5 * turn / math.pi)
+        chord = velocity[:, 0] * self.time_step * torch.sinc(0.5 * turn / math.pi)  # sin(turn / 2) / (turn / 2)
         return along(state, chord, turn, 0.5 * turn)

@@ -9,7 +9,8 @@ from torchrl.data import Categorical
 
 from splatrl.envs.motions.planar import Plane, along
 
-CELLS_A_STEP = 4
+CELL = 0.05
+"""Least distance between the positions at which paths are computed, metres."""
 
 
 class ForwardMotion(Plane):
@@ -17,8 +18,6 @@ class ForwardMotion(Plane):
 
     A state is [..., 3] float32: x and y in metres and yaw in radians. The four actions, in the published order, are
     forward, back, left (counter-clockwise) and right.
-
-    Paths are searched in cells of a quarter of a step; see ``Plane``.
 
     Args:
         height: z of every pose, metres.
@@ -52,7 +51,7 @@ class ForwardMotion(Plane):
         if headings < 1 or abs(headings * angle_step_deg - 360.0) > 1e-6:
             raise ValueError(f"task.motion.angle_step_deg: expected a divisor of 360, got {angle_step_deg}")
         angle_step = math.tau / headings
-        super().__init__(height, lower, upper, spacing or step, headings, step / CELLS_A_STEP, angle_step)
+        super().__init__(height, lower, upper, spacing or step, headings, max(0.5 * step, CELL), angle_step)
         self.step, self.angle_step = step, angle_step
         self.register_buffer("lengths", torch.tensor([step, -step, 0.0, 0.0]), persistent=False)
         self.register_buffer("turns", torch.tensor([0.0, 0.0, angle_step, -angle_step]), persistent=False)
@@ -78,7 +77,3 @@ class ForwardMotion(Plane):
         """
         turn = self.turns[action]
         return along(state, self.lengths[action], turn, torch.zeros_like(turn))
-
-    def before(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unhindered action had begun that ends here; shapes as in ``advance``."""
-        return self.advance(state, action ^ 1)  # each action has its inverse beside it

@@ -25,8 +25,8 @@ class Plane(nn.Module):
         upper: largest x and y, metres.
         spacing: distance between neighbouring starts, metres.
         headings: number of directions of the starts, from 0 (along +x).
-        cell: side of the squares in which a search for paths takes positions for the same, metres.
-        angle_cell: likewise for headings, radians; it divides a turn.
+        cell: distance between the positions at which paths are computed, metres.
+        angle_cell: angle between the headings at which paths are computed, radians; it divides a turn.
 
     Raises:
         ValueError: for bounds without area, a spacing that is not positive or fewer than one heading.
@@ -52,8 +52,6 @@ class Plane(nn.Module):
             raise ValueError(f"task.motion: expected spacing > 0 and headings ≥ 1, got {spacing} and {headings}")
         self.height, self.spacing, self.headings = height, spacing, headings
         self.cell, self.angle_cell = cell, angle_cell
-        counts = [math.ceil((high - low) / cell) + 1 for low, high in zip(lower, upper, strict=True)]
-        self.cells = (*counts, round(math.tau / angle_cell))
         self.register_buffer("lower", torch.tensor(tuple(lower), dtype=torch.float32), persistent=False)
         self.register_buffer("upper", torch.tensor(tuple(upper), dtype=torch.float32), persistent=False)
 
@@ -70,21 +68,6 @@ class Plane(nn.Module):
         ]
         yaws = torch.arange(self.headings, dtype=torch.float64) * (math.tau / self.headings)
         return torch.cartesian_prod(*axes, yaws).float().to(self.lower.device)
-
-    def index(self, state: Tensor) -> Tensor:
-        """The cell of a search in which states lie: [N, 3] -> [N] int64; states beyond the bounds go to the edge."""
-        place = ((state[:, :2] - self.lower) / self.cell).round().long()
-        column, row = (place[:, axis].clamp(0, self.cells[axis] - 1) for axis in (0, 1))
-        return (column * self.cells[1] + row) * self.cells[2] + (state[:, 2] / self.angle_cell).round().long() % (
-            self.cells[2]
-        )
-
-    def centres(self) -> Tensor:
-        """The middle of every cell, in the order of ``index``: [cells, 3] float32."""
-        axes = [torch.arange(count, device=self.lower.device) for count in self.cells]
-        column, row, heading = torch.cartesian_prod(*axes).unbind(1)
-        x, y = (low + self.cell * place for low, place in zip(self.lower, (column, row), strict=True))
-        return torch.stack([x, y, self.angle_cell * heading], 1)
 
     def inside(self, state: Tensor) -> Tensor:
         """Whether states are within the bounds, which are inclusive: [B, 3] -> [B] bool."""

@@ -1,6 +1,27 @@
 """Tasks: what a robot is rewarded for."""
 
-from splatrl.envs.tasks.base import Motion, Outcome, Task, Verdict
+from splatrl.envs.tasks.apple import Apple
+from splatrl.envs.tasks.base import Motion, Outcome, SeenGoal, Task, Verdict
+from splatrl.envs.tasks.drive import Drive
+from splatrl.envs.tasks.fps import Fps
 from splatrl.envs.tasks.grid import Grid
+from splatrl.envs.tasks.orbit import Orbit
+from splatrl.envs.tasks.poster import Poster
+from splatrl.envs.tasks.sim2real import Sim2Real
+from splatrl.envs.tasks.snake import Snake
 
-__all__ = ["Grid", "Motion", "Outcome", "Task", "Verdict"]
+__all__ = [
+    "Apple",
+    "Drive",
+    "Fps",
+    "Grid",
+    "Motion",
+    "Orbit",
+    "Outcome",
+    "Poster",
+    "SeenGoal",
+    "Sim2Real",
+    "Snake",
+    "Task",
+    "Verdict",
+]

@@ -1,7 +1,7 @@
 """What every task promises."""
 
 from enum import IntEnum
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from torch import Tensor
 from torchrl.data import TensorSpec
@@ -65,7 +65,7 @@ class Task(Protocol):
     """Owns the goal: motion, goal test, rewards and the limit of steps."""
 
     motion: Motion
-    goal: Tensor  # x and y in metres and yaw in radians of the goal pose, [3] float64
+    goal: Tensor  # x and y in metres and yaw in radians of the goal pose, [3] float64; yaw is NaN where any will do
     max_steps: int
 
     def reached(self, state: Tensor) -> Tensor:
@@ -80,5 +80,37 @@ class Task(Protocol):
             action: [B, ...].
             next_state: [B, ...] where the unhindered action leads.
             hit: [B] bool, whether the body touches something on the way there.
+        """
+        ...
+
+
+@runtime_checkable
+class SeenGoal(Protocol):
+    """A task whose goal is an object that must be seen: judged by the ``ImageGoal`` transform, behind the overlay."""
+
+    goal_reward: float
+    ends_at_goal: bool
+
+    def targets(self, states: Tensor) -> Tensor:
+        """Places for the object at the beginning of episodes.
+
+        Args:
+            states: [N, D], drawn from the whole start set, one for each place.
+
+        Returns:
+            [N, 3] float32, world, metres.
+        """
+        ...
+
+    def seen(self, state: Tensor, target: Tensor, pixels: Tensor) -> Tensor:
+        """Whether robots are at the object and see it.
+
+        Args:
+            state: [B, ...].
+            target: [B, 3] where the object is, world, metres.
+            pixels: [B, H, W, 3] uint8, with the object in them.
+
+        Returns:
+            [B] bool.
         """
         ...

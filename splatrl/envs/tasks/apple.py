@@ -1,0 +1,120 @@
+"""The apple task: find an object that stands in the scene as a sprite."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from splatrl.envs.motions import ForwardMotion
+from splatrl.envs.tasks.base import Outcome, Verdict
+from splatrl.envs.tasks.rewards import OutcomeRewards
+
+BRIGHT, PURE = 102, 1.6
+"""A pixel is clearly red when R ≥ 0.4 (102 of 255) and R is at least 1.6 times G and 1.6 times B."""
+
+
+class Apple(OutcomeRewards):
+    """Walk up to an apple until it fills the view.
+
+    Experiment III of "Robotic Learning in your Backyard". The apple is a sprite at a fixed place (``SpriteOverlay``);
+    whether it is seen is judged by the overlaid image (``ImageGoal``).
+
+    Observation: ``pixels`` [B, H, W, 3] uint8, the ego view with the apple in it.
+    Action: [B] int64, one of forward, back, left, right (``ForwardMotion``).
+    Reward: [B, 1] float32; −0.2 a step, and in its place +50 at the goal, −10 on a collision, −10 out of bounds.
+    Termination: collision, out of bounds, or goal: nearer to the apple than ``reach`` steps, with enough red in view.
+    Truncation: after ``max_steps`` steps.
+    State: [B, 3] float32, x and y in metres and yaw in radians; ``target`` [B, 3] float32 is where the apple is.
+
+    Enough red is a share of clearly red pixels. The published test, a mean red channel above 0.55, is already true of a
+    bright room without an apple; it is the setting ``mean_red``. Collision is off by default, as published.
+
+    Example:
+        >>> import splatrl
+        >>> env = splatrl.make_env(["task=apple"], batch_size=[4])
+        >>> env.rollout(3)["target"].shape
+        torch.Size([4, 3, 3])
+
+    Args:
+        motion: of the robots.
+        place: of the apple, world, metres.
+        reach: distance from the apple at which it counts as found, steps; along the ground.
+        red_share: share of the pixels that must be clearly red, in (0, 1].
+        mean_red: if given, the mean red channel that is enough, in [0, 1], in place of ``red_share``.
+        facing_deg: for planning alone, which has no image: the apple is taken to be seen where it is no farther than
+            this from the middle of the view.
+        goal_reward: reward at the goal.
+        step_reward: reward of any other step.
+        collision_reward: reward of touching something.
+        bounds_reward: reward of leaving the bounds.
+        max_steps: an episode is truncated after this many steps.
+
+    Raises:
+        ValueError: for a place that is not three finite numbers, or shares out of range.
+    """
+
+    ends_at_goal = True
+    place: Tensor  # [3] float32
+    goal: Tensor  # [3] float64
+
+    def __init__(
+        self,
+        motion: ForwardMotion,
+        place: Sequence[float],
+        reach: float = 1.1,
+        red_share: float = 0.3,
+        mean_red: float | None = None,
+        facing_deg: float = 20.0,
+        goal_reward: float = 50.0,
+        step_reward: float = -0.2,
+        collision_reward: float = -10.0,
+        bounds_reward: float = -10.0,
+        max_steps: int = 200,
+    ):
+        super().__init__(motion, goal_reward, step_reward, collision_reward, bounds_reward, max_steps)
+        if place is None or len(place) != 3 or not all(math.isfinite(value) for value in place):
+            raise ValueError(
+                f"task.place: expected x, y and z in metres, got {place if place is None else list(place)}"
+            )
+        for name, value in (("red_share", red_share), ("mean_red", mean_red)):
+            if value is not None and not 0 < value <= 1:
+                raise ValueError(f"task.{name}: expected a share in (0, 1], got {value}")
+        self.reach, self.red_share, self.mean_red = reach * motion.step, red_share, mean_red
+        self.facing = math.radians(facing_deg)
+        self.register_buffer("place", torch.tensor(tuple(place), dtype=torch.float32), persistent=False)
+        goal = torch.tensor([place[0], place[1], math.nan], dtype=torch.float64)
+        self.register_buffer("goal", goal, persistent=False)
+
+    def reached(self, state: Tensor) -> Tensor:
+        """Whether robots are near the apple and face it: [B, 3] -> [B] bool."""
+        planar = self.motion.planar(state)
+        away = self.goal[:2] - planar[:, :2]
+        bearing = torch.atan2(away[:, 1], away[:, 0]) - planar[:, 2]
+        faces = torch.cos(bearing) >= math.cos(self.facing) - 1e-6
+        return self._near(state, self.place) & faces
+
+    def judge(self, state: Tensor, action: Tensor, next_state: Tensor, hit: Tensor) -> Verdict:
+        """Judge all but the goal; see ``Task.judge``."""
+        outcome = self._blocked(next_state, hit, torch.zeros_like(hit, dtype=torch.int64)).unsqueeze(1)
+        return Verdict(self.outcome_rewards[outcome], outcome != Outcome.RUNNING, outcome)
+
+    def targets(self, states: Tensor) -> Tensor:
+        """The apple's one place, for each of [N, ...]: [N, 3] float32."""
+        return self.place.expand(len(states), 3)
+
+    def seen(self, state: Tensor, target: Tensor, pixels: Tensor) -> Tensor:
+        """Whether robots are near the apple and see enough red; see ``SeenGoal.seen``."""
+        return self._near(state, target) & self._red(pixels)
+
+    def _near(self, state: Tensor, target: Tensor) -> Tensor:
+        away = self.motion.planar(state)[:, :2] - target[..., :2]
+        return away.norm(dim=1) <= self.reach * (1 + 1e-4)
+
+    def _red(self, pixels: Tensor) -> Tensor:
+        """Whether images are red enough: [B, H, W, 3] uint8 -> [B] bool."""
+        red, green, blue = pixels.flatten(1, 2).float().unbind(-1)
+        if self.mean_red is not None:
+            return red.mean(1) > 255 * self.mean_red
+        clearly = (red >= BRIGHT) & (red >= PURE * green) & (red >= PURE * blue)
+        return clearly.float().mean(1) >= self.red_share

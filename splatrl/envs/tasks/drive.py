@@ -1,0 +1,24 @@
+"""The drive task: continuous control of a mobile robot to the pose that sees the object."""
+
+from splatrl.envs.tasks.pose_goal import PoseGoal
+
+
+class Drive(PoseGoal):
+    """Reach a goal pose with a differential drive.
+
+    Observation: ``pixels`` [B, H, W, 3] uint8, the ego view.
+    Action: [B, 2] float32, linear velocity in metres a second and angular velocity in radians a second, within the
+        limits of ``DriveMotion``, held for its time step.
+    Reward: [B, 1] float32; −0.2 a step, and in its place +50 at the goal, −10 on a collision, −10 out of bounds.
+    Termination: goal, collision or out of bounds, judged in that order of precedence from collision on. The goal is
+        reached where |dx| and |dy| are at most what the robot drives in a time step at full speed, and |dyaw| at most
+        what it turns in one. A blocked robot stays where it was.
+    Truncation: after ``max_steps`` steps.
+    State: [B, 3] float32, x and y in metres and yaw in radians.
+
+    Example:
+        >>> import splatrl
+        >>> env = splatrl.make_env(["task=drive"], batch_size=[4])
+        >>> env.rollout(3)["action"].shape
+        torch.Size([4, 3, 2])
+    """

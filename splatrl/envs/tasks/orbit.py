@@ -1,0 +1,84 @@
+"""The circle, polar plane and hemisphere tasks: go round a thing to the side from which it is to be seen."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from splatrl.envs.motions import OrbitMotion
+from splatrl.envs.tasks.pose_goal import SLACK
+from splatrl.envs.tasks.rewards import OutcomeRewards
+
+
+class Orbit(OutcomeRewards):
+    """Reach an azimuth, a distance and an elevation about an origin that the camera always looks at.
+
+    Three tasks of the published code by the ranges of the motion: on a circle the azimuth alone varies, on a polar
+    plane the distance too, on a hemisphere the elevation as well.
+
+    Observation: ``pixels`` [B, H, W, 3] uint8, the ego view.
+    Action: [B] int64, + or − one step of azimuth, elevation or distance, as many of them as vary (``OrbitMotion``).
+    Reward: [B, 1] float32; 0 a step, and in its place +1 at the goal, −1 on a collision, −1 out of range.
+    Termination: goal, collision or out of range, judged in that order of precedence from collision on. The goal is
+        reached where azimuth, distance and elevation are each within one step.
+    Truncation: after ``max_steps`` steps.
+    State: [B, 3] int64, lattice indices of azimuth, distance and elevation.
+
+    The published code asks for less than one step, gives −0.2 a step (``step_reward``), and holds the elevation at its
+    limits where here such a step ends the episode.
+
+    Example:
+        >>> import splatrl
+        >>> env = splatrl.make_env(["task=circle"], batch_size=[2])
+        >>> env.task.motion.action_names
+        ('+azimuth', '-azimuth')
+
+    Args:
+        motion: of the camera.
+        azimuth_deg: of the goal, degrees.
+        distance: of the goal, metres.
+        elevation_deg: of the goal, degrees.
+        goal_reward: reward at the goal.
+        step_reward: reward of any other step.
+        collision_reward: reward of touching something.
+        bounds_reward: reward of leaving the range of distances or elevations.
+        max_steps: an episode is truncated after this many steps.
+    """
+
+    motion: OrbitMotion
+    goal: Tensor  # [3] float64: x, y and yaw of the goal pose
+    goal_sphere: Tensor  # [3] float64: its azimuth, distance and elevation
+
+    def __init__(
+        self,
+        motion: OrbitMotion,
+        azimuth_deg: float = 180.0,
+        distance: float = 0.8,
+        elevation_deg: float = 0.0,
+        goal_reward: float = 1.0,
+        step_reward: float = 0.0,
+        collision_reward: float = -1.0,
+        bounds_reward: float = -1.0,
+        max_steps: int = 200,
+    ):
+        super().__init__(motion, goal_reward, step_reward, collision_reward, bounds_reward, max_steps)
+        values: Sequence[float] = (math.radians(azimuth_deg), distance, math.radians(elevation_deg))
+        sphere = torch.tensor(values, dtype=torch.float64)
+        if not sphere.isfinite().all():
+            raise ValueError(
+                f"task: expected finite azimuth_deg, distance and elevation_deg, got {azimuth_deg}, {distance} and "
+                f"{elevation_deg}"
+            )
+        reach = distance * math.cos(values[2])
+        x, y = (float(motion.origin[i]) + reach * turn(values[0]) for i, turn in enumerate((math.cos, math.sin)))
+        goal = torch.tensor([x, y, values[0] + math.pi], dtype=torch.float64)
+        self.register_buffer("goal_sphere", sphere, persistent=False)
+        self.register_buffer("goal", goal, persistent=False)
+
+    def reached(self, state: Tensor) -> Tensor:
+        """Whether azimuth, distance and elevation are each within one step of the goal's: [B, 3] -> [B] bool."""
+        offset = (self.motion.sphere(state) - self.goal_sphere).abs()
+        turn = offset[:, 0] % math.tau
+        offset[:, 0] = torch.minimum(turn, math.tau - turn)
+        return (offset <= self.motion.steps * (1 + SLACK)).all(1)

@@ -1,0 +1,65 @@
+"""Tasks whose goal is a pose on the ground: grid, fps, poster and drive differ in how the robot moves."""
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from splatrl.envs.tasks.base import Motion
+from splatrl.envs.tasks.rewards import OutcomeRewards
+
+SLACK = 1e-4
+"""Share of a step by which rounding may carry a pose over the inclusive bounds of the goal."""
+
+
+class SteppingMotion(Motion, Protocol):
+    """A motion with a longest step and a largest turn."""
+
+    step: float
+    angle_step: float
+
+
+class PoseGoal(OutcomeRewards):
+    """Reach a pose to within one step along x, one along y and one angle step, each by itself.
+
+    Args:
+        motion: of the robots.
+        goal: x and y in metres and yaw in degrees of the goal pose, which is the pose that *sees* the object.
+        goal_reward: reward at the goal.
+        step_reward: reward of any other step.
+        collision_reward: reward of touching something.
+        bounds_reward: reward of leaving the bounds.
+        max_steps: an episode is truncated after this many steps.
+
+    Raises:
+        ValueError: for a goal that is not three finite numbers or a limit below one step.
+    """
+
+    goal: Tensor  # [3] float64
+
+    def __init__(
+        self,
+        motion: SteppingMotion,
+        goal: Sequence[float],
+        goal_reward: float = 50.0,
+        step_reward: float = -0.2,
+        collision_reward: float = -10.0,
+        bounds_reward: float = -10.0,
+        max_steps: int = 200,
+    ):
+        super().__init__(motion, goal_reward, step_reward, collision_reward, bounds_reward, max_steps)
+        if goal is None or len(goal) != 3 or not all(math.isfinite(value) for value in goal):
+            got = goal if goal is None else list(goal)
+            raise ValueError(f"task.goal: expected finite x, y (metres) and yaw (degrees), got {got}")
+        self.tolerance = torch.tensor([motion.step, motion.step, motion.angle_step], dtype=torch.float64)
+        x, y, yaw_deg = goal
+        self.register_buffer("goal", torch.tensor([x, y, math.radians(yaw_deg)], dtype=torch.float64), persistent=False)
+
+    def reached(self, state: Tensor) -> Tensor:
+        """Whether states are within one step and one angle step of the goal: [B, ...] -> [B] bool."""
+        offset = (self.motion.planar(state) - self.goal).abs()
+        turn = offset[:, 2] % math.tau
+        offset[:, 2] = torch.minimum(turn, math.tau - turn)
+        return (offset <= self.tolerance.to(offset) * (1 + SLACK)).all(1)

@@ -1,0 +1,40 @@
+"""The poster task: the fps task as the published example sets it up, in any indoor scene."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from splatrl.envs.motions import ForwardMotion
+from splatrl.envs.tasks.fps import Fps
+
+
+class Poster(Fps):
+    """Walk to the pose in front of a poster; an ``Fps`` task whose goal is written as six numbers.
+
+    The published example gives the goal as x, y, z, roll, pitch and yaw of an OpenGL camera, which looks along +y when
+    its yaw is 0 and is level when its roll is 90°. So the yaw of a robot is the published one plus 90°, and z and roll
+    are the robot's height and its level camera; they are kept so that the example's line can be pasted.
+
+    Observation, action, reward, termination, truncation and state are those of ``Fps``.
+
+    Example:
+        >>> import splatrl
+        >>> env = splatrl.make_env(["task=poster"], batch_size=[2])
+        >>> env.task.goal.shape
+        torch.Size([3])
+
+    Args:
+        motion: as for ``Fps``.
+        goal: x, y, z in metres and roll, pitch, yaw in degrees, as published.
+        **rewards: rewards and ``max_steps``, as for ``Fps``.
+
+    Raises:
+        ValueError: for a goal that is not six finite numbers.
+    """
+
+    def __init__(self, motion: ForwardMotion, goal: Sequence[float], **rewards: Any):
+        if goal is None or len(goal) != 6:
+            raise ValueError(
+                f"task.goal: expected x, y, z, roll, pitch and yaw, got {goal if goal is None else list(goal)}"
+            )
+        x, y, _, _, _, yaw_deg = goal
+        super().__init__(motion, [x, y, yaw_deg + 90.0], **rewards)
