@@ -12,7 +12,7 @@ from tqdm import tqdm
 from splatrl.configuration import World, build_model, build_world, check_overrides, conf_dir, require_values, run_config
 from splatrl.evaluation.pictures import Pictures
 from splatrl.evaluation.report import summarise, write_json
-from splatrl.evaluation.rollouts import run_episodes
+from splatrl.evaluation.rollouts import run_episodes, spread
 from splatrl.training import load_checkpoint
 
 EPISODES_IN_VIDEO = 4
@@ -28,7 +28,8 @@ def evaluate(cfg: DictConfig, folder: Path, world: World) -> dict[str, Any]:
     """
     settings = cfg.evaluation
     state = load_checkpoint(folder / "checkpoints" / f"{settings.checkpoint}.pt", cfg.device)
-    starts = world.plan.states[world.plan.start_rows]
+    rows = spread(world.plan.start_rows, settings.starts)
+    starts = world.plan.states[rows]
     repeated = starts.repeat_interleave(settings.repeats, 0)
     env = world.env(min(settings.batch_size, len(repeated)), device=cfg.device)
     model = build_model(cfg, env)
@@ -37,14 +38,15 @@ def evaluate(cfg: DictConfig, folder: Path, world: World) -> dict[str, Any]:
     with tqdm(total=len(repeated) + len(starts), unit="episode", desc="evaluate", dynamic_ncols=True) as bar:
         sampled = run_episodes(env, policy, repeated, True, settings.seed, bar.update)
         argmax = run_episodes(env, policy, starts, False, settings.seed, bar.update)
-    summary: dict[str, Any] = summarise(sampled, argmax, world.plan.distance[world.plan.start_rows])
+    summary: dict[str, Any] = summarise(sampled, argmax, world.plan.distance[rows])
     summary |= {
         "frames": state["ppo"]["frames"],
         "wall_seconds": state["seconds"],
         "level": int(state["ppo"]["env"]["curriculum.progress"][0]) + 1,
         "checkpoint": settings.checkpoint,
         "seed": cfg.seed,
-        "start_poses": len(starts),
+        "start_poses": len(world.plan.start_rows),
+        "evaluated_starts": len(starts),
         "longest_path": int(world.plan.distance.max()),
     }
     write_json(folder / "evaluation.json", summary)
@@ -64,7 +66,7 @@ def _words(summary: dict[str, Any], folder: Path, files: list[Path]) -> str:
     lines = [
         f"success {summary['success_rate']:.3f} (argmax {summary['success_rate_argmax']:.3f}), "
         f"SPL {summary['spl']:.3f}, collisions {summary['collision_rate']:.3f} "
-        f"over {summary['start_poses']:,} start poses",
+        f"over {summary['evaluated_starts']:,} of {summary['start_poses']:,} start poses",
         f"{summary['frames']:,} frames in {summary['wall_seconds']:.0f} s, curriculum level {summary['level']}",
         f"pictures in {folder}: {', '.join(path.name for path in files)}",
     ]

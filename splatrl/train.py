@@ -20,7 +20,7 @@ from splatrl.configuration import (
     save_config,
 )
 from splatrl.evaluate import evaluate
-from splatrl.evaluation.rollouts import run_episodes
+from splatrl.evaluation.rollouts import run_episodes, spread
 from splatrl.training import PPO, Trainer
 
 
@@ -40,10 +40,8 @@ def make_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
     ppo = PPO(
         env, model, instantiate(cfg.loss), instantiate(cfg.optim), collector.frames_per_batch, collector.total_frames
     )
-    rows = world.plan.start_rows
-    count = min(cfg.logger.num_test_episodes, len(rows))
-    starts = world.plan.states[rows[torch.linspace(0, len(rows) - 1, count).long()]]
-    test_env = world.env(count, seed=cfg.seed, device=cfg.device)
+    starts = world.plan.states[spread(world.plan.start_rows, cfg.logger.num_test_episodes)]
+    test_env = world.env(len(starts), seed=cfg.seed, device=cfg.device)
 
     def test() -> float:
         return (

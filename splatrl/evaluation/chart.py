@@ -37,7 +37,7 @@ class Chart:
     Args:
         ground: the picture.
         solid: [H, W] bool over the picture, what is solid at the height of the body.
-        goal: [3] x, y and yaw of the goal pose.
+        goal: [3] x, y and yaw of the goal pose; yaw is NaN where any will do.
         body: of the robot.
         box: largest width and height, pixels.
 
@@ -60,7 +60,8 @@ class Chart:
         pose = np.asarray(goal, dtype=np.float64)
         length = 26 / self.scale * FINE  # metres
         pen = ImageDraw.Draw(self.static)
-        pen.polygon(self._place(ARROW * (length, 0.35 * length), pose), fill=GOAL, outline=INK, width=FINE)
+        if not math.isnan(pose[2]):
+            pen.polygon(self._place(ARROW * (length, 0.35 * length), pose), fill=GOAL, outline=INK, width=FINE)
         self._dot(pen, pose[:2], 5, GOAL)
         self._ruler(pen)
 
@@ -68,6 +69,8 @@ class Chart:
         """The map after some steps of an episode."""
         image = self.static.copy()
         pen = ImageDraw.Draw(image)
+        if recording.target is not None:
+            self._dot(pen, np.asarray(recording.target[step, :2], dtype=np.float64), 5, GOAL)
         trail = np.asarray(recording.planar[: step + 1], dtype=np.float64)
         for color, width in (("white", 5), (BLUE, 3)):
             pen.line(self._pixels(trail[:, :2]), fill=color, width=width * FINE, joint="curve")

@@ -222,14 +222,14 @@ def _map(ground: TopDown, solid: Tensor | None, colourful: bool) -> tuple[Figure
 
 
 def _goal(axes: Axes, goal: Tensor, length: float) -> list[Patch | Line2D]:
+    """The goal as an arrow, or as a dot where any heading will do."""
     pose = np.asarray(goal, dtype=np.float64)[None]
-    axes.add_collection(
-        PolyCollection(
-            list(_arrows(pose, 1.2 * length, 0.4 * length)), facecolors=GOAL, edgecolors=INK, linewidths=1, zorder=9
-        )
-    )
+    if not np.isnan(pose[0, 2]):
+        arrow = list(_arrows(pose, 1.2 * length, 0.4 * length))
+        axes.add_collection(PolyCollection(arrow, facecolors=GOAL, edgecolors=INK, linewidths=1, zorder=9))
     axes.plot(*pose[0, :2], "o", color=GOAL, markeredgecolor=INK, markersize=6, zorder=9)
-    return [Line2D([], [], color=GOAL, marker="o", markeredgecolor=INK, markersize=6, linewidth=0, label="goal pose")]
+    words = "goal" if np.isnan(pose[0, 2]) else "goal pose"
+    return [Line2D([], [], color=GOAL, marker="o", markeredgecolor=INK, markersize=6, linewidth=0, label=words)]
 
 
 def _finish(figure: Figure, handles: list[Patch | Line2D], solid: Tensor | None, path: Path) -> None:

@@ -6,10 +6,11 @@ from pathlib import Path
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from torchrl.envs import EnvBase, TransformedEnv
 
 from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Plan
-from splatrl.envs.splat_env import SplatEnv
+from splatrl.envs.transforms import SpriteOverlay
 from splatrl.evaluation.figures import learning_curve, start_map, success_map
 from splatrl.evaluation.recording import record_episodes
 from splatrl.evaluation.rollouts import Episodes
@@ -34,7 +35,7 @@ class Pictures:
         folder: the run folder.
     """
 
-    def __init__(self, gaussians: Gaussians, occupancy: Occupancy, plan: Plan, env: SplatEnv, folder: Path):
+    def __init__(self, gaussians: Gaussians, occupancy: Occupancy, plan: Plan, env: EnvBase, folder: Path):
         self.plan, self.env, self.folder = plan, env, folder
         motion, robot = env.task.motion, env.robot
         places = motion.planar(plan.states)[:, :2]
@@ -63,7 +64,7 @@ class Pictures:
         success_map(planar, episodes.success, self.env.task.goal, self.ground, path, self.solid)
         return path
 
-    def video(self, env: SplatEnv, policy: Callable[[TensorDictBase], TensorDictBase], seed: int) -> Path:
+    def video(self, env: EnvBase, policy: Callable[[TensorDictBase], TensorDictBase], seed: int) -> Path:
         """A rollout of each robot of ``env``, from starts spread over the distances to the goal, farthest last."""
         path = self.folder / "rollouts.mp4"
         rows = self.plan.start_rows
@@ -72,9 +73,8 @@ class Pictures:
         spread = (torch.arange(1, count + 1) * len(ordered) // count - 1).clamp_min(0)
         recordings = record_episodes(env, policy, self.plan.states[ordered[spread]], seed=seed)
         names = getattr(env.task.motion, "action_names", ())
-        rollout_video(
-            recordings, env.robot, env.task.goal, self.ground, path, self.solid, env.renderer, action_names=names
-        )
+        views = (env.renderer, _sprite(env))
+        rollout_video(recordings, env.robot, env.task.goal, self.ground, path, self.solid, *views, action_names=names)
         return path
 
     def _blocked(self) -> Tensor:
@@ -83,3 +83,9 @@ class Pictures:
         distinct, row = places.unique(dim=0, return_inverse=True)
         fits = torch.zeros(len(distinct)).index_add(0, row, self.plan.free.float())
         return distinct[fits == 0]
+
+
+def _sprite(env: EnvBase) -> SpriteOverlay | None:
+    """What an env draws into its images, if anything."""
+    transforms = env.transform if isinstance(env, TransformedEnv) else ()
+    return next((transform for transform in transforms if isinstance(transform, SpriteOverlay)), None)

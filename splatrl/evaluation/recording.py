@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torchrl.envs import EnvBase
 
-from splatrl.envs.splat_env import SplatEnv
 from splatrl.envs.tasks import Outcome
 from splatrl.evaluation.rollouts import acting
 
@@ -19,10 +19,11 @@ class Recording:
     Attributes:
         planar: [T + 1, 3] x and y in metres and yaw in radians.
         body_to_world: [T + 1, 4, 4].
-        pixels: [T + 1, H, W, 3] uint8, what the policy saw.
+        pixels: [T + 1, H, W, 3] uint8, what the policy saw; of several views at once, the last.
         action: [T, ...].
         episode_return: [T + 1] float32, so far.
         outcome: how it ended.
+        target: [T + 1, 3] float32, where the object of the task was, world, metres; None for a task without one.
     """
 
     planar: Tensor
@@ -31,10 +32,11 @@ class Recording:
     action: Tensor
     episode_return: Tensor
     outcome: Outcome
+    target: Tensor | None = None
 
 
 def record_episodes(
-    env: SplatEnv,
+    env: EnvBase,
     policy: Callable[[TensorDictBase], TensorDictBase],
     starts: Tensor,
     sampled: bool = True,
@@ -67,18 +69,20 @@ def record_episodes(
     return [_recording(env, [step[row] for step in steps]) for row in range(len(starts))]
 
 
-def _recording(env: SplatEnv, steps: list[TensorDictBase]) -> Recording:
+def _recording(env: EnvBase, steps: list[TensorDictBase]) -> Recording:
     length = next(i for i, step in enumerate(steps, 1) if step["next", "done"])
     steps = steps[:length]
     states = [steps[0], *(step["next"] for step in steps)]
     keys = "state", "pixels", "episode_return"
     state, pixels, episode_return = (torch.stack([now[key] for now in states]) for key in keys)
+    target = torch.stack([now["target"] for now in states]) if "target" in states[0] else None
     motion, state = env.task.motion, state.to(env.device)
     return Recording(
         planar=motion.planar(state).cpu(),
         body_to_world=motion.body_to_world(state).cpu(),
-        pixels=pixels,
+        pixels=pixels[..., -3:],
         action=torch.stack([step["action"] for step in steps]),
         episode_return=episode_return.squeeze(1),
         outcome=Outcome(int(steps[-1]["next", "outcome"])),
+        target=target,
     )

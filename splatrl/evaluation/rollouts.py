@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from splatrl.envs.splat_env import SplatEnv
 from splatrl.envs.tasks import Outcome
 
 
@@ -48,6 +48,12 @@ class Episodes:
         return (self.success * ratio).mean().item()
 
 
+def spread(rows: Tensor, most: int) -> Tensor:
+    """Some of the rows of a start set, evenly spaced: [N] -> [min(N, most)]."""
+    count = min(most, len(rows))
+    return rows[torch.linspace(0, len(rows) - 1, count, dtype=torch.float64).round().long()]
+
+
 @contextmanager
 def acting(sampled: bool, seed: int) -> Iterator[None]:
     """A block in which policies act, sampled from ``seed`` or by their mode.
@@ -61,7 +67,7 @@ def acting(sampled: bool, seed: int) -> Iterator[None]:
 
 
 def run_episodes(
-    env: SplatEnv,
+    env: EnvBase,
     policy: Callable[[TensorDictBase], TensorDictBase],
     starts: Tensor,
     sampled: bool = True,

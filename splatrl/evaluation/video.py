@@ -6,17 +6,19 @@ from itertools import chain
 from pathlib import Path
 
 import av
+import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
 
 from splatrl.envs.robot import Robot
 from splatrl.envs.tasks import Outcome
+from splatrl.envs.transforms import SpriteOverlay, overlay
 from splatrl.evaluation.chart import COLORS, Chart, font
 from splatrl.evaluation.figures import INK
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import TopDown
 from splatrl.files import replacing
-from splatrl.renderers.base import Renderer
+from splatrl.renderers.base import Renderer, to_pixels
 
 PANEL, WIDEST, GAP, STRIP = 384, 512, 8, 60
 """Pixels: height of both panels, largest width of the map, space around them, height of the text."""
@@ -34,6 +36,7 @@ def rollout_video(
     path: Path,
     solid: Tensor | None = None,
     renderer: Renderer | None = None,
+    sprite: SpriteOverlay | None = None,
     action_names: Sequence[str] = (),
     fps: int = 6,
 ) -> None:
@@ -48,6 +51,7 @@ def rollout_video(
         solid: [H, W] bool over the ground's picture, what is solid at the height of the body.
         renderer: renders the ego view large, with the policy's own pixels in its corner; without one those pixels are
             enlarged.
+        sprite: draws the object of the task into the large view, where it was.
         action_names: by the number of an action.
         fps: steps in a second of video.
 
@@ -57,7 +61,7 @@ def rollout_video(
     if not recordings:
         raise ValueError("recordings: expected at least one episode, got none")
     chart = Chart(ground, solid, goal, robot.body, (WIDEST, PANEL))
-    _encode(_frames(recordings, robot, chart, renderer, action_names, fps), path, fps)
+    _encode(_frames(recordings, robot, chart, renderer, sprite, action_names, fps), path, fps)
 
 
 def _frames(
@@ -65,12 +69,13 @@ def _frames(
     robot: Robot,
     chart: Chart,
     renderer: Renderer | None,
+    sprite: SpriteOverlay | None,
     action_names: Sequence[str],
     fps: int,
 ) -> Iterator[Image.Image]:
     for number, recording in enumerate(recordings, 1):
         last = len(recording.action)
-        for step, view in enumerate(_views(recording, robot, renderer)):
+        for step, view in enumerate(_views(recording, robot, renderer, sprite)):
             width = view.width + chart.size[0] + 3 * GAP
             page = Image.new("RGB", (width + width % 2, PANEL + 2 * GAP + STRIP), INK)
             page.paste(view, (GAP, GAP))
@@ -86,12 +91,22 @@ def _frames(
                 yield page
 
 
-def _views(recording: Recording, robot: Robot, renderer: Renderer | None) -> Iterator[Image.Image]:
+def _views(
+    recording: Recording, robot: Robot, renderer: Renderer | None, sprite: SpriteOverlay | None
+) -> Iterator[Image.Image]:
     """The ego view at each step, PANEL pixels high."""
     large = replace(robot, image_height=PANEL, image_width=round(PANEL * robot.image_width / robot.image_height))
     size = (large.image_width, PANEL)
-    for seen, poses in zip(recording.pixels.split(BATCH), recording.body_to_world.split(BATCH), strict=True):
-        views = seen if renderer is None else renderer.pixels(large.cameras(poses)).cpu()
+    for rows in torch.arange(len(recording.pixels)).split(BATCH):
+        seen = views = recording.pixels[rows]
+        if renderer is not None:
+            cameras = large.cameras(recording.body_to_world[rows])
+            if sprite is None or recording.target is None:
+                views = renderer.pixels(cameras).cpu()
+            else:
+                rgb, depth, _ = renderer.render(cameras)
+                view = (to_pixels(rgb), depth, cameras.camera_to_world, large.K)
+                views = overlay(*view, recording.target[rows], sprite.sprite, sprite.size, sprite.near)[0].cpu()
         for own, view in zip(seen.numpy(), views.numpy(), strict=True):
             image = Image.fromarray(view).resize(size, Image.Resampling.NEAREST)
             if renderer is not None:
