@@ -1,8 +1,8 @@
 """What the policy says about actions: the head that an action spec asks for."""
 
-import torch
 from tensordict.nn import (
     InteractionType,
+    NormalParamExtractor,
     ProbabilisticTensorDictModule,
     ProbabilisticTensorDictSequential,
     TensorDictModule,
@@ -15,8 +15,10 @@ from torchrl.modules import TanhNormal
 
 FIRST_GAIN = 0.01
 """Of the last layer's first weights: the first policy hardly looks at the image."""
-LOG_SCALE = -0.5
-"""Logarithm of the first standard deviation, before the tanh: actions spread over most of their range."""
+FIRST_SCALE = 0.6
+"""The first standard deviation, before the tanh: actions spread over most of their range."""
+LEAST_SCALE = 0.01
+"""Where a deviation stops to shrink, for below it the ratios of PPO jump."""
 
 
 def orthogonal(layer: nn.Linear | nn.Conv2d, gain: float) -> nn.Linear | nn.Conv2d:
@@ -27,31 +29,13 @@ def orthogonal(layer: nn.Linear | nn.Conv2d, gain: float) -> nn.Linear | nn.Conv
     return layer
 
 
-class Normal(nn.Module):
-    """Mean and standard deviation of a normal distribution; the deviation is learnt and the same for every input.
-
-    Args:
-        features: size of the input.
-        dimensions: of the action.
-    """
-
-    def __init__(self, features: int, dimensions: int):
-        super().__init__()
-        self.loc = orthogonal(nn.Linear(features, dimensions), FIRST_GAIN)
-        self.log_scale = nn.Parameter(torch.full((dimensions,), LOG_SCALE))
-
-    def forward(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and standard deviation: [..., features] -> two of [..., dimensions], float32."""
-        loc = self.loc(hidden)
-        return loc, self.log_scale.exp().expand_as(loc)
-
-
 def policy_head(action_spec: TensorSpec, features: int) -> ProbabilisticTensorDictSequential:
     """From ``hidden`` to ``action`` and ``action_log_prob``.
 
     Args:
         action_spec: of an env, batched or not. ``Categorical``: a categorical distribution. ``Bounded`` floats in the
-            last axis: a normal one, squashed by a tanh to the limits of the spec.
+            last axis: a normal one, squashed by a tanh to the limits of the spec; mean and deviation depend on
+            ``hidden``.
         features: size of ``hidden``.
 
     Raises:
@@ -62,7 +46,8 @@ def policy_head(action_spec: TensorSpec, features: int) -> ProbabilisticTensorDi
         layer = orthogonal(nn.Linear(features, action_spec.space.n), FIRST_GAIN)
         parameters, kind, options = ["logits"], CategoricalDistribution, {"validate_args": False}
     elif isinstance(action_spec, Bounded) and action_spec.dtype.is_floating_point and action_spec.ndim:
-        layer = Normal(features, action_spec.shape[-1])
+        linear = orthogonal(nn.Linear(features, 2 * action_spec.shape[-1]), FIRST_GAIN)
+        layer = nn.Sequential(linear, NormalParamExtractor(f"biased_softplus_{FIRST_SCALE}", LEAST_SCALE))
         limits = {"low": action_spec.space.low, "high": action_spec.space.high}
         parameters, kind = ["loc", "scale"], TanhNormal
         options = {name: limit.reshape(-1, limit.shape[-1])[0] for name, limit in limits.items()}

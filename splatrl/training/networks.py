@@ -61,13 +61,13 @@ class Trunk(nn.Module):
             nn.ReLU(inplace=True),
         )
         flat = self.convolutions(torch.zeros(1, depth, height, width)).numel()
-        self.head = nn.Sequential(orthogonal(nn.Linear(flat, features), GAIN), nn.ReLU(inplace=True))
+        self.dense = nn.Sequential(orthogonal(nn.Linear(flat, features), GAIN), nn.ReLU(inplace=True))
 
     def forward(self, image: Tensor) -> Tensor:
         """Encode images: [..., H, W, C] float32 -> [..., features] float32."""
         images = image.reshape(-1, *image.shape[-3:]).permute(0, 3, 1, 2)  # channels stay last in memory: faster
         found = self.convolutions(images).permute(0, 2, 3, 1).flatten(1)
-        return self.head(found).reshape(*image.shape[:-3], -1)
+        return self.dense(found).reshape(*image.shape[:-3], -1)
 
 
 def actor_critic(

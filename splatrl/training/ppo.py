@@ -49,7 +49,7 @@ class PPO:
         self.env, self.model, self.learner = env, model, Learner(model, loss, optim)
         self.frames_per_batch, self.total_frames = frames_per_batch, total_frames
         self.frames = 0
-        self.carried: TensorDictBase | None = None
+        self.carried = env.reset()  # what the next batch starts from
 
     @property
     def finished(self) -> bool:
@@ -72,13 +72,12 @@ class PPO:
 
     def collect(self) -> TensorDictBase:
         """The next frames, [B, T]: what each robot saw, did and met."""
-        start = self.env.reset() if self.carried is None else self.carried
         with torch.no_grad():
             batch = self.env.rollout(
                 self.frames_per_batch // self.env.numel(),
                 self.model,
                 auto_reset=False,
-                tensordict=start,
+                tensordict=self.carried,
                 break_when_any_done=False,
             )
             self.carried = self.env.step_mdp(batch[:, -1].clone())  # the next rollout resets what is done
@@ -93,7 +92,7 @@ class PPO:
             "optimizer": self.learner.optimizer.state_dict(),
             "env": base.state_dict(),
             "transforms": [env.transform.state_dict() for env in transformed],
-            "carried": None if self.carried is None else self.carried.to_dict(),
+            "carried": self.carried.to_dict(),
             "torch_rng": torch.get_rng_state(),
         }
 
@@ -103,12 +102,10 @@ class PPO:
         self.frames = state["frames"]
         self.model.load_state_dict(state["model"])
         self.learner.optimizer.load_state_dict(state["optimizer"])
-        self.env.reset()  # so that transforms have the buffers that theirs are loaded into
         base.load_state_dict(state["env"])
         for env, saved in zip(transformed, state["transforms"], strict=True):
             env.transform.load_state_dict(saved)
-        carried = state["carried"]
-        self.carried = None if carried is None else self.env.fake_tensordict().empty().update(carried)
+        self.carried = self.env.fake_tensordict().empty().update(state["carried"])
         torch.set_rng_state(state["torch_rng"].cpu())
 
 

@@ -1,21 +1,21 @@
-"""PPO: its gradient, its advantages, that it resumes to the byte, and that it learns."""
+"""PPO: its gradient, its advantages, and that it learns."""
 
 import copy
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential
+from torchrl.envs import EnvBase
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from splatrl.envs import SplatEnv
-from splatrl.training import PPO, LossSettings, OptimSettings, actor_critic, load_checkpoint, save_checkpoint
+from splatrl.training import PPO, LossSettings, OptimSettings, actor_critic
 from tests.tiny import tiny_env
+from tests.training.toys import Match
 
 LOSS = LossSettings(
     gamma=0.9,
@@ -31,12 +31,19 @@ LOSS = LossSettings(
 OPTIM = OptimSettings(lr=1e-3, eps=1e-5, max_grad_norm=0.5, anneal_lr=False)
 
 
-def learner(env: SplatEnv, seed: int = 0, frames_per_batch: int = 64, total_frames: int = 10**6, **change: Any) -> PPO:
+def learner(
+    env: EnvBase,
+    seed: int = 0,
+    frames_per_batch: int = 64,
+    total_frames: int = 10**6,
+    memory: int = 0,
+    **change: Any,
+) -> PPO:
     """PPO with a small network that depends on ``seed``; ``change`` goes to loss and optimiser."""
     torch.manual_seed(seed)
     loss = replace(LOSS, **{key: value for key, value in change.items() if hasattr(LOSS, key)})
     optim = replace(OPTIM, **{key: value for key, value in change.items() if hasattr(OPTIM, key)})
-    model = actor_critic(env.observation_spec["pixels"].shape[1:], env.action_spec, 1, (8, 16), 32)
+    model = actor_critic(env.observation_spec["pixels"].shape[1:], env.action_spec, 1, (8, 16), 32, memory)
     return PPO(env, model, loss, optim, frames_per_batch, total_frames)
 
 
@@ -143,33 +150,6 @@ def test_rate_and_entropy_bonus_fall_linearly_to_the_end_if_asked(anneal: bool) 
     assert bonuses == pytest.approx(rates)
 
 
-def test_a_resumed_training_is_the_same_to_the_byte(tmp_path: Path) -> None:
-    def fresh(seed: int) -> PPO:
-        env = tiny_env([4], seed=seed, max_steps=10, first=1, threshold=0.01, window=5)
-        return learner(env, seed, total_frames=64 * 8, anneal_lr=True, anneal_entropy=True)
-
-    whole = fresh(0)
-    reports = [whole.iterate() for _ in range(4)]
-    half = fresh(0)
-    for _ in range(2):
-        half.iterate()
-    save_checkpoint(tmp_path / "last.pt", half.state_dict())
-    resumed = fresh(1)
-    resumed.iterate()
-    resumed.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
-    assert resumed.env.curriculum.level > 0
-    again = [resumed.iterate() for _ in range(2)]
-    assert str(again) == str(reports[2:])  # NaN equals NaN in writing
-    assert torch.equal(parameters(resumed), parameters(whole))
-    rng = torch.get_rng_state()
-    resumed_next = resumed.collect()
-    torch.set_rng_state(rng)
-    whole_next = whole.collect()
-    assert set(resumed_next.keys(True, True)) == set(whole_next.keys(True, True))
-    for key in whole_next.keys(True, True):
-        assert torch.equal(resumed_next[key], whole_next[key]), key
-
-
 def test_it_learns_to_reach_the_goal() -> None:
     ppo = learner(
         tiny_env([16], max_steps=20, first=2, threshold=1.0, window=10**6),  # always at level 0
@@ -200,3 +180,12 @@ def test_a_training_never_uses_more_frames_than_it_has() -> None:
     assert used == [64, 128]
     with pytest.raises(ValueError, match=r"collector\.total_frames: expected at least frames_per_batch = 64, got 63"):
         learner(tiny_env([4]), total_frames=63)
+
+
+def test_it_learns_actions_that_are_numbers() -> None:
+    torch.manual_seed(0)
+    change = {"mini_batch_size": 128, "ppo_epochs": 6, "reward_scale": 1.0, "entropy_coeff": 0.0, "lr": 3e-3}
+    ppo = learner(Match(32), frames_per_batch=512, **change)
+    success = [ppo.iterate()["success"] for _ in range(8)]
+    assert success[0] < 0.3  # other seeds: 0.18 to 0.23
+    assert sum(success[-2:]) / 2 > 0.5  # other seeds: 0.64 to 0.90

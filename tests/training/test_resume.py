@@ -1,0 +1,70 @@
+"""A training that was stopped goes on as if nothing had happened, whatever lies around its env."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from torchrl.envs import CatFrames, Compose, EnvBase, TransformedEnv
+
+from splatrl.training import PPO, load_checkpoint, memory_transforms, save_checkpoint
+from tests.tiny import tiny_env
+from tests.training.test_ppo import learner, parameters
+
+
+def fresh(seed: int, stack: int, memory: int, nested: bool = False) -> PPO:
+    """A learner on the tiny env, with stacked images and a memory of these sizes; 0 is none."""
+    env: EnvBase = tiny_env([4], seed=seed, max_steps=10, first=1, threshold=0.01, window=5)
+    transforms = [*([CatFrames(stack, -1, in_keys=["pixels"])] if stack else []), *memory_transforms(memory)]
+    if nested:
+        for transform in transforms:
+            env = TransformedEnv(env, transform, auto_unwrap=False)
+    elif transforms:
+        env = TransformedEnv(env, Compose(*transforms))
+    return learner(env, seed, total_frames=64 * 8, memory=memory, anneal_lr=True, anneal_entropy=True)
+
+
+@pytest.mark.parametrize(
+    ("stack", "memory", "nested"), [(0, 0, False), (3, 0, False), (0, 6, False), (3, 6, False), (3, 6, True)]
+)
+def test_a_resumed_training_is_the_same_to_the_byte(tmp_path: Path, stack: int, memory: int, nested: bool) -> None:
+    whole = fresh(0, stack, memory, nested)
+    reports = [whole.iterate() for _ in range(4)]
+    half = fresh(0, stack, memory, nested)
+    for _ in range(2):
+        half.iterate()
+    save_checkpoint(tmp_path / "last.pt", half.state_dict())
+    resumed = fresh(1, stack, memory, nested)
+    resumed.iterate()
+    resumed.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
+    assert resumed.env.curriculum.level > 0
+    again = [resumed.iterate() for _ in range(2)]
+    assert str(again) == str(reports[2:])  # NaN equals NaN in writing
+    assert torch.equal(parameters(resumed), parameters(whole))
+    rng = torch.get_rng_state()
+    resumed_next = resumed.collect()
+    torch.set_rng_state(rng)
+    whole_next = whole.collect()
+    assert set(resumed_next.keys(True, True)) == set(whole_next.keys(True, True))
+    for key in whole_next.keys(True, True):
+        assert torch.equal(resumed_next[key], whole_next[key]), key
+
+
+@pytest.mark.parametrize("stack", [0, 3])
+def test_a_checkpoint_tells_the_progress_of_the_curriculum_whatever_the_transforms(stack: int) -> None:
+    ppo = fresh(0, stack, memory=6)
+    ppo.iterate()
+    state = ppo.state_dict()
+    assert torch.equal(state["env"]["curriculum.progress"], ppo.env.curriculum.progress)
+    assert (state["env"]["curriculum.progress"] > 0).any()
+
+
+def test_a_training_that_has_not_begun_can_be_saved_and_gone_on_with(tmp_path: Path) -> None:
+    first = fresh(0, stack=3, memory=6)
+    save_checkpoint(tmp_path / "last.pt", first.state_dict())
+    other = fresh(1, stack=3, memory=6)
+    other.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
+    expected = first.iterate()
+    first_weights = parameters(first)
+    other.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
+    assert str(other.iterate()) == str(expected)
+    assert torch.equal(parameters(other), first_weights)
