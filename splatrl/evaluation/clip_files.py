@@ -1,0 +1,239 @@
+"""Labelled clips on disk: a person's own or recorded ones, read as data from strangers and written whole.
+
+A folder of clips holds, for each clip, a sub-folder of images (PNG or JPEG, in the order of the numbers in their names)
+with ``actions.csv``, or a video (``name.mp4`` or ``name.mov``) with ``name.csv`` beside it. The CSV has the columns
+``frame,action``: frames count from 0, actions are names, several joined by ``|`` where any of them is right. Frames
+that are not listed are shown to the policy and not scored.
+"""
+
+import csv
+import io
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import torch
+from PIL import Image, ImageOps
+from torch import Tensor
+
+IMAGES, VIDEOS = (".png", ".jpg", ".jpeg"), (".mp4", ".mov")
+ACTIONS = "actions.csv"
+HEADER = ["frame", "action"]
+MAX_PIXELS = 64 * 2**20
+"""Of one image: more than any phone takes."""
+MAX_CSV_BYTES = 4 * 2**20
+
+
+@dataclass(frozen=True)
+class Clip:
+    """Frames in order, and what one should have done in some of them.
+
+    Attributes:
+        name: of its folder or file.
+        source: the folder of images or the video.
+        table: the CSV.
+        labels: by the number of a frame, the numbers of the actions any of which is right.
+        lines: of the CSV, by the number of a frame.
+    """
+
+    name: str
+    source: Path
+    table: Path
+    labels: Mapping[int, frozenset[int]]
+    lines: Mapping[int, int]
+
+    def images(self) -> Iterator[Image.Image]:
+        """The frames one after the other, RGB, upright.
+
+        Raises:
+            ValueError: for a frame that cannot be read or is too large, or a label beyond the last frame.
+        """
+        count = 0
+        for image in _pictures(self.source) if self.source.is_dir() else _video(self.source):
+            yield image
+            count += 1
+        beyond = [frame for frame in self.labels if frame >= count]
+        if beyond:
+            place = f"{self.table}, line {self.lines[beyond[0]]}"
+            raise ValueError(f"{place}: expected a frame from 0 to {count - 1}, got {beyond[0]}")
+
+
+def read_clips(folder: Path, action_names: Sequence[str]) -> list[Clip]:
+    """Find the clips of a folder and read their labels; frames are read when they are needed.
+
+    Args:
+        folder: of clips.
+        action_names: of the task, in the order of its actions.
+
+    Returns:
+        In the order of their names.
+
+    Raises:
+        ValueError: where there is no clip, a clip has no labels or images, or a label makes no sense.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"{folder}: expected a folder of clips, found none")
+    found = []
+    for path in sorted(folder.iterdir(), key=_natural):
+        if path.name.startswith("."):
+            continue
+        if path.is_dir():
+            if not _listed(path):
+                raise ValueError(f"{path}: expected images ({', '.join(IMAGES)}), found none")
+            found.append((path.name, path, path / ACTIONS))
+        elif path.suffix.lower() in VIDEOS:
+            found.append((path.stem, path, path.with_suffix(".csv")))
+        elif path.suffix.lower() == ".csv" and not any(path.with_suffix(kind).is_file() for kind in VIDEOS):
+            raise ValueError(f"{path}: expected a video of that name beside it ({', '.join(VIDEOS)}), found none")
+    if not found:
+        raise ValueError(f"{folder}: expected sub-folders of images or videos ({', '.join(VIDEOS)}), found none")
+    return [Clip(name, source, table, *read_labels(table, action_names)) for name, source, table in found]
+
+
+def read_labels(path: Path, action_names: Sequence[str]) -> tuple[dict[int, frozenset[int]], dict[int, int]]:
+    """Read a table of frames and actions.
+
+    Args:
+        path: of the CSV.
+        action_names: of the task, in the order of its actions.
+
+    Returns:
+        Labels and lines, as a ``Clip`` holds them.
+
+    Raises:
+        ValueError: names file and line.
+    """
+    if not path.is_file():
+        raise ValueError(f"{path}: expected a table with the columns frame,action, found none")
+    if path.stat().st_size > MAX_CSV_BYTES:
+        raise ValueError(f"{path}: expected at most {MAX_CSV_BYTES:,} bytes, got {path.stat().st_size:,}")
+    labels: dict[int, frozenset[int]] = {}
+    lines: dict[int, int] = {}
+    try:
+        rows = csv.reader(io.StringIO(path.read_text("utf-8-sig"), newline=""))
+        header = [cell.strip() for cell in next(rows, [])]
+        if header != HEADER:
+            raise ValueError(f"{path}, line 1: expected {','.join(HEADER)}, got {','.join(header)[:80]!r}")
+        for row in rows:
+            if not row:
+                continue
+            place = f"{path}, line {rows.line_num}"
+            if len(row) != 2:
+                raise ValueError(f"{place}: expected a frame and an action, got {len(row)} cells")
+            frame = _frame(row[0].strip(), place)
+            if frame in labels:
+                raise ValueError(f"{place}: expected each frame once, got {frame} again after line {lines[frame]}")
+            labels[frame], lines[frame] = _actions(row[1], action_names, place), rows.line_num
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path}: expected a CSV in UTF-8: {error}") from error
+    if not labels:
+        raise ValueError(f"{path}: expected at least one frame with an action, got none")
+    return labels, lines
+
+
+def _frame(cell: str, place: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,9}", cell):
+        raise ValueError(f"{place}: expected the number of a frame, from 0, got {cell[:80]!r}")
+    return int(cell)
+
+
+def _actions(cell: str, action_names: Sequence[str], place: str) -> frozenset[int]:
+    names = [name.strip() for name in cell.split("|")]
+    for name in names:
+        if name not in action_names:
+            raise ValueError(f"{place}: expected actions among {', '.join(action_names)}, got {name[:80]!r}")
+    return frozenset(action_names.index(name) for name in names)
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """A key by which 9.png comes before 10.png."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", path.name)]
+
+
+def _listed(folder: Path) -> list[Path]:
+    files = (path for path in folder.iterdir() if not path.name.startswith("."))
+    return sorted((path for path in files if path.suffix.lower() in IMAGES), key=_natural)
+
+
+def _too_large(path: Path, width: int, height: int) -> str:
+    return f"{path}: expected images of at most {MAX_PIXELS:,} pixels, got {width} × {height}"
+
+
+def _pictures(folder: Path) -> Iterator[Image.Image]:
+    for path in _listed(folder):
+        try:
+            with Image.open(path, formats=("PNG", "JPEG")) as image:  # reads the header only
+                width, height = image.size
+                upright = ImageOps.exif_transpose(image).convert("RGB") if width * height <= MAX_PIXELS else None
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+            raise ValueError(f"{path}: expected a whole PNG or JPEG: {error}") from error
+        if upright is None:
+            raise ValueError(_too_large(path, width, height))
+        yield upright
+
+
+def _video(path: Path) -> Iterator[Image.Image]:
+    try:
+        with av.open(path) as container:
+            if not container.streams.video:
+                raise ValueError(f"{path}: expected a video, found no stream of images")
+            stream = container.streams.video[0]
+            if stream.width * stream.height > MAX_PIXELS:
+                raise ValueError(_too_large(path, stream.width, stream.height))
+            for frame in container.decode(stream):
+                if frame.width * frame.height > MAX_PIXELS:  # it may change on the way
+                    raise ValueError(_too_large(path, frame.width, frame.height))
+                yield frame.to_image().rotate(frame.rotation, expand=True)
+    except (av.FFmpegError, OSError) as error:
+        raise ValueError(f"{path}: expected a whole video: {error}") from error
+
+
+def write_clip(folder: Path, images: Tensor, allowed: Tensor, action_names: Sequence[str]) -> None:
+    """Write a clip as a folder of PNGs with ``actions.csv``; it appears whole or not at all.
+
+    Args:
+        folder: of the clip; its parent exists.
+        images: [T, H, W, 3] uint8.
+        allowed: [T, A] bool, the actions that are right; frames without any get no label.
+        action_names: A of them.
+
+    Raises:
+        ValueError: where something of that name exists.
+    """
+    assert len(images) == len(allowed), (images.shape, allowed.shape)
+    table = io.StringIO(newline="")
+    writer = csv.writer(table)
+    writer.writerow(HEADER)
+    for frame, row in enumerate(allowed.tolist()):
+        names = [name for name, right in zip(action_names, row, strict=True) if right]
+        if names:
+            writer.writerow([frame, "|".join(names)])
+    digits = max(3, len(str(len(images) - 1)))
+    with new_folder(folder) as made:
+        for number, image in enumerate(images.to("cpu", torch.uint8).numpy()):
+            Image.fromarray(image).save(made / f"{number:0{digits}}.png")
+        (made / ACTIONS).write_text(table.getvalue(), "utf-8", newline="")
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """A folder to fill, which gets its name once the block ends well; a block that raises leaves nothing.
+
+    Raises:
+        ValueError: where something of that name exists.
+    """
+    if path.exists():
+        raise ValueError(f"{path}: expected a new folder, found one")
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    temporary.mkdir()
+    try:
+        yield temporary
+        os.rename(temporary, path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

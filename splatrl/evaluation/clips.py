@@ -1,0 +1,168 @@
+"""How often a policy would do in a clip what a person, or a planner, would have done: Experiment IV of the paper."""
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from splatrl.evaluation.clip_files import Clip
+from splatrl.evaluation.rollouts import acting
+
+
+@dataclass(frozen=True)
+class ClipResult:
+    """How a policy did on the labelled frames of a clip.
+
+    Attributes:
+        name: of the clip.
+        frames: labelled ones.
+        matches: those in which the most probable action is one of the label's.
+        mass: mean over them of the probability that the policy gives to the label's actions together.
+    """
+
+    name: str
+    frames: int
+    matches: int
+    mass: float
+
+    @property
+    def rate(self) -> float:
+        """Share of labelled frames that match."""
+        return self.matches / self.frames
+
+
+def total(results: Sequence[ClipResult]) -> ClipResult:
+    """All clips as one: every labelled frame counts the same."""
+    frames = sum(one.frames for one in results)
+    mass = sum(one.frames * one.mass for one in results) / frames
+    return ClipResult("total", frames, sum(one.matches for one in results), mass)
+
+
+def match(
+    policy: TensorDictModuleBase,
+    action_names: Sequence[str],
+    clips: Sequence[Clip],
+    image_shape: Sequence[int],
+    start: TensorDictBase | None = None,
+    progress: Callable[[int], object] = lambda frames: None,
+) -> list[ClipResult]:
+    """Show clips to a policy, frame by frame in their order, and compare its most probable action with the labels.
+
+    A frame is cropped about its centre to the shape of the policy's image and shrunk by averaging areas. A policy that
+    sees several frames sees those before it in the clip, oldest first, the clip's first one repeated at its start; a
+    recurrent state begins anew with each clip and is carried through it. The policy's generator is left as it was.
+
+    Args:
+        policy: reads ``pixels`` and what else its ``in_keys`` name, writes ``logits``.
+        action_names: of the task, in the order of its actions.
+        clips: read with the same names.
+        image_shape: (H, W, C) of ``pixels``, C being 3 for each frame that is stacked in them.
+        start: [1] all but ``pixels`` that the policy reads where an episode begins, such as a recurrent state of
+            zeros; None where it reads nothing else.
+        progress: called with the number of frames that were just shown.
+
+    Raises:
+        ValueError: for a clip that cannot be read, or a policy that reads more than it is given.
+    """
+    begun = TensorDict({}, [1]) if start is None else start
+    extra = [key for key in policy.in_keys if key != "pixels"]
+    missing = [key for key in extra if key not in begun.keys(True)]
+    if missing:
+        raise ValueError(f"start: expected {', '.join(map(str, missing))}, which the policy reads, got nothing")
+    results = []
+    for clip in clips:
+        with acting(sampled=False, seed=0):
+            results.append(_match(policy, action_names, clip, image_shape, begun.select(*extra), progress))
+    return results
+
+
+def _match(
+    policy: TensorDictModuleBase,
+    action_names: Sequence[str],
+    clip: Clip,
+    image_shape: Sequence[int],
+    begun: TensorDictBase,
+    progress: Callable[[int], object],
+) -> ClipResult:
+    height, width, channels = image_shape
+    seen: deque[Tensor] = deque(maxlen=channels // 3)
+    carried = begun.clone()
+    matches, masses = 0, []
+    for number, image in enumerate(clip.images()):
+        frame = fitted(image, height, width)
+        seen.extend([frame] * (seen.maxlen or 1) if not number else [frame])
+        out = policy(carried.clone().set("pixels", torch.cat(list(seen), -1).unsqueeze(0).to(carried.device)))
+        label = clip.labels.get(number)
+        if label is not None:
+            probabilities = out["logits"].softmax(-1)[0]
+            if len(probabilities) != len(action_names):
+                names = ", ".join(action_names)
+                raise ValueError(
+                    f"policy: expected {len(action_names)} actions, {names}, got a policy of {len(probabilities)}"
+                )
+            matches += int(probabilities.argmax()) in label
+            masses.append(float(probabilities[sorted(label)].sum()))
+        after = out.get("next", TensorDict({}, [1]))
+        for key in begun.keys():  # noqa: SIM118, iterating over a TensorDict goes along its batch
+            carried[key] = after.get(key, begun[key])
+        if "is_init" in carried.keys():  # noqa: SIM118
+            carried["is_init"] = torch.zeros_like(carried["is_init"])
+        progress(1)
+    return ClipResult(clip.name, len(masses), matches, sum(masses) / len(masses))
+
+
+def fitted(image: Image.Image, height: int, width: int) -> Tensor:
+    """Crop an image about its centre to the shape height : width, and shrink it to that size by averaging areas.
+
+    Args:
+        image: RGB, of any size.
+        height: pixels.
+        width: pixels.
+
+    Returns:
+        [height, width, 3] uint8.
+    """
+    scale = min(image.width / width, image.height / height)
+    across, down = _shares(image.width, width, scale), _shares(image.height, height, scale)
+    pixels, lines = np.asarray(image), []
+    for shares in down:  # a line of the result at a time, so that a large image is never held in floats
+        first, last = np.flatnonzero(shares)[[0, -1]]
+        lines.append(np.tensordot(shares[first : last + 1], pixels[first : last + 1], 1))
+    means = np.einsum("ow,hwc->hoc", across, np.stack(lines))
+    return torch.from_numpy(np.floor(means + 0.5).astype(np.uint8))
+
+
+def _shares(length: int, count: int, scale: float) -> NDArray[np.float64]:
+    """How much each of ``length`` pixels has in each of the ``count`` cells of ``scale`` pixels in their middle.
+
+    Returns:
+        [count, length], rows of sum 1.
+    """
+    edges = 0.5 * length + scale * (np.arange(count + 1) - 0.5 * count)
+    pixels = np.arange(length)
+    overlap = np.minimum(edges[1:, None], pixels + 1) - np.maximum(edges[:-1, None], pixels)
+    overlap = np.maximum(overlap, 0.0)
+    shares: NDArray[np.float64] = overlap / overlap.sum(1, keepdims=True)
+    return shares
+
+
+def table(results: Mapping[str, Sequence[ClipResult]]) -> str:
+    """Match rates as a Markdown table: a row a clip and one for all, a column a run, the mean probability in brackets.
+
+    Args:
+        results: of each run, on the same clips.
+    """
+    runs = list(results)
+    rows = [["clip", "frames", *runs], ["---", "---:", *["---:"] * len(runs)]]
+    columns = [[*found, total(found)] for found in results.values()]
+    for line in zip(*columns, strict=True):
+        cells = [f"{one.rate:.3f} ({one.mass:.3f})" for one in line]
+        rows.append([line[0].name, str(line[0].frames), *cells])
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)

@@ -1,0 +1,48 @@
+"""What a camera makes of what it sees: exposure, tint, blur and noise, another of each in every clip."""
+
+from dataclasses import dataclass
+
+import torch
+from scipy import ndimage
+from torch import Tensor
+
+GAMMA = 2.2
+"""Between stored and linear light, near enough for a change of exposure."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """How far cameras may be off; each clip draws its own, uniformly.
+
+    Attributes:
+        exposure: most that an image may be lighter or darker, stops.
+        tint: most that a colour channel may be stronger or weaker, share.
+        blur: largest standard deviation of the blur, shares of the image's height.
+        noise: largest standard deviation of the noise of each value, grey levels.
+    """
+
+    exposure: float = 0.5
+    tint: float = 0.06
+    blur: float = 0.008
+    noise: float = 5.0
+
+
+def photographed(pixels: Tensor, lens: Lens, generator: torch.Generator) -> Tensor:
+    """The frames of one clip as one camera gives them.
+
+    Args:
+        pixels: [T, H, W, 3] uint8.
+        lens: from which this camera is drawn.
+        generator: draws it, and its noise.
+
+    Returns:
+        [T, H, W, 3] uint8.
+    """
+    draw = torch.rand(6, generator=generator, dtype=torch.float64).tolist()
+    stops, tints = lens.exposure * (2 * draw[0] - 1), [1 + lens.tint * (2 * value - 1) for value in draw[1:4]]
+    gain = torch.tensor([2**stops * tint for tint in tints])
+    light = (pixels.cpu().float() / 255) ** GAMMA
+    deviation = draw[4] * lens.blur * pixels.shape[1]
+    light = torch.from_numpy(ndimage.gaussian_filter(light.numpy(), (0, deviation, deviation, 0), truncate=3.0))
+    noise = torch.randn(light.shape, generator=generator) * (draw[5] * lens.noise)
+    return (255 * (light * gain) ** (1 / GAMMA) + noise + 0.5).floor().clamp(0, 255).to(torch.uint8)

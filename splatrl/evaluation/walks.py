@@ -1,0 +1,267 @@
+"""Walks with a camera in an unsteady hand, labelled by the planner: clips for those who have no phone at hand."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from splatrl.cameras import Cameras
+from splatrl.curriculum import Plan
+from splatrl.envs.motions import LatticeMotion
+from splatrl.envs.motions.planar import Plane
+from splatrl.envs.robot import Robot
+from splatrl.evaluation.clip_files import write_clip
+from splatrl.evaluation.walk_looks import Lens, photographed
+from splatrl.geometry import axis_rotations, rigid
+from splatrl.renderers.base import Renderer, to_pixels
+
+WAVES = 4
+"""Sinusoids that a hand's sway is made of: it is bounded by √(2 · WAVES) = 2.8 standard deviations."""
+NEAREST = 0.35
+"""Of the longest path: the shortest that a walk begins with."""
+PATIENCE = 3
+"""A walk ends after this many times the steps that its path should take."""
+CANDIDATES = 16
+MARGIN = 0.15
+"""Metres that a person keeps away from things."""
+BATCH = 32
+
+Overlay = Callable[[Tensor, Tensor, Cameras], Tensor]
+"""Draws what is not in the scene: pixels [B, H, W, 3] uint8, depth [B, H, W] metres and cameras -> pixels."""
+
+
+@dataclass(frozen=True)
+class Hand:
+    """How a hand sways: standard deviations of a smooth stationary process, and how fast it is.
+
+    Attributes:
+        place: along x and along y, metres.
+        height: metres.
+        pitch_deg: about the camera's right axis.
+        roll_deg: about its forward axis.
+        yaw_deg: about its down axis.
+        slowest: longest period, frames.
+        fastest: shortest period, frames.
+        frames: of a step of the walk.
+    """
+
+    place: float = 0.01
+    height: float = 0.011
+    pitch_deg: float = 2.5
+    roll_deg: float = 2.5
+    yaw_deg: float = 2.5
+    slowest: float = 60.0
+    fastest: float = 8.0
+    frames: int = 3
+
+    def sizes(self) -> Tensor:
+        """Standard deviations in the order and the units of ``camera_offset``: [6] float64."""
+        angles = [math.radians(value) for value in (self.pitch_deg, self.roll_deg, self.yaw_deg)]
+        return torch.tensor([self.place, self.place, self.height, *angles], dtype=torch.float64)
+
+
+@dataclass(frozen=True)
+class Walk:
+    """T frames of a walk.
+
+    Attributes:
+        cameras: T of them.
+        planar: [T, 3] float64, where each camera is and looks: x and y in metres, yaw in radians.
+        allowed: [T, A] bool, the actions that begin a shortest path from there.
+    """
+
+    cameras: Cameras
+    planar: Tensor
+    allowed: Tensor
+
+
+def sway(hand: Hand, frames: int, generator: torch.Generator) -> Tensor:
+    """Offsets of the camera of each frame, as ``Robot.cameras`` takes them: [frames, 6] float32."""
+    draw = torch.rand(2, 6, WAVES, generator=generator, dtype=torch.float64)
+    periods = hand.fastest * (hand.slowest / hand.fastest) ** draw[0]
+    time = torch.arange(frames, dtype=torch.float64).view(-1, 1, 1)
+    waves = torch.sin(math.tau * (time / periods + draw[1])).sum(-1)
+    return (waves * math.sqrt(2 / WAVES) * hand.sizes()).float()
+
+
+def paths(plan: Plan, starts: Tensor, generator: torch.Generator) -> list[Tensor]:
+    """States of a shortest path to the goal from each start, chosen at random among all; who can go on does not turn.
+
+    Args:
+        plan: of a motion with discrete actions.
+        starts: [B, D] states.
+        generator: chooses.
+
+    Returns:
+        B of [N, D], the start included, and the goal where it is reached in good time.
+    """
+    states, lengths = [starts], torch.ones(len(starts), dtype=torch.int64)
+    last = torch.full((len(starts), 1), -1)
+    for _ in range(math.ceil(PATIENCE * max(1.0, float(plan.steps_to_go(starts).amax())))):
+        allowed = plan.optimal(states[-1]).cpu()
+        walks = allowed.any(1) & (lengths == len(states))
+        if not walks.any():
+            break
+        drawn = torch.multinomial(allowed.float() + 1e-9, 1, generator=generator)
+        goes_on = allowed.gather(1, last.clamp_min(0)) & (last >= 0)
+        last = torch.where(goes_on, last, drawn)
+        states.append(plan.motion.advance(states[-1], plan.actions[last.squeeze(1).to(plan.actions.device)]))
+        lengths += walks
+    every = torch.stack(states, 1)
+    return [row[:length] for row, length in zip(every, lengths.tolist(), strict=True)]
+
+
+def awkwardness(plan: Plan, states: Tensor) -> float:
+    """How little a path is one that a person would take with a camera in hand, 0 at best.
+
+    Args:
+        plan: of the path.
+        states: [N, D] of the path.
+
+    Returns:
+        Share of the steps that go backwards, and share of the states nearer to something than ``MARGIN``; and 1 more
+        where the path ends before the goal.
+    """
+    poses = plan.motion.body_to_world(states)
+    way, ahead = poses[:, :3, 3].diff(dim=0), poses[:-1, :3, 0]
+    backwards = (way * ahead).sum(1) < -1e-6
+    tight = plan.checker.clearance(poses[:, :3, 3]) < MARGIN
+    stuck = not bool(plan.reached(states[-1:])[0])
+    return float(backwards.double().mean()) + float(tight.double().mean()) + stuck
+
+
+def eased(planar: Tensor, frames: int) -> Tensor:
+    """Poses between poses, that set off and stop gently: [N, 3] x, y and yaw -> [(N − 1) · frames + 1, 3]."""
+    steps = planar.diff(dim=0)
+    steps[:, 2] = (steps[:, 2] + math.pi) % math.tau - math.pi
+    part = torch.arange(frames, dtype=planar.dtype) / frames
+    part = (part * part * (3 - 2 * part)).view(1, -1, 1)
+    between = planar[:-1].unsqueeze(1) + part * steps.unsqueeze(1)
+    return torch.cat([between.flatten(0, 1), planar[-1:]])
+
+
+def walk(plan: Plan, robot: Robot, states: Tensor, hand: Hand, generator: torch.Generator) -> Walk:
+    """Walk a path with an unsteady camera, until the camera is at the goal.
+
+    Args:
+        plan: of a ``LatticeMotion`` or a ``Plane`` with discrete actions.
+        robot: its camera and the camera's height.
+        states: [N, D] of the path.
+        hand: how the camera sways.
+        generator: sways.
+    """
+    motion = plan.motion
+    assert isinstance(motion, (LatticeMotion, Plane)), motion
+    x, y, yaw = eased(motion.planar(states).cpu(), hand.frames).unbind(1)
+    bodies = rigid(axis_rotations(2, yaw), torch.stack([x, y, torch.full_like(x, motion.height)], 1)).float()
+    cameras = robot.cameras(bodies, sway(hand, len(bodies), generator))
+    poses = cameras.camera_to_world.double()
+    yaw = torch.atan2(poses[:, 1, 2], poses[:, 0, 2]) % math.tau
+    planar = torch.cat([poses[:, :2, 3], yaw.unsqueeze(1)], 1)
+    states = nearest_states(plan, planar)
+    there = plan.reached(states).nonzero().flatten()
+    length = int(there[0]) + 1 if len(there) else len(states)
+    return Walk(cameras[:length], planar[:length], plan.optimal(states[:length]))
+
+
+def nearest_states(plan: Plan, planar: Tensor) -> Tensor:
+    """The states of poses; on a lattice the nearest, counted in steps and turns: [N, 3] -> [N, D]."""
+    if plan.states.is_floating_point():
+        return planar.to(plan.states)
+    motion = plan.motion
+    assert isinstance(motion, LatticeMotion), motion
+    away = (planar.unsqueeze(1) - motion.planar(plan.states).cpu()).abs()
+    turn = torch.minimum(away[..., 2], math.tau - away[..., 2]) / motion.angle_step
+    rows = torch.hypot(away[..., :2].norm(dim=-1) / motion.step, turn).argmin(1)
+    return plan.states[rows]
+
+
+def far_paths(plan: Plan, count: int, generator: torch.Generator) -> list[Tensor]:
+    """Paths whose lengths are spread evenly from ``NEAREST`` of the longest to the longest, the longest first.
+
+    For each length the least awkward is taken of paths from ``CANDIDATES`` random starts.
+
+    Returns:
+        ``count`` of [N, D] states.
+    """
+    rows = plan.start_rows
+    steps = plan.distance[rows].double().cpu()
+    wanted = steps.max() * torch.linspace(1, NEAREST, count, dtype=torch.float64)
+    candidates = []
+    for length in wanted:
+        gap = (steps - length).abs()
+        near = (gap <= max(float(gap.min()), 0.03 * float(steps.max()))).nonzero().flatten()
+        candidates.append(rows[near[torch.randint(len(near), (CANDIDATES,), generator=generator)]])
+    tried = paths(plan, plan.states[torch.cat(candidates)], generator)
+    groups = [tried[CANDIDATES * number : CANDIDATES * (number + 1)] for number in range(count)]
+    return [min(group, key=partial(awkwardness, plan)) for group in groups]
+
+
+def record_walks(
+    folder: Path,
+    plan: Plan,
+    robot: Robot,
+    renderer: Renderer,
+    action_names: Sequence[str],
+    count: int = 12,
+    seed: int = 0,
+    height: int = 96,
+    hand: Hand | None = None,
+    lens: Lens | None = None,
+    overlay: Overlay | None = None,
+    progress: Callable[[int], object] = lambda clips: None,
+) -> list[Path]:
+    """Write walks as clips; see ``clip_files``. The same arguments give the same bytes.
+
+    Args:
+        folder: of the clips, made where there is none.
+        plan: in the scene that is shown.
+        robot: its camera.
+        renderer: of the scene that is shown.
+        action_names: of the motion, in the order of its actions.
+        count: of clips.
+        seed: of starts, paths, sway and looks.
+        height: of the images, pixels; their shape is that of the robot's.
+        hand: how the camera sways.
+        lens: what the cameras are like.
+        overlay: draws what is not in the scene.
+        progress: called with the number of clips that were just written.
+
+    Returns:
+        The clips' folders.
+
+    Raises:
+        ValueError: for a motion whose poses or actions cannot be walked, or where a clip of that name exists.
+    """
+    if not isinstance(plan.motion, (LatticeMotion, Plane)) or len(action_names) != len(plan.actions):
+        name = type(plan.motion).__name__
+        raise ValueError(f"task: expected named steps on the ground, as of ForwardMotion or LatticeMotion, got {name}")
+    if count < 1 or height < 1:
+        raise ValueError(f"count, height: expected at least 1 clip and 1 pixel, got {count} and {height}")
+    camera = replace(robot, image_height=height, image_width=round(height * robot.image_width / robot.image_height))
+    walked_paths = far_paths(plan, count, torch.Generator().manual_seed(seed))
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for number, states in enumerate(walked_paths):
+        generator = torch.Generator().manual_seed(1_000_003 * (seed + 1) + number)
+        walked = walk(plan, camera, states, hand or Hand(), generator)
+        images = photographed(seen(walked.cameras, renderer, overlay), lens or Lens(), generator)
+        written.append(folder / f"walk-{number:02}")
+        write_clip(written[-1], images, walked.allowed, action_names)
+        progress(1)
+    return written
+
+
+def seen(cameras: Cameras, renderer: Renderer, overlay: Overlay | None) -> Tensor:
+    """What cameras see, with what is drawn over it: [T, H, W, 3] uint8."""
+    images = []
+    for rows in torch.arange(len(cameras)).split(BATCH):
+        some = cameras[rows]
+        output = renderer.render(some)
+        pixels = to_pixels(output.rgb)
+        images.append(pixels if overlay is None else overlay(pixels, output.depth, some))
+    return torch.cat(images)

@@ -1,0 +1,180 @@
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from torch import Tensor, nn
+from torchrl.data import Categorical
+from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs.utils import step_mdp
+
+from splatrl.evaluation.clip_files import read_clips, write_clip
+from splatrl.evaluation.clips import Clip, ClipResult, fitted, match, table, total
+from splatrl.training import actor_critic, memory_transforms
+from tests.tiny import tiny_env
+
+NAMES = ("forward", "back", "left", "right")
+HEIGHT, WIDTH = 12, 16
+PROBABILITIES = torch.tensor([0.1, 0.2, 0.3, 0.4])
+
+
+class Recorder(nn.Module):
+    """Gives every image the same logits, and keeps it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: list[Tensor] = []
+
+    def forward(self, pixels: Tensor) -> Tensor:
+        self.seen.append(pixels)
+        return PROBABILITIES.log().expand(len(pixels), 4) + 5
+
+
+def recorder() -> tuple[Recorder, TensorDictModule]:
+    module = Recorder()
+    return module, TensorDictModule(module, in_keys=["pixels"], out_keys=["logits"])
+
+
+def clips(folder: Path, labels: Sequence[Sequence[Sequence[int]]]) -> list[Clip]:
+    """Clips of random frames: for each clip, for each frame, the actions that are right."""
+    generator = torch.Generator().manual_seed(3)
+    for number, frames in enumerate(labels):
+        allowed = torch.tensor([[action in frame for action in range(4)] for frame in frames])
+        images = torch.randint(0, 256, (len(frames), HEIGHT, WIDTH, 3), generator=generator, dtype=torch.uint8)
+        write_clip(folder / f"clip-{number}", images, allowed, NAMES)
+    return read_clips(folder, NAMES)
+
+
+def test_matches_and_probability_are_counted_over_the_labelled_frames_alone(tmp_path: Path) -> None:
+    policy = recorder()[1]
+    found = match(policy, NAMES, clips(tmp_path, [[[3], [], [0, 3], [2]], [[0, 1]]]), (HEIGHT, WIDTH, 3))
+    assert [(one.name, one.frames, one.matches) for one in found] == [("clip-0", 3, 2), ("clip-1", 1, 0)]
+    assert [one.mass for one in found] == pytest.approx([(0.4 + 0.5 + 0.3) / 3, 0.3])
+    assert found[0].rate == pytest.approx(2 / 3)
+    every = total(found)
+    assert (every.frames, every.matches, every.rate) == (4, 2, 0.5)
+    assert every.mass == pytest.approx((0.4 + 0.5 + 0.3 + 0.3) / 4)
+
+
+def test_each_frame_is_shown_once_in_its_order_and_reported(tmp_path: Path) -> None:
+    module, policy = recorder()
+    shown: list[int] = []
+    some = clips(tmp_path, [[[3], [], [1]]])
+    match(policy, NAMES, some, (HEIGHT, WIDTH, 3), progress=shown.append)
+    written = [torch.from_numpy(np.array(image)) for image in some[0].images()]
+    assert torch.equal(torch.cat(module.seen), torch.stack(written))
+    assert shown == [1, 1, 1]
+
+
+def test_stacked_frames_are_those_before_with_the_newest_last_and_the_first_repeated(tmp_path: Path) -> None:
+    module, policy = recorder()
+    some = clips(tmp_path, [[[3]] * 4, [[3]] * 2])
+    match(policy, NAMES, some, (HEIGHT, WIDTH, 9))
+    one, two = ([torch.from_numpy(np.array(image)) for image in clip.images()] for clip in some)
+    expected = [(one, order) for order in ((0, 0, 0), (0, 0, 1), (0, 1, 2), (1, 2, 3))]
+    expected += [(two, order) for order in ((0, 0, 0), (0, 0, 1))]
+    for pixels, (frames, order) in zip(module.seen, expected, strict=True):
+        assert torch.equal(pixels[0], torch.cat([frames[number] for number in order], -1))
+
+
+@pytest.fixture
+def remembering() -> tuple[TensorDictModuleBase, TensorDictBase]:
+    """A recurrent policy, and what it reads where an episode begins."""
+    torch.manual_seed(1)
+    policy = actor_critic((HEIGHT, WIDTH, 3), Categorical(4), pool=1, features=16, memory=8).get_policy_operator()
+    env = TransformedEnv(tiny_env([1]), Compose(*memory_transforms(8)))
+    return policy, env.reset().select("recurrent_state", "is_init")
+
+
+def test_a_recurrent_state_is_carried_through_a_clip_and_begins_anew_with_the_next(
+    tmp_path: Path, remembering: tuple[TensorDictModuleBase, TensorDictBase], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy, start = remembering
+    some = clips(tmp_path, [[[3]] * 4, [[3]] * 3])
+    logits: list[Tensor] = []
+    policy.register_forward_hook(lambda module, given, out: logits.append(out["logits"].clone()))
+    before = start.clone()
+    match(policy, NAMES, some, (HEIGHT, WIDTH, 3), start)
+    found, logits = logits, []
+    assert all(torch.equal(start[key], before[key]) for key in ("recurrent_state", "is_init"))
+    policy._forward_hooks.clear()
+    with torch.no_grad():
+        for clip in some:
+            td = start.clone()
+            for number, image in enumerate(clip.images()):
+                td["pixels"] = torch.from_numpy(np.array(image)).unsqueeze(0)
+                td["is_init"] = torch.full((1, 1), number == 0)
+                td = policy(td)
+                logits.append(td["logits"])
+                td = step_mdp(td.set(("next", "is_init"), td["is_init"]), exclude_action=True)
+    assert torch.allclose(torch.cat(found), torch.cat(logits), atol=1e-6)
+    alone = policy(start.clone().set("pixels", torch.from_numpy(np.array(list(some[0].images())[1])).unsqueeze(0)))
+    assert not torch.allclose(found[1], alone["logits"], atol=1e-4)  # without what was seen before
+
+
+def test_a_policy_that_reads_more_than_it_is_given_is_refused(
+    tmp_path: Path, remembering: tuple[TensorDictModuleBase, TensorDictBase]
+) -> None:
+    with pytest.raises(ValueError, match=r"start: expected .*recurrent_state.*, which the policy reads"):
+        match(remembering[0], NAMES, clips(tmp_path, [[[3]]]), (HEIGHT, WIDTH, 3))
+
+
+def test_scoring_leaves_the_global_generator_alone_and_tracks_no_gradient(tmp_path: Path) -> None:
+    policy = actor_critic((HEIGHT, WIDTH, 3), Categorical(4), pool=1).get_policy_operator()
+    some = clips(tmp_path, [[[3]] * 3])
+    state = torch.get_rng_state()
+    first = match(policy, NAMES, some, (HEIGHT, WIDTH, 3))
+    assert torch.equal(torch.get_rng_state(), state)
+    assert match(policy, NAMES, some, (HEIGHT, WIDTH, 3)) == first
+
+
+def test_an_image_is_cropped_about_its_middle() -> None:
+    wide = np.zeros((8, 20, 3), np.uint8)
+    wide[:, :5], wide[:, -5:] = 255, 255  # all but the middle 8 × 10
+    tall = np.ascontiguousarray(wide.transpose(1, 0, 2))
+    assert not fitted(Image.fromarray(wide), 4, 5).any()
+    assert not fitted(Image.fromarray(tall), 5, 4).any()
+    assert fitted(Image.fromarray(wide), 4, 6)[:, [0, -1]].all()
+
+
+@pytest.mark.parametrize(("height", "width"), [(4, 6), (2, 3), (8, 12)])
+def test_an_image_is_shrunk_by_averaging_areas(height: int, width: int) -> None:
+    image = np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)
+    cells = image.reshape(height, 8 // height, width, 12 // width, 3).mean((1, 3))
+    assert np.abs(fitted(Image.fromarray(image), height, width).numpy() - cells).max() <= 0.51
+
+
+def test_parts_of_pixels_count_by_their_area() -> None:
+    line = np.array([[0, 90, 210]], np.uint8)[..., None].repeat(3, -1)
+    shrunk = fitted(Image.fromarray(line.repeat(3, 0)), 2, 2)
+    assert shrunk[0, :, 0].tolist() == [30, 170]  # one and a half of the three each
+
+
+@pytest.mark.parametrize("size", [(7, 9), (640, 480), (33, 1000)])
+def test_an_even_image_stays_even_at_any_size(size: tuple[int, int]) -> None:
+    assert (fitted(Image.new("RGB", size, (7, 100, 255)), 12, 16) == torch.tensor([7, 100, 255])).all()
+
+
+def test_the_table_sets_runs_side_by_side() -> None:
+    with_noise = [ClipResult("a", 4, 3, 0.5), ClipResult("b", 2, 0, 0.25)]
+    without = [ClipResult("a", 4, 1, 0.25), ClipResult("b", 2, 2, 1.0)]
+    assert table({"with": with_noise, "without": without}).splitlines() == [
+        "| clip | frames | with | without |",
+        "| --- | ---: | ---: | ---: |",
+        "| a | 4 | 0.750 (0.500) | 0.250 (0.250) |",
+        "| b | 2 | 0.000 (0.250) | 1.000 (1.000) |",
+        "| total | 6 | 0.500 (0.417) | 0.500 (0.500) |",
+    ]
+
+
+def test_a_policy_must_say_as_many_actions_as_there_are_names(tmp_path: Path) -> None:
+    def three(pixels: Tensor) -> Tensor:
+        return torch.zeros(len(pixels), 3)
+
+    policy = TensorDictModule(three, in_keys=["pixels"], out_keys=["logits"])
+    with pytest.raises(ValueError, match="expected 4 actions, forward, back, left, right, got a policy of 3"):
+        match(policy, NAMES, clips(tmp_path, [[[3]]]), (HEIGHT, WIDTH, 3), TensorDict({}, [1]))

@@ -1,0 +1,241 @@
+import math
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from splatrl.cameras import Cameras
+from splatrl.curriculum import Plan, plan
+from splatrl.envs.motions import DriveMotion, ForwardMotion
+from splatrl.evaluation.clip_files import read_clips
+from splatrl.evaluation.walk_looks import Lens
+from splatrl.evaluation.walks import (
+    Hand,
+    awkwardness,
+    eased,
+    far_paths,
+    nearest_states,
+    paths,
+    record_walks,
+    sway,
+    walk,
+)
+from splatrl.renderers.base import RenderOutput
+from tests.tiny import HEIGHT, BlockChecker, tiny_motion, tiny_plan, tiny_renderer, tiny_robot
+
+STILL = Hand(place=0.0, height=0.0, pitch_deg=0.0, roll_deg=0.0, yaw_deg=0.0)
+NAMES = ForwardMotion.action_names
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+@cache
+def planar_plan() -> Plan:
+    """Walks by steps of 0.25 m to a place in the north-east, facing it."""
+    motion = ForwardMotion(HEIGHT, 0.25, 30.0, (-1.0, -1.5), (1.0, 1.5))
+
+    def reached(state: Tensor) -> Tensor:
+        away = torch.tensor([0.7, 1.0]) - state[:, :2]
+        turn = torch.atan2(away[:, 1], away[:, 0]) - state[:, 2]
+        return (away.norm(dim=1) < 0.4) & (turn.cos() > 0.8)
+
+    return plan(motion, BlockChecker(), reached)
+
+
+def test_a_hand_sways_with_the_deviations_that_it_is_given_at_every_time() -> None:
+    hand = Hand()
+    walks = torch.stack([sway(hand, 50, generator(seed)) for seed in range(800)])
+    sizes = hand.sizes().float()
+    for frame in (0, 20, 49):
+        assert torch.allclose(walks[:, frame].std(0) / sizes, torch.ones(6), atol=0.08)
+        assert (walks[:, frame].mean(0).abs() < 0.15 * sizes).all()
+    assert (walks.abs().amax((0, 1)) < 2.83 * sizes).all()
+    assert walks[..., 2].abs().max() < 0.0312 and walks[..., 3:5].abs().max() < math.radians(7.1)
+
+
+def test_a_hand_sways_smoothly() -> None:
+    hand = Hand()
+    steps = torch.stack([sway(hand, 100, generator(seed)).diff(dim=0) for seed in range(20)])
+    assert (steps.abs().amax((0, 1)) < math.sqrt(8) * math.tau / hand.fastest * hand.sizes()).all()
+    assert (steps.std((0, 1)) > 0.05 * hand.sizes()).all()
+
+
+def test_easing_passes_every_pose_gently_and_turns_the_short_way() -> None:
+    poses = torch.tensor([[0.0, 0.0, 6.2], [0.5, 0.0, 6.2], [0.5, 0.0, 0.1]], dtype=torch.float64)
+    between = eased(poses, 4)
+    assert len(between) == 9
+    assert torch.allclose(between[::4], poses)
+    turns = between[4:8, 2].diff()
+    assert (turns > 0).all() and turns.sum() < 0.1 - 6.2 + math.tau
+    assert (between[:, 0].diff() >= 0).all()
+    assert between[1, 0] < 0.5 / 4 < between[2, 0] - between[1, 0]
+
+
+def test_a_path_on_a_lattice_is_a_shortest_one_from_every_start() -> None:
+    found = tiny_plan()
+    starts = found.states[found.start_rows]
+    walked = paths(found, starts, generator())
+    assert [len(states) - 1 for states in walked] == found.distance[found.start_rows].tolist()
+    assert all(found.reached(states)[-1] and not found.reached(states[:-1]).any() for states in walked)
+    again = paths(found, starts, generator(1))
+    assert any(not torch.equal(one, other) for one, other in zip(walked, again, strict=True))
+
+
+def test_who_can_go_on_does_not_turn() -> None:
+    found = planar_plan()
+    for states in far_paths(found, 4, generator()):
+        taken = [_action(found, *pair) for pair in pairwise(states)]
+        for state, before, now in zip(states[1:], taken, taken[1:], strict=False):
+            assert before == now or not found.optimal(state[None])[0, before]
+
+
+def _action(found: Plan, state: Tensor, ahead: Tensor) -> int:
+    moved = found.motion.advance(state.expand(4, 3), found.actions)
+    return int((moved - ahead).norm(dim=1).argmin())
+
+
+def test_a_path_is_awkward_where_it_goes_backwards_or_too_near_or_ends_too_soon() -> None:
+    found = planar_plan()
+    away = torch.tensor([[-0.9, 1.0, 0.0], [-0.65, 1.0, 0.0], [-0.4, 1.0, 0.0]])
+    assert awkwardness(found, away) == 1.0  # not there yet
+    there = torch.tensor([[0.5, 1.0, 0.0]])
+    assert awkwardness(found, torch.cat([away, there])) == 0.0
+    assert awkwardness(found, torch.cat([away.flip(0), there])) == pytest.approx(2 / 3)
+    near = torch.tensor([[0.3, -0.1, math.pi / 2], [0.3, 0.15, math.pi / 2]])
+    assert awkwardness(found, torch.cat([near, there])) == pytest.approx(2 / 3)
+    assert awkwardness(found, torch.cat([near.flip(0), there])) == pytest.approx(2 / 3 + 1 / 2)
+
+
+def test_paths_begin_far_away_and_at_all_distances_in_between() -> None:
+    found = planar_plan()
+    lengths = [found.steps_to_go(states[:1]).item() for states in far_paths(found, 8, generator())]
+    farthest = float(found.distance.max())
+    assert lengths[0] > 0.9 * farthest and lengths[-1] < 0.5 * farthest
+    assert all(first > second - 1 for first, second in pairwise(lengths))
+    assert max(awkwardness(found, states) for states in far_paths(found, 8, generator())) < 0.5
+
+
+def test_a_steady_walk_is_the_path_itself_labelled_with_the_action_that_it_takes() -> None:
+    found = planar_plan()
+    states = far_paths(found, 1, generator())[0]
+    walked = walk(found, tiny_robot(), states, STILL, generator())
+    poses = walked.planar[:: STILL.frames].float()
+    assert torch.allclose(poses[:, :2], states[: len(poses), :2], atol=1e-5)
+    assert torch.allclose(walked.cameras.camera_to_world[:, 2, 3], torch.tensor(HEIGHT))
+    for row, pair in enumerate(pairwise(states)):
+        assert walked.allowed[STILL.frames * row, _action(found, *pair)], row
+
+
+def test_a_frame_is_labelled_by_where_its_camera_is_and_not_by_the_path() -> None:
+    found = planar_plan()
+    states = far_paths(found, 1, generator())[0]
+    hand = Hand(place=0.05, yaw_deg=12.0, pitch_deg=8.0, roll_deg=8.0)
+    walked = walk(found, tiny_robot(), states, hand, generator(1))
+    poses = walked.cameras.camera_to_world
+    looks = poses[:, :3, :3] @ torch.tensor([0.0, 0.0, 1.0])
+    seen_from = torch.stack([poses[:, 0, 3], poses[:, 1, 3], torch.atan2(looks[:, 1], looks[:, 0])], 1)
+    assert torch.equal(walked.allowed, found.optimal(torch.cat([seen_from[:, :2], seen_from[:, 2:] % math.tau], 1)))
+    steady = walk(found, tiny_robot(), states, STILL, generator(1))
+    count = min(len(walked.allowed), len(steady.allowed))
+    differ = (walked.allowed[:count] != steady.allowed[:count]).any(1).float().mean()
+    assert 0.02 < differ < 0.9
+
+
+def test_a_walk_ends_with_the_first_frame_at_the_goal() -> None:
+    found = planar_plan()
+    for seed, states in enumerate(far_paths(found, 3, generator())):
+        walked = walk(found, tiny_robot(), states, Hand(), generator(seed))
+        there = found.reached(nearest_states(found, walked.planar))
+        assert not there[:-1].any()
+        assert not walked.allowed[there].any()
+
+
+def test_a_pose_beside_a_lattice_belongs_to_the_nearest_state() -> None:
+    found = tiny_plan()
+    planar = tiny_motion().planar(found.states)
+    beside = planar + torch.tensor([0.2, -0.2, -0.3])
+    beside[:, 2] %= math.tau
+    assert torch.equal(nearest_states(found, beside), found.states)
+
+
+class Painter:
+    """Paints each view with the height of its camera; its depth is 1 m."""
+
+    def render(self, cameras: Cameras) -> RenderOutput:
+        shape = (len(cameras), cameras.height, cameras.width)
+        level = cameras.camera_to_world[:, 2, 3].view(-1, 1, 1, 1)
+        return RenderOutput(level.expand(*shape, 3), torch.ones(shape), torch.ones(shape))
+
+    def pixels(self, cameras: Cameras) -> Tensor:
+        raise NotImplementedError
+
+
+def record(folder: Path, seed: int = 0, count: int = 2, **options: object) -> list[Path]:
+    return record_walks(folder, planar_plan(), tiny_robot(), Painter(), NAMES, count, seed, 24, **options)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_recorded_walks_are_clips_in_the_shape_of_the_robots_image(tmp_path: Path) -> None:
+    written = record(tmp_path / "new" / "clips")
+    clips = read_clips(tmp_path / "new" / "clips", NAMES)
+    assert [clip.source for clip in clips] == written
+    for clip in clips:
+        images = list(clip.images())
+        assert {image.size for image in images} == {(32, 24)}
+        assert 0.8 * len(images) < len(clip.labels) < len(images)  # none at the goal
+        assert len(images) - 1 not in clip.labels
+
+
+def test_the_same_seed_records_the_same_bytes_and_another_others(tmp_path: Path) -> None:
+    for name, seed in (("a", 3), ("b", 3), ("c", 4)):
+        record(tmp_path / name, seed)
+    assert contents(tmp_path / "a") == contents(tmp_path / "b") != contents(tmp_path / "c")
+
+
+def test_what_is_drawn_over_the_scene_is_photographed_with_it(tmp_path: Path) -> None:
+    def overlay(pixels: Tensor, depth: Tensor, cameras: Cameras) -> Tensor:
+        assert pixels.shape == (*depth.shape, 3) and len(cameras) == len(pixels)
+        return torch.full_like(pixels, 200)
+
+    clear = Lens(exposure=0.0, tint=0.0, blur=0.0, noise=0.0)
+    record(tmp_path, overlay=overlay, lens=clear)
+    for clip in read_clips(tmp_path, NAMES):
+        assert all((np.asarray(image) == 200).all() for image in clip.images())
+
+
+def test_a_lattice_can_be_walked_too(tmp_path: Path) -> None:
+    names = tiny_motion().action_names
+    record_walks(tmp_path, tiny_plan(), tiny_robot(), tiny_renderer(), names, count=1, height=12)
+    (clip,) = read_clips(tmp_path, names)
+    assert len(clip.labels) > 10
+
+
+def test_walks_that_fail_leave_no_part_of_a_clip(tmp_path: Path) -> None:
+    def overlay(pixels: Tensor, depth: Tensor, cameras: Cameras) -> Tensor:
+        raise RuntimeError("no picture")
+
+    with pytest.raises(RuntimeError, match="no picture"):
+        record(tmp_path, overlay=overlay)
+    assert list(tmp_path.iterdir()) == []
+    record(tmp_path, count=1)
+    with pytest.raises(ValueError, match="expected a new folder"):
+        record(tmp_path, count=1)
+
+
+def test_what_cannot_be_walked_or_counted_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"expected named steps on the ground.*got ForwardMotion"):
+        record_walks(tmp_path, planar_plan(), tiny_robot(), Painter(), ())
+    drive = Plan(**{**vars(planar_plan()), "motion": DriveMotion(HEIGHT)})
+    with pytest.raises(ValueError, match="got DriveMotion"):
+        record_walks(tmp_path, drive, tiny_robot(), Painter(), ())
+    with pytest.raises(ValueError, match="at least 1 clip"):
+        record(tmp_path, count=0)
