@@ -1,0 +1,133 @@
+"""A camera that is not quite where the robot thinks it is."""
+
+import math
+from typing import Any, Literal
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import ParallelEnv
+
+from splatrl.envs.transforms.randomness import RandomTransform
+
+EDGE = 1 - 1e-6
+"""How much of its range a uniform offset may use: the normal number behind it stays finite."""
+
+
+class PoseNoise(RandomTransform):
+    """Moves the camera, and not the robot, by noise: height, roll and pitch, and if asked x, y and yaw.
+
+    It writes ``camera_offset`` before the env renders, and shows it in the observation: [B, 6] float32, metres along
+    world x, y and z, then radians of pitch, roll and yaw about the camera's own right, forward and down axes. Every
+    reset draws it anew, except that a ``camera_offset`` which is given to a reset is kept: with its ``state`` and
+    ``camera_offset``, an observation can be seen again.
+
+    With ``smooth=0`` every step draws anew. Else the hand is unsteady: behind each offset moves a first-order
+    autoregressive process, z' = ρ z + √(1 − ρ²) n with ρ = exp(−1 / smooth), which is an Ornstein-Uhlenbeck process
+    seen once a step. z is standard normal at all times, and a uniform offset is what share of such numbers is smaller:
+    so a single offset is distributed as with ``smooth=0``. The process has no state but ``camera_offset``.
+
+    Without an env it changes nothing, since what is recorded is past. Over a ``ParallelEnv`` it cannot work: put it
+    around each worker's env.
+
+    Args:
+        height: size of the noise of the camera's height, metres: the largest offset of uniform noise, the standard
+            deviation of normal noise.
+        roll_deg: about the camera's forward axis, degrees.
+        pitch_deg: about the camera's right axis, degrees.
+        x: along world x, metres.
+        y: along world y, metres.
+        yaw_deg: about the camera's down axis, degrees.
+        distribution: uniform or normal.
+        smooth: correlation time in steps; 0 for independent steps.
+        seed: of its own generator (``RandomTransform``).
+
+    Raises:
+        ValueError: for a size or a time that is not finite or is negative, another distribution, or a ``ParallelEnv``.
+    """
+
+    sizes: Tensor  # [6] float32, in the order and the units of camera_offset
+
+    def __init__(
+        self,
+        height: float = 0.02,
+        roll_deg: float = 5.0,
+        pitch_deg: float = 5.0,
+        x: float = 0.0,
+        y: float = 0.0,
+        yaw_deg: float = 0.0,
+        distribution: Literal["uniform", "normal"] = "uniform",
+        smooth: float = 0.0,
+        seed: int = 0,
+    ):
+        super().__init__(seed, out_keys=["camera_offset"])
+        given = {"x": x, "y": y, "height": height, "pitch_deg": pitch_deg, "roll_deg": roll_deg, "yaw_deg": yaw_deg}
+        for name, value in {**given, "smooth": smooth}.items():
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"pose_noise.{name}: expected a finite number of at least 0, got {value}")
+        if distribution not in ("uniform", "normal"):
+            raise ValueError(f"pose_noise.distribution: expected uniform or normal, got {distribution!r}")
+        self.distribution = distribution
+        self.memory = math.exp(-1 / smooth) if smooth > 0 else 0.0
+        sizes = [math.radians(value) if name.endswith("_deg") else value for name, value in given.items()]
+        self.register_buffer("sizes", torch.tensor(sizes, dtype=torch.float32), persistent=False)
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        env = self.container
+        if tensordict is None:
+            tensordict = TensorDict(batch_size=env.batch_size, device=env.device)
+        drawn = self._draw(tensordict.batch_size)  # drawn even if not used: what else is drawn must not depend on it
+        given = tensordict.get("camera_offset", None)
+        return tensordict.set("camera_offset", drawn if given is None else given.clone())
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        if self.env is None:
+            return tensordict
+        if not self.memory:
+            return tensordict.set("camera_offset", self._draw(tensordict.batch_size))
+        return tensordict.set("camera_offset", self._drift(tensordict["camera_offset"]))
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return tensordict_reset.set("camera_offset", tensordict["camera_offset"])
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict.set("camera_offset", tensordict["camera_offset"])
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Change nothing: a camera cannot be moved after its image was made."""
+        return tensordict
+
+    def _draw(self, batch: torch.Size) -> Tensor:
+        """Offsets that depend on nothing before: [*batch, 6]."""
+        options: dict[str, Any] = {"generator": self.generator, "device": self.sizes.device}
+        if self.distribution == "normal":
+            return torch.randn(*batch, 6, **options) * self.sizes
+        return (2 * torch.rand(*batch, 6, **options) - 1) * self.sizes
+
+    def _drift(self, offset: Tensor) -> Tensor:
+        """The next offsets of an unsteady hand: [..., 6]."""
+        fresh = torch.randn(offset.shape, generator=self.generator, device=self.sizes.device)
+        share = torch.where(self.sizes > 0, offset / self.sizes, 0.0)
+        uniform = self.distribution == "uniform"
+        normal = math.sqrt(2) * share.clamp(-EDGE, EDGE).erfinv() if uniform else share
+        normal = self.memory * normal + math.sqrt(1 - self.memory**2) * fresh
+        return self.sizes * (torch.erf(normal / math.sqrt(2)) if uniform else normal)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Show ``camera_offset``."""
+        return self._with_offset(observation_spec)
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        """Take ``camera_offset`` from the input of a step or a reset."""
+        if isinstance(self.env, ParallelEnv):
+            raise ValueError(
+                "PoseNoise: expected the env that renders, got a ParallelEnv, which does not pass camera_offset on; "
+                "put PoseNoise around the env of each worker"
+            )
+        return self._with_offset(state_spec)
+
+    def _with_offset(self, spec: Composite) -> Composite:
+        spec = spec.clone()
+        spec["camera_offset"] = Unbounded(shape=(*spec.shape, 6), dtype=torch.float32, device=spec.device)
+        return spec

@@ -1,0 +1,115 @@
+"""A picture with alpha, ready to be drawn at any size."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image, UnidentifiedImageError
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, interpolate, pad
+
+from splatrl.envs.transforms.apple import apple
+
+TAPS = 3
+"""Texels along an axis that a pixel reads; smaller levels are stored with empty texels to that many."""
+LARGEST = 4096
+"""Pixels along the longest side of a picture that is read."""
+FINEST = 512
+"""Texels along the longest side of a sprite."""
+
+
+@dataclass(frozen=True)
+class Sprite:
+    """Premultiplied colours at every resolution, each half that of the one before (Williams, Pyramidal Parametrics).
+
+    Sides are powers of two, so a texel of one level is exactly the mean of those that it covers in the level before.
+
+    Attributes:
+        texels: [T, 4] float32, all levels, row by row: red, green and blue times alpha in [0, 255], alpha in [0, 1].
+        heights: [L] int64 texels from top to bottom of each level.
+        widths: [L] int64 texels from left to right.
+        starts: [L] int64, where each level begins.
+        aspect: height of the picture over its width.
+    """
+
+    texels: Tensor
+    heights: Tensor
+    widths: Tensor
+    starts: Tensor
+    aspect: float
+
+    @classmethod
+    def of(cls, picture: Tensor) -> "Sprite":
+        """The sprite of a picture.
+
+        Args:
+            picture: [H, W, 4] uint8, RGBA, straight alpha.
+
+        Raises:
+            ValueError: for anything else, or an empty picture.
+        """
+        if picture.ndim != 3 or picture.shape[2] != 4 or picture.dtype != torch.uint8 or not picture.numel():
+            raise ValueError(f"sprite: expected [H, W, 4] uint8, got {list(picture.shape)} {picture.dtype}")
+        height, width = picture.shape[:2]
+        colors, alpha = picture[..., :3].float(), picture[..., 3:].float() / 255
+        premultiplied = torch.cat([colors * alpha, alpha], -1).permute(2, 0, 1).unsqueeze(0)
+        sides = _power_of_two(height), _power_of_two(width)
+        if sides != (height, width):
+            premultiplied = interpolate(premultiplied, sides, mode="bilinear", antialias=True).clamp_min(0)
+        levels = [premultiplied]
+        while max(levels[-1].shape[2:]) > 1:
+            levels.append(avg_pool2d(levels[-1], [min(2, side) for side in levels[-1].shape[2:]]))
+        padded = [pad(x, (0, max(0, TAPS - x.shape[3]), 0, max(0, TAPS - x.shape[2]))) for x in levels]
+        counts = torch.tensor([x.shape[2] * x.shape[3] for x in padded])
+        return cls(
+            texels=torch.cat([x[0].flatten(1).T for x in padded]).contiguous(),
+            heights=torch.tensor([x.shape[2] for x in levels]),
+            widths=torch.tensor([x.shape[3] for x in levels]),
+            starts=counts.cumsum(0) - counts,
+            aspect=height / width,
+        )
+
+    def to(self, device: torch.device | str) -> "Sprite":
+        """The same on a device."""
+        return replace(
+            self,
+            texels=self.texels.to(device),
+            heights=self.heights.to(device),
+            widths=self.widths.to(device),
+            starts=self.starts.to(device),
+        )
+
+
+def _power_of_two(side: int) -> int:
+    """The nearest power of two, at most ``FINEST``."""
+    return min(FINEST, 2 ** round(np.log2(side)))
+
+
+def load_sprite(name: str | Path) -> Sprite:
+    """The sprite of a name or a file.
+
+    Args:
+        name: ``"apple"``, or the path of a PNG with alpha.
+
+    Raises:
+        ValueError: for a file that is missing, no PNG, damaged, without alpha or larger than 4096 pixels a side.
+    """
+    if name == "apple":
+        return Sprite.of(torch.from_numpy(apple()))
+    return Sprite.of(torch.from_numpy(_read_png(Path(name).expanduser())))
+
+
+def _read_png(path: Path) -> np.ndarray:
+    """A PNG with alpha: [H, W, 4] uint8."""
+    if not path.is_file():
+        raise ValueError(f"sprite: expected apple or the path of a PNG file with alpha, got {path}, which is no file")
+    try:
+        with Image.open(path, formats=["PNG"]) as image:
+            if max(image.size) > LARGEST:  # read from the header: nothing is allocated yet
+                raise ValueError(f"sprite {path}: expected at most {LARGEST} pixels a side, got {image.size}")
+            if not image.has_transparency_data:
+                raise ValueError(f"sprite {path}: expected an alpha channel, got mode {image.mode}")
+            return np.array(image.convert("RGBA"))
+    except (Image.DecompressionBombError, UnidentifiedImageError, OSError, SyntaxError) as error:
+        raise ValueError(f"sprite {path}: expected a PNG file, got {error}") from error

@@ -1,0 +1,52 @@
+"""Robots in the tiny room that observe depth and their camera's pose, and transforms around them."""
+
+from functools import cache
+
+import torch
+from torchrl.envs import Compose, Transform, TransformedEnv
+
+from splatrl.curriculum import Curriculum
+from splatrl.envs import SplatEnv
+from splatrl.envs.transforms import Appearance, PoseNoise, Sprite, SpriteOverlay
+from splatrl.renderers import NativeRenderer
+from tests.tiny import BlockChecker, tiny_gaussians, tiny_plan, tiny_robot, tiny_task
+
+PLACE = (0.9, 0.0, 0.5)
+"""Between the block in the middle and the east wall."""
+
+
+@cache
+def renderer() -> NativeRenderer:
+    """Quick enough to draw views that are never seen again, as those of a camera that is not steady."""
+    return NativeRenderer(tiny_gaussians(), threads=1)
+
+
+def seeing_env(batch_size: tuple[int, ...] = (3,), seed: int = 0) -> SplatEnv:
+    """Robots in the tiny room that observe depth."""
+    curriculum = Curriculum(tiny_plan(), None)
+    return SplatEnv(
+        renderer(), BlockChecker(), tiny_robot(), tiny_task(max_steps=8), curriculum, batch_size, seed, depth=True
+    )
+
+
+def plain_sprite() -> Sprite:
+    """An opaque green square: its texels can be checked by hand."""
+    return Sprite.of(torch.tensor([0, 255, 0, 255], dtype=torch.uint8).expand(64, 64, 4).contiguous())
+
+
+def make_transform(name: str) -> Transform:
+    """One of the transforms, with everything switched on."""
+    if name == "PoseNoise":
+        return PoseNoise(x=0.01, yaw_deg=2.0, smooth=3.0)
+    if name == "SpriteOverlay":
+        return SpriteOverlay(tiny_robot().K, plain_sprite(), size=0.3, position=PLACE)
+    assert name == "Appearance", name
+    return Appearance()
+
+
+NAMES = ("PoseNoise", "SpriteOverlay", "Appearance")
+
+
+def transformed(batch_size: tuple[int, ...] = (3,), seed: int = 0, names: tuple[str, ...] = NAMES) -> TransformedEnv:
+    """Robots under some transforms: a top-level function of plain values, so that a worker process can make one."""
+    return TransformedEnv(seeing_env(batch_size, seed), Compose(*(make_transform(name) for name in names)))
