@@ -69,12 +69,11 @@ def experiment(cfg: DictConfig) -> None:
         _check_settings(runs, cfg.fresh)
         print(statement([budget(asked) for asked in experiments], min(jobs, len(runs))), flush=True)
         failed = _train(experiments, jobs, max(1, cores // jobs))
-        for asked in experiments:
-            _score(asked, nodes[asked.name]["score"])
-    for asked in experiments:
-        print(f"report in {write_report(asked, machine(jobs))}")
-    if len(experiments) > 1:
-        print(f"report in {write_joint_report(experiments, folder, machine(jobs))}")
+    reports = _report(experiments, folder, machine(jobs))
+    scored = not cfg.report_only and [_score(asked, nodes[asked.name]["score"]) for asked in experiments]
+    if scored and any(scored):
+        reports = _report(experiments, folder, machine(jobs))
+    print("\n".join(f"report in {path}" for path in reports))
     if failed:
         sys.exit("\n".join(["failed:", *(f"{each.folder}: see log.txt there" for each in failed)]))
 
@@ -93,13 +92,20 @@ def _train(experiments: Sequence[Experiment], jobs: int, threads: int) -> list[R
         sys.exit(130)
 
 
-def _score(experiment: Experiment, name: str | None) -> None:
-    """Score an experiment all of whose runs are finished, once."""
+def _report(experiments: Sequence[Experiment], folder: Path, computer: str) -> list[Path]:
+    """Write the report of each, and one of all where there are several."""
+    reports = [write_report(experiment, computer) for experiment in experiments]
+    return [*reports, write_joint_report(experiments, folder, computer)] if len(experiments) > 1 else reports
+
+
+def _score(experiment: Experiment, name: str | None) -> bool:
+    """Score an experiment all of whose runs are finished, once; tells whether there are new scores."""
     path = experiment.folder / SCORES
     if name is None or path.exists() or any(status(run) != "finished" for run in experiment.runs):
-        return
+        return False
     score = cast(Score, get_method(name))
     write_json(path, {"scores": score(experiment.runs, experiment.folder)})
+    return True
 
 
 def _names(cfg: DictConfig) -> list[str]:

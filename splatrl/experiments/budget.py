@@ -71,7 +71,8 @@ def statement(budgets: Sequence[Budget], jobs: int) -> str:
         jobs: trainings at a time.
     """
     trainings, left = (sum(values) for values in zip(*((b.trainings, b.frames_left) for b in budgets), strict=True))
-    hours = sum(each.seconds_left for each in budgets) / jobs / 3600
+    minutes = sum(each.seconds_left for each in budgets) / jobs / 60
+    time = f"{minutes / 60:.1f} h" if minutes >= 60 else f"{minutes:.0f} min"
     done = sum(each.finished for each in budgets)
-    total = f"{trainings - done} of {trainings} trainings to do, {left:,} frames, about {hours:.1f} h, {jobs} at a time"
+    total = f"{trainings - done} of {trainings} trainings to do, {left:,} frames, about {time}, {jobs} at a time"
     return "\n".join([*map(str, budgets), total])

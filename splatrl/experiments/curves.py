@@ -61,11 +61,12 @@ def learning_curves(group: Sequence[Entry], path: Path) -> None:
 
 def _band(axes: Axes, entry: Entry, key: str, color: str, marker: str = "") -> None:
     """The mean of the seeds as a line, and from the lowest to the highest as a band."""
-    length = min(len(rows) for rows in entry.histories)
-    if not length:
+    histories = [rows for rows in entry.histories if rows]
+    if not histories:
         return
-    frames = _column(entry.histories[0][:length], "frames")
-    seeds = np.stack([_values(rows[:length], key) for rows in entry.histories])
+    length = min(map(len, histories))
+    frames = _column(histories[0][:length], "frames")
+    seeds = np.stack([_values(rows[:length], key) for rows in histories])
     known = ~np.isnan(seeds).any(0)
     frames, seeds = frames[known], seeds[:, known]
     axes.fill_between(frames, seeds.min(0), seeds.max(0), color=color, alpha=0.18, linewidth=0)

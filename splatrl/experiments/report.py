@@ -12,7 +12,7 @@ from splatrl.evaluation.report import write_json
 from splatrl.experiments.curves import learning_curves
 from splatrl.experiments.experiment import Experiment
 from splatrl.experiments.results import Entry, Spread, comparable, entries
-from splatrl.experiments.tables import main_table, marks_table, scores_table, verdicts
+from splatrl.experiments.tables import main_table, marks_table, scores_table, table, verdicts
 from splatrl.files import replacing
 
 SCORES, MACHINE = "scores.json", "machine.json"
@@ -119,8 +119,7 @@ def _pictures(entry: Entry, base: Path) -> list[str]:
     maps = [name for name in MAPS if (run.folder / name).exists()]
     if maps:
         pictures = [f"![{MAPS[name]}]({_link(run.folder / name, base)})" for name in maps]
-        lines += [f"| {' | '.join(MAPS[name] for name in maps)} |", "| " + "--- | " * len(maps)]
-        lines += [f"| {' | '.join(pictures)} |", ""]
+        lines += [*table([MAPS[name] for name in maps], [pictures], words=len(maps)), ""]
     more = {"learning_curve.png": "learning curve", "rollouts.mp4": "video of rollouts"}
     links = [f"[{more[name]}]({_link(run.folder / name, base)})" for name in more if (run.folder / name).exists()]
     return [*lines, " · ".join(links), ""] if links else lines

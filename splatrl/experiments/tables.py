@@ -32,7 +32,7 @@ def main_table(found: Sequence[Entry]) -> list[str]:
             entry.spread("success_rate_argmax").percent(),
             entry.spread("spl").text(3),
             entry.spread("level").text(1) if entry.has_curriculum else "–",
-            entry.spread("frames").text(),
+            f"{entry.spread('frames').mean:,.0f}" if entry.runs else "–",
             entry.spread("wall_seconds").text(),
             entry.speed().text(),
         ]

@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+import pytest
+
 from splatrl.experiments import budget, statement
-from tests.experiments.made_up import begin, finish, made_up
+from tests.experiments.made_up import NODE, begin, finish, made_up
 
 
 def test_a_budget_counts_frames_of_begun_runs_and_takes_the_expected_speed(tmp_path: Path) -> None:
@@ -25,8 +27,9 @@ def test_a_budget_takes_the_speed_of_what_is_finished(tmp_path: Path) -> None:
     assert found.seconds_left == 1600 / 20 + 4 * 10
 
 
-def test_the_statement_sums_up_over_experiments(tmp_path: Path) -> None:
-    first, second = budget(made_up(tmp_path / "a")), budget(made_up(tmp_path / "b"))
-    hours = (first.seconds_left + second.seconds_left) / 2 / 3600
-    *_, last = statement([first, second], jobs=2).splitlines()
-    assert last == f"12 of 12 trainings to do, 4,800 frames, about {hours:.1f} h, 2 at a time"
+@pytest.mark.parametrize(("jobs", "time"), [(1, "3.3 h"), (4, "49 min")])
+def test_the_statement_sums_up_over_experiments(tmp_path: Path, jobs: int, time: str) -> None:
+    experiments = [made_up(tmp_path / name, NODE | {"overhead": 980}) for name in "ab"]
+    *each, last = statement([budget(experiment) for experiment in experiments], jobs).splitlines()
+    assert len(each) == 2
+    assert last == f"12 of 12 trainings to do, 4,800 frames, about {time}, {jobs} at a time"

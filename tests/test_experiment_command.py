@@ -1,0 +1,120 @@
+"""``splatrl-experiment`` from the outside."""
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from splatrl import experiment_command
+from splatrl.configuration import load_config
+from splatrl.experiment_command import experiment
+from splatrl.experiments import Run
+from tests.test_train import SETTINGS
+from tests.tiny import tiny_overrides
+
+Command = Callable[..., None]
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch) -> Command:
+    def call(*arguments: str) -> None:
+        monkeypatch.setattr(sys, "argv", ["splatrl-experiment", *arguments])
+        monkeypatch.setattr("signal.signal", lambda *_: None)
+        experiment_command.main()
+
+    return call
+
+
+def test_every_experiment_composes_and_states_its_budget(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trained: list[str] = []
+
+    def nothing(runs: Sequence[Run], *_: object) -> list[Run]:
+        trained.extend(run.folder.name for run in runs)
+        return []
+
+    monkeypatch.setattr(experiment_command, "train", nothing)
+    experiment(load_config(["name=all", f"folder={tmp_path}", "kitchen=kitchen.spz", "jobs=2"], "experiment"))
+    assert len(trained) == 25 + 12 + 6 + 12
+    assert "kitchen-gru-s2" in trained
+    said = capsys.readouterr().out
+    assert "55 of 55 trainings to do" in said
+    for name in ("grid", "fps", "apple", "sim2real"):
+        assert f"{name:<9} " in said
+        assert (tmp_path / name / "report.md").is_file()
+    assert (tmp_path / "report.md").is_file()
+
+
+def test_a_training_is_run_reported_and_not_run_again(
+    tmp_path: Path, command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = [setting for setting in SETTINGS if not setting.startswith("collector.total_frames")]
+    quoted = ",".join(f"'{override}'" for override in [*tiny_overrides(tmp_path), *settings, "logger.video=false"])
+    folder = tmp_path / "experiments"
+    words = ["name=grid", f"folder={folder}", f"scene_overrides.backyard=[{quoted}]", "seeds=[3]", "jobs=1"]
+    words += ["~experiments.grid.arms.none", "~experiments.grid.arms.long"]
+    command(*words, "frames=300")
+    said = capsys.readouterr()
+    assert "1 of 1 trainings to do, 256 frames" in said.out
+    assert "kitchen is left out" in said.err
+    run = folder / "grid" / "backyard-distance-s3"
+    figures = json.loads((run / "evaluation.json").read_text())
+    assert (figures["frames"], figures["seed"]) == (256, 3)
+    report = (folder / "grid" / "report.md").read_text()
+    assert "| backyard | with curriculum | 1 |" in report
+    assert "backyard-distance-s3/starts.png" in report
+    written = (run / "evaluation.json").stat().st_mtime_ns
+    command(*words, "frames=300", "jobs=2")
+    assert "0 of 1 trainings to do" in capsys.readouterr().out
+    assert (run / "evaluation.json").stat().st_mtime_ns == written
+    with pytest.raises(SystemExit) as refused:
+        command(*words, "frames=384")
+    assert str(run) in str(refused.value)
+    assert "collector.total_frames: asked for 384, found 300" in str(refused.value)
+    assert "fresh=true" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "name: expected one of grid, fps, apple, sim2real, all, got nothing"),
+        (["name=gird"], "got gird"),
+        (["name=grid", "scenes=[cellar]"], "scenes: expected some of backyard, kitchen, got cellar"),
+        (["name=grid", "scenes=[kitchen]"], "expected kitchen=<its file>"),
+        (["name=grid", "sedes=[0]"], "did you mean seeds"),
+    ],
+)
+def test_a_mistake_is_told_before_anything_is_trained(command: Command, words: list[str], said: str) -> None:
+    with pytest.raises(SystemExit) as refused:
+        command(*words)
+    assert said in str(refused.value)
+
+
+def test_a_failed_training_is_named_at_the_end(
+    tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(experiment_command, "train", lambda runs, *_: [runs[0]])
+    with pytest.raises(SystemExit) as ended:
+        command("name=grid", f"folder={tmp_path}", "scenes=[backyard]", "seeds=[0]")
+    assert str(tmp_path / "grid" / "backyard-distance-s0") in str(ended.value)
+    assert (tmp_path / "grid" / "report.md").is_file()
+
+
+def test_settings_that_changed_begin_anew_only_when_asked(
+    tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(experiment_command, "train", lambda *_: [])
+    run = tmp_path / "grid" / "backyard-none-s0"
+    (run / "checkpoints").mkdir(parents=True)
+    (run / "checkpoints" / "last.pt").touch()
+    OmegaConf.save(load_config(["curriculum=none"]), run / "config.yaml")
+    words = ["name=grid", f"folder={tmp_path}", "scenes=[backyard]", "seeds=[0]"]
+    with pytest.raises(SystemExit, match="asked for 30000, found"):
+        command(*words)
+    assert run.exists()
+    command(*words, "fresh=true")
+    assert not run.exists()
