@@ -24,10 +24,10 @@ ORDER = [
     {"reconstruct"},
     {"configuration"},
     {"experiments"},
-    {"train", "evaluate", "scene_command", "experiment_command"},
+    {"train", "evaluate", "scene_command", "experiment_command", "clips_command"},
 ]
 """Rooms and single modules under splatrl/; a new one finds its place here."""
-ENTRY_POINTS = {"train", "evaluate", "scene_command", "experiment_command"}
+ENTRY_POINTS = {"train", "evaluate", "scene_command", "experiment_command", "clips_command"}
 HYDRA_USERS = {"hydra": {"configuration"} | ENTRY_POINTS, "omegaconf": {"configuration", "scenes"} | ENTRY_POINTS}
 DEVICE_CHOICES = {"cuda", "mps", "xpu"}
 
