@@ -219,7 +219,7 @@ def build_world(cfg: DictConfig) -> World:
         renderer,
         robot,
         task,
-        plan(task.motion, checker, task.reached),
+        plan(task.motion, checker, task.reached, cfg.starts.farthest),
         partial(_make_transforms, cfg.transforms, robot),
     )
 

@@ -47,7 +47,7 @@ def evaluate(cfg: DictConfig, folder: Path, world: World) -> dict[str, Any]:
         "seed": cfg.seed,
         "start_poses": len(world.plan.start_rows),
         "evaluated_starts": len(starts),
-        "longest_path": int(world.plan.distance.max()),
+        "longest_path": int(world.plan.distance[world.plan.start_rows].max()),
     }
     write_json(folder / "evaluation.json", summary)
     pictures = Pictures(world.scene.gaussians, world.occupancy, world.plan, env, folder)

@@ -1,7 +1,7 @@
 """Shortest paths over the free poses of a motion: exact where its states can be listed, a field where they cannot."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import torch
@@ -47,6 +47,7 @@ class Plan:
         steps_to_go: fewest steps to the goal from any states inside the bounds, [N, D] -> [N] float32, FAR where there
             is no way. Whole numbers for a finite motion.
         reached: whether states are at the goal, [N, D] -> [N] bool.
+        farthest: longest path of a start, steps; None for any.
     """
 
     states: Tensor
@@ -57,11 +58,13 @@ class Plan:
     checker: Checker
     steps_to_go: Callable[[Tensor], Tensor]
     reached: Callable[[Tensor], Tensor]
+    farthest: int | None = None
 
     @property
     def start_rows(self) -> Tensor:
         """Rows of the start set: free states from which a goal state can be reached, goal states left out."""
-        return (self.distance > 0).nonzero().squeeze(1)
+        near_enough = self.distance <= (self.distance.max() if self.farthest is None else self.farthest)
+        return ((self.distance > 0) & near_enough).nonzero().squeeze(1)
 
     def optimal(self, state: Tensor) -> Tensor:
         """Which actions begin a shortest path.
@@ -87,7 +90,12 @@ class Plan:
         return left
 
 
-def plan(motion: FiniteMotion | PlanarMotion, checker: Checker, reached: Callable[[Tensor], Tensor]) -> Plan:
+def plan(
+    motion: FiniteMotion | PlanarMotion,
+    checker: Checker,
+    reached: Callable[[Tensor], Tensor],
+    farthest: int | None = None,
+) -> Plan:
     """Find the shortest path from every state to the goal.
 
     A move counts as open when the swept body touches nothing, by the same checker that moves the robots. For a finite
@@ -97,6 +105,7 @@ def plan(motion: FiniteMotion | PlanarMotion, checker: Checker, reached: Callabl
         motion: lists the states and moves between them.
         checker: tells which poses and moves are free.
         reached: [S, D] states -> [S] bool, whether a state is at the goal.
+        farthest: longest path of a start, steps; None for any.
 
     Raises:
         ValueError: when no pose is free, the goal is not free, or no start reaches it.
@@ -108,9 +117,9 @@ def plan(motion: FiniteMotion | PlanarMotion, checker: Checker, reached: Callabl
         left = field(states)
         distance = torch.where(free & (left < FAR), left.round().clamp_min(1).long(), UNREACHABLE)
         distance = torch.where(free & reached(states), 0, distance)
-        found = Plan(states, free, distance, actions, motion, checker, field, reached)
+        found = Plan(states, free, distance, actions, motion, checker, field, reached, farthest)
     else:
-        found = _exact(motion, checker, reached, states, free)
+        found = replace(_exact(motion, checker, reached, states, free), farthest=farthest)
     if not len(found.start_rows):
         raise ValueError(f"task.goal: expected a way to it from some free pose, got none from {int(free.sum())}")
     return found
