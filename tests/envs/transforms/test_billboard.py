@@ -225,3 +225,11 @@ def test_a_gpu_draws_the_same_within_a_grey_level() -> None:
     assert (here[0].int() - there[0].cpu().int()).abs().max() <= 1
     torch.testing.assert_close(here[1], there[1].cpu(), atol=1e-4, rtol=0)
     assert math.isclose(there[1][3].item(), here[1][3].item(), abs_tol=1e-4)
+
+
+def test_on_another_device_the_host_waits_for_nothing() -> None:
+    images, depth = blank(3)
+    poses, places = ahead((0.0, 0.0, 1.0), (0.1, 0.0, 1.2), (0.0, 0.0, -1.0))
+    meta = [x.to("meta") for x in (images, depth, poses, K, places)]  # has shapes but no values that could be read
+    drawn, share = overlay(*meta, APPLE.to("meta"), size=0.4)
+    assert drawn.shape == images.shape and share.shape == (3, 1)

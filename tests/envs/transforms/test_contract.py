@@ -1,6 +1,5 @@
 """Envs under transforms keep the promises of an env."""
 
-import pytest
 import torch
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import step_mdp
@@ -56,5 +55,11 @@ class TestAllTransforms(TransformedContract):
         assert not torch.equal(elsewhere["camera_offset"], given["camera_offset"])
         assert not torch.equal(elsewhere["pixels"], given["pixels"])
 
-    @pytest.mark.skip(reason="what a robot sees depends on what is drawn for it")
-    def test_a_robot_does_not_depend_on_the_others(self) -> None: ...
+    def test_a_robot_does_not_depend_on_the_others(self) -> None:
+        """What is drawn for it does, so it is given."""
+        batch, alone = (transformed((count,), 0, ("PoseNoise", "SpriteOverlay")) for count in (5, 1))
+        together = batch.reset()
+        for row in range(5):
+            start = alone.reset(together[row : row + 1].select("state", "camera_offset"), set_state=True)
+            for key in ("pixels", "depth", "camera_to_world", "sprite_share"):
+                assert torch.equal(start[key], together[key][row : row + 1]), key
