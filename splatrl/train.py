@@ -41,7 +41,7 @@ def make_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
         env, model, instantiate(cfg.loss), instantiate(cfg.optim), collector.frames_per_batch, collector.total_frames
     )
     starts = world.plan.states[spread(world.plan.start_rows, cfg.logger.num_test_episodes)]
-    test_env = world.env(len(starts), seed=cfg.seed, device=cfg.device)
+    test_env = world.env(min(cfg.env.num_envs, len(starts)), seed=cfg.seed, device=cfg.device)
 
     def test() -> float:
         return (
