@@ -15,7 +15,7 @@ from hydra.errors import HydraException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
-from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
+from torchrl.envs import Compose, EnvBase, ExcludeTransform, Transform, TransformedEnv
 from torchrl.modules import ActorValueOperator
 
 from splatrl.collision.base import Checker
@@ -230,7 +230,8 @@ def _make_transforms(nodes: DictConfig, robot: Robot) -> dict[str, Transform]:
         raise ValueError(f"transforms: expected {', '.join(TRANSFORMS)}, got {', '.join(sorted(map(str, unknown)))}")
     made = {name: instantiate(nodes[name]) for name in TRANSFORMS if nodes.get(name)}
     if "sprite" in made:
-        made["sprite"] = made["sprite"](robot.K)
+        hidden = ExcludeTransform("depth", "camera_to_world")  # which take more memory than the pixels
+        made["sprite"] = Compose(made["sprite"](robot.K), hidden)
     return made
 
 

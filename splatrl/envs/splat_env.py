@@ -15,6 +15,9 @@ from splatrl.envs.robot import Robot
 from splatrl.envs.tasks.base import Outcome, SeenGoal, Task
 from splatrl.renderers.base import Renderer, to_pixels
 
+HAZE = 0.5
+"""A pixel that Gaussians cover less than this shows what is behind them, and has no depth."""
+
 
 class SplatEnv(EnvBase):
     """B robots that see, move and collide in one splat scene: a batch-locked TorchRL env.
@@ -26,7 +29,7 @@ class SplatEnv(EnvBase):
         [B, 1] int64, ``episode_return`` [B, 1] float32, ``level`` [B, 1] int64 at which the episode began, ``outcome``
         [B, 1] int64 (an ``Outcome``), ``touched_fraction`` [B, 1] float32 (how much of the last move was free; 1 when
         nothing was touched). With ``depth`` also ``depth`` [B, H, W] float32, metres along the optical axis (0 where
-        there is nothing), and ``camera_to_world`` [B, 4, 4] float32 of the camera that took the pixels. With a task
+        there is nothing but haze), and ``camera_to_world`` [B, 4, 4] float32 of the camera that took the pixels. With a task
         whose goal is an object, ``target`` [B, 3] float32, its place in the world, metres.
     Action: the task's.
     Reward: [B, 1] float32, the task's.
@@ -71,11 +74,15 @@ class SplatEnv(EnvBase):
         super().__init__(device=device, batch_size=torch.Size(batch_size))
         self.renderer, self.checker, self.robot = renderer, checker, robot
         self.task, self.curriculum, self.depth = task, curriculum, depth
-        self.seen_goal = task if isinstance(task, SeenGoal) else None
         self.generator = torch.Generator(self.device)
         torch.nn.Module.to(self, self.device)  # EnvBase.to does nothing for the device that it already has
         self._make_specs()
         self.set_seed(seed)
+
+    @property
+    def seen_goal(self) -> SeenGoal | None:
+        """The task, if its goal is an object that must be seen."""
+        return self.task if isinstance(self.task, SeenGoal) else None
 
     def _make_specs(self) -> None:
         motion, robot = self.task.motion, self.robot
@@ -188,8 +195,9 @@ class SplatEnv(EnvBase):
         cameras = self.robot.cameras(body_to_world, camera_offset)
         if not self.depth:
             return {"pixels": self.renderer.pixels(cameras)}
-        rgb, depth, _ = self.renderer.render(cameras)
-        return {"pixels": to_pixels(rgb), "depth": depth, "camera_to_world": cameras.camera_to_world}
+        rgb, depth, alpha = self.renderer.render(cameras)
+        solid = depth.masked_fill(alpha < HAZE, 0.0)
+        return {"pixels": to_pixels(rgb), "depth": solid, "camera_to_world": cameras.camera_to_world}
 
     def fresh_targets(self, count: int) -> Tensor:
         """Draw places for the object of the task: [count, 3] float32, world, metres."""

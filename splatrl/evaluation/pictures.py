@@ -87,5 +87,5 @@ class Pictures:
 
 def _sprite(env: EnvBase) -> SpriteOverlay | None:
     """What an env draws into its images, if anything."""
-    transforms = env.transform if isinstance(env, TransformedEnv) else ()
+    transforms = env.transform.modules() if isinstance(env, TransformedEnv) else ()
     return next((transform for transform in transforms if isinstance(transform, SpriteOverlay)), None)
