@@ -18,6 +18,7 @@ from torch import Tensor
 from torchrl.envs import Compose, EnvBase, ExcludeTransform, Transform, TransformedEnv
 from torchrl.modules import ActorValueOperator
 
+from splatrl.collision import NativeChecker
 from splatrl.collision.base import Checker
 from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Curriculum, Plan, plan
@@ -209,6 +210,7 @@ def build_world(cfg: DictConfig) -> World:
     scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
     occupancy = instantiate(cfg.collision.occupancy)(scene, *_start_region(task.motion, task.reached, robot))
     checker = instantiate(cfg.collision.checker)(occupancy, robot.body)
+    solid = NativeChecker(occupancy, robot.body)
     renderer = instantiate(cfg.renderer.views)(scene)
     if cfg.renderer.memory is not None:
         renderer = instantiate(cfg.renderer.memory)(renderer)
@@ -219,7 +221,7 @@ def build_world(cfg: DictConfig) -> World:
         renderer,
         robot,
         task,
-        plan(task.motion, checker, task.reached, cfg.starts.farthest),
+        plan(task.motion, checker, task.reached, cfg.starts.farthest, lambda poses: ~solid.collides(poses)),
         partial(_make_transforms, cfg.transforms, robot),
     )
 

@@ -39,7 +39,7 @@ class Plan:
 
     Attributes:
         states: [S, D], all states from which one could start.
-        free: [S] bool, where the body touches nothing.
+        free: [S] bool, where an episode could begin: the body touches nothing.
         distance: [S] int64, fewest steps to the goal; 0 at it, UNREACHABLE where there is no way.
         actions: [A, ...], the actions that paths are made of.
         motion: moves between the states.
@@ -95,6 +95,7 @@ def plan(
     checker: Checker,
     reached: Callable[[Tensor], Tensor],
     farthest: int | None = None,
+    fits: Callable[[Tensor], Tensor] | None = None,
 ) -> Plan:
     """Find the shortest path from every state to the goal.
 
@@ -106,6 +107,8 @@ def plan(
         checker: tells which poses and moves are free.
         reached: [S, D] states -> [S] bool, whether a state is at the goal.
         farthest: longest path of a start, steps; None for any.
+        fits: body_to_world [S, 4, 4] -> [S] bool, where an episode may begin; None takes what the checker finds free. A
+            robot that can go through things should not begin inside one.
 
     Raises:
         ValueError: when no pose is free, the goal is not free, or no start reaches it.
@@ -117,9 +120,13 @@ def plan(
         left = field(states)
         distance = torch.where(free & (left < FAR), left.round().clamp_min(1).long(), UNREACHABLE)
         distance = torch.where(free & reached(states), 0, distance)
-        found = Plan(states, free, distance, actions, motion, checker, field, reached, farthest)
+        found = Plan(states, free, distance, actions, motion, checker, field, reached)
     else:
-        found = replace(_exact(motion, checker, reached, states, free), farthest=farthest)
+        found = _exact(motion, checker, reached, states, free)
+    if fits is not None:
+        free = free & fits(motion.body_to_world(states))
+    distance = torch.where(free, found.distance, UNREACHABLE)
+    found = replace(found, free=free, distance=distance, farthest=farthest)
     if not len(found.start_rows):
         raise ValueError(f"task.goal: expected a way to it from some free pose, got none from {int(free.sum())}")
     return found
