@@ -51,7 +51,8 @@ class ForwardMotion(Plane):
         if headings < 1 or abs(headings * angle_step_deg - 360.0) > 1e-6:
             raise ValueError(f"task.motion.angle_step_deg: expected a divisor of 360, got {angle_step_deg}")
         angle_step = math.tau / headings
-        super().__init__(height, lower, upper, spacing or step, headings, max(0.5 * step, CELL), angle_step)
+        spacing = step if spacing is None else spacing
+        super().__init__(height, lower, upper, spacing, headings, max(0.5 * step, CELL), angle_step)
         self.step, self.angle_step = step, angle_step
         self.register_buffer("lengths", torch.tensor([step, -step, 0.0, 0.0]), persistent=False)
         self.register_buffer("turns", torch.tensor([0.0, 0.0, angle_step, -angle_step]), persistent=False)

@@ -48,7 +48,7 @@ class Plane(nn.Module):
         super().__init__()
         if len(lower) != 2 or len(upper) != 2 or not all(low < high for low, high in zip(lower, upper, strict=True)):
             raise ValueError(f"task.motion: expected lower < upper in x and y, got {list(lower)} and {list(upper)}")
-        if spacing <= 0 or headings < 1:
+        if not spacing > 0 or headings < 1:
             raise ValueError(f"task.motion: expected spacing > 0 and headings ≥ 1, got {spacing} and {headings}")
         self.height, self.spacing, self.headings = height, spacing, headings
         self.cell, self.angle_cell = cell, angle_cell

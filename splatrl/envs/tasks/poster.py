@@ -1,5 +1,6 @@
 """The poster task: the fps task as the published example sets it up, in any indoor scene."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,9 +33,8 @@ class Poster(Fps):
     """
 
     def __init__(self, motion: ForwardMotion, goal: Sequence[float], **rewards: Any):
-        if goal is None or len(goal) != 6:
-            raise ValueError(
-                f"task.goal: expected x, y, z, roll, pitch and yaw, got {goal if goal is None else list(goal)}"
-            )
+        if goal is None or len(goal) != 6 or not all(math.isfinite(value) for value in goal):
+            got = goal if goal is None else list(goal)
+            raise ValueError(f"task.goal: expected finite x, y, z (metres), roll, pitch and yaw (degrees), got {got}")
         x, y, _, _, _, yaw_deg = goal
         super().__init__(motion, [x, y, yaw_deg + 90.0], **rewards)
