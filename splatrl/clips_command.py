@@ -13,6 +13,7 @@ from omegaconf import DictConfig, ListConfig
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from torchrl.envs import Compose
 from tqdm import tqdm
 
 from splatrl.cameras import Cameras
@@ -107,10 +108,11 @@ def action_names(world: World) -> tuple[str, ...]:
 
 def _sprite(world: World) -> Overlay | None:
     """Draws the sprite of a world where its task has it; None without one."""
-    drawn = world.make_transforms().get("sprite")
+    made = world.make_transforms().values()
+    each = (part for whole in made for part in (whole.transforms if isinstance(whole, Compose) else [whole]))
+    drawn = next((part for part in each if isinstance(part, SpriteOverlay)), None)
     if drawn is None:
         return None
-    assert isinstance(drawn, SpriteOverlay), drawn
     target = drawn.position
     if target is None:
         assert isinstance(world.task, SeenGoal), world.task

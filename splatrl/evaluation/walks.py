@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import torch
@@ -21,13 +20,15 @@ from splatrl.renderers.base import Renderer, to_pixels
 
 WAVES = 4
 """Sinusoids that a hand's sway is made of: it is bounded by √(2 · WAVES) = 2.8 standard deviations."""
-NEAREST = 0.35
-"""Of the longest path: the shortest that a walk begins with."""
+RANKS = (0.98, 0.35)
+"""Ranks, among the paths from all starts, of the longest and of the shortest that is walked."""
 PATIENCE = 3
 """A walk ends after this many times the steps that its path should take."""
 CANDIDATES = 16
 MARGIN = 0.15
 """Metres that a person keeps away from things."""
+GLANCES, GLANCE = 6, 12
+"""Views of a path that are judged for what they show, and their side in pixels."""
 BATCH = 32
 
 Overlay = Callable[[Tensor, Tensor, Cameras], Tensor]
@@ -97,7 +98,7 @@ def paths(plan: Plan, starts: Tensor, generator: torch.Generator) -> list[Tensor
         generator: chooses.
 
     Returns:
-        B of [N, D], the start included, and the goal where it is reached in good time.
+        B of [N, D], the start included, and the goal, but where the plan goes to and fro on the way.
     """
     states, lengths = [starts], torch.ones(len(starts), dtype=torch.int64)
     last = torch.full((len(starts), 1), -1)
@@ -109,7 +110,10 @@ def paths(plan: Plan, starts: Tensor, generator: torch.Generator) -> list[Tensor
         drawn = torch.multinomial(allowed.float() + 1e-9, 1, generator=generator)
         goes_on = allowed.gather(1, last.clamp_min(0)) & (last >= 0)
         last = torch.where(goes_on, last, drawn)
-        states.append(plan.motion.advance(states[-1], plan.actions[last.squeeze(1).to(plan.actions.device)]))
+        ahead = plan.motion.advance(states[-1], plan.actions[last.squeeze(1).to(plan.actions.device)])
+        if len(states) > 1:
+            walks &= ((ahead - states[-2]).abs() > 1e-4).any(1).cpu()
+        states.append(ahead)
         lengths += walks
     every = torch.stack(states, 1)
     return [row[:length] for row, length in zip(every, lengths.tolist(), strict=True)]
@@ -132,6 +136,14 @@ def awkwardness(plan: Plan, states: Tensor) -> float:
     tight = plan.checker.clearance(poses[:, :3, 3]) < MARGIN
     stuck = not bool(plan.reached(states[-1:])[0])
     return float(backwards.double().mean()) + float(tight.double().mean()) + stuck
+
+
+def emptiness(plan: Plan, states: Tensor, robot: Robot, renderer: Renderer) -> float:
+    """How much of the views along a path shows nothing, as where a capture ends: share of the pixels."""
+    some = states[torch.linspace(0, len(states) - 1, GLANCES).round().long()]
+    small = replace(robot, image_height=GLANCE, image_width=GLANCE)
+    alpha = renderer.render(small.cameras(plan.motion.body_to_world(some).cpu())).alpha
+    return float((alpha < 0.5).double().mean())
 
 
 def eased(planar: Tensor, frames: int) -> Tensor:
@@ -180,17 +192,24 @@ def nearest_states(plan: Plan, planar: Tensor) -> Tensor:
     return plan.states[rows]
 
 
-def far_paths(plan: Plan, count: int, generator: torch.Generator) -> list[Tensor]:
-    """Paths whose lengths are spread evenly from ``NEAREST`` of the longest to the longest, the longest first.
+def far_paths(plan: Plan, count: int, generator: torch.Generator, against: Callable[[Tensor], float]) -> list[Tensor]:
+    """Paths whose lengths are spread evenly over the ranks of all from ``RANKS``, the longest first.
 
-    For each length the least awkward is taken of paths from ``CANDIDATES`` random starts.
+    For each length the one is taken that has least to be said against it, of those from ``CANDIDATES`` random starts.
+
+    Args:
+        plan: of a motion with discrete actions.
+        count: of paths.
+        generator: draws starts and chooses among paths.
+        against: what is to be said against a path, [N, D] states -> a number, 0 at best.
 
     Returns:
         ``count`` of [N, D] states.
     """
     rows = plan.start_rows
     steps = plan.distance[rows].double().cpu()
-    wanted = steps.max() * torch.linspace(1, NEAREST, count, dtype=torch.float64)
+    order = steps.sort().values
+    wanted = order[((len(order) - 1) * torch.linspace(*RANKS, count, dtype=torch.float64)).long()]
     candidates = []
     for length in wanted:
         gap = (steps - length).abs()
@@ -198,7 +217,7 @@ def far_paths(plan: Plan, count: int, generator: torch.Generator) -> list[Tensor
         candidates.append(rows[near[torch.randint(len(near), (CANDIDATES,), generator=generator)]])
     tried = paths(plan, plan.states[torch.cat(candidates)], generator)
     groups = [tried[CANDIDATES * number : CANDIDATES * (number + 1)] for number in range(count)]
-    return [min(group, key=partial(awkwardness, plan)) for group in groups]
+    return [min(group, key=against) for group in groups]
 
 
 def record_walks(
@@ -243,7 +262,11 @@ def record_walks(
     if count < 1 or height < 1:
         raise ValueError(f"count, height: expected at least 1 clip and 1 pixel, got {count} and {height}")
     camera = replace(robot, image_height=height, image_width=round(height * robot.image_width / robot.image_height))
-    walked_paths = far_paths(plan, count, torch.Generator().manual_seed(seed))
+
+    def against(states: Tensor) -> float:
+        return awkwardness(plan, states) + emptiness(plan, states, robot, renderer)
+
+    walked_paths = far_paths(plan, count, torch.Generator().manual_seed(seed), against)
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for number, states in enumerate(walked_paths):
