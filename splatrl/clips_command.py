@@ -13,14 +13,12 @@ from omegaconf import DictConfig, ListConfig
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
-from torchrl.envs import Compose
 from tqdm import tqdm
 
 from splatrl.cameras import Cameras
 from splatrl.configuration import World, build_model, build_world, check_overrides, conf_dir, require_values, run_config
 from splatrl.envs.tasks.base import SeenGoal
-from splatrl.envs.transforms.billboard import overlay
-from splatrl.envs.transforms.sprite_overlay import SpriteOverlay
+from splatrl.envs.transforms import overlay, sprite_among
 from splatrl.evaluation.clip_files import new_folder, read_clips
 from splatrl.evaluation.clips import ClipResult, match, table, total
 from splatrl.evaluation.report import write_json
@@ -108,9 +106,7 @@ def action_names(world: World) -> tuple[str, ...]:
 
 def _sprite(world: World) -> Overlay | None:
     """Draws the sprite of a world where its task has it; None without one."""
-    made = world.make_transforms().values()
-    each = (part for whole in made for part in (whole.transforms if isinstance(whole, Compose) else [whole]))
-    drawn = next((part for part in each if isinstance(part, SpriteOverlay)), None)
+    drawn = sprite_among(world.make_transforms())
     if drawn is None:
         return None
     target = drawn.position

@@ -27,9 +27,11 @@ from splatrl.curriculum.planner import FiniteMotion
 from splatrl.envs.robot import Robot
 from splatrl.envs.splat_env import SplatEnv
 from splatrl.envs.tasks import Task
+from splatrl.envs.transforms import sprite_among
 from splatrl.files import replacing
 from splatrl.renderers.base import Renderer
-from splatrl.scenes.scene import BACKYARD, Scene
+from splatrl.scenes.scene import BACKYARD, Bounds, Scene
+from splatrl.training import memory_transforms
 
 TRANSFORMS = ("pose_noise", "sprite", "goal", "appearance", "stack")
 """The order in which transforms stand around the env, the innermost first."""
@@ -167,7 +169,7 @@ class World:
     robot: Robot
     task: Task
     plan: Plan
-    make_transforms: Callable[[], dict[str, Transform]]
+    make_transforms: Callable[[], list[Transform]]
 
     def env(
         self,
@@ -195,9 +197,9 @@ class World:
             [num_envs],
             seed,
             device,
-            depth="sprite" in transforms,
+            depth=sprite_among(transforms) is not None,
         )
-        return TransformedEnv(env, Compose(*transforms.values())) if transforms else env
+        return TransformedEnv(env, Compose(*transforms)) if transforms else env
 
 
 def build_world(cfg: DictConfig) -> World:
@@ -221,12 +223,20 @@ def build_world(cfg: DictConfig) -> World:
         renderer,
         robot,
         task,
-        plan(task.motion, checker, task.reached, cfg.starts.farthest, lambda poses: ~solid.collides(poses)),
-        partial(_make_transforms, cfg.transforms, robot),
+        plan(task.motion, checker, task.reached, cfg.starts.farthest, partial(_fits, scene.bounds, solid)),
+        partial(_make_transforms, cfg.transforms, robot, cfg.network.get("memory", 0)),
     )
 
 
-def _make_transforms(nodes: DictConfig, robot: Robot) -> dict[str, Transform]:
+def _fits(bounds: Bounds, solid: Checker, body_to_world: Tensor) -> Tensor:
+    """Whether robots could begin at poses: within the scene, and in nothing solid; [S, 4, 4] -> [S] bool."""
+    lower, upper = (body_to_world.new_tensor(corner[:2]) for corner in bounds)
+    place = body_to_world[:, :2, 3]
+    return ((place >= lower) & (place <= upper)).all(1) & ~solid.collides(body_to_world)
+
+
+def _make_transforms(nodes: DictConfig, robot: Robot, memory: int) -> list[Transform]:
+    """New transforms for an env, the innermost first."""
     unknown = set(nodes) - set(TRANSFORMS)
     if unknown:
         raise ValueError(f"transforms: expected {', '.join(TRANSFORMS)}, got {', '.join(sorted(map(str, unknown)))}")
@@ -234,7 +244,7 @@ def _make_transforms(nodes: DictConfig, robot: Robot) -> dict[str, Transform]:
     if "sprite" in made:
         hidden = ExcludeTransform("depth", "camera_to_world")  # which take more memory than the pixels
         made["sprite"] = Compose(made["sprite"](robot.K), hidden)
-    return made
+    return [*made.values(), *memory_transforms(memory)]
 
 
 def _start_region(
@@ -247,7 +257,7 @@ def _start_region(
     return places[reached(states)], (lower.tolist(), upper.tolist())
 
 
-def build_model(cfg: DictConfig, env: SplatEnv) -> ActorValueOperator:
+def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
     """Build the actor and critic for an env; its first weights come from PyTorch's global generator."""
     image_shape = env.observation_spec["pixels"].shape[1:]
     return instantiate(cfg.network)(image_shape, env.action_spec).to(cfg.device)

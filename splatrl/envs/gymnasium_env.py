@@ -10,23 +10,26 @@ from gymnasium.spaces import Box, Discrete
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Categorical
+from torchrl.data import Bounded, Categorical, TensorSpec
 from torchrl.envs import EnvBase
 
 from splatrl.envs.tasks.base import Outcome
 
 Pixels = npt.NDArray[np.uint8]
+Action = np.int64 | npt.NDArray[np.float32]
+Actions = npt.NDArray[np.int64] | npt.NDArray[np.float32]
 Infos = dict[str, Any]
 
 _METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
 _VECTOR_METADATA: dict[str, Any] = {**_METADATA, "autoreset_mode": AutoresetMode.SAME_STEP}
 
 
-class GymnasiumEnv(gymnasium.Env[Pixels, np.int64]):
+class GymnasiumEnv(gymnasium.Env[Pixels, Action]):
     """One robot.
 
     Observation: [H, W, 3] uint8, the ego view.
-    Action: ``Discrete``, the task's.
+    Action: the task's, ``Discrete``; or with continuous control a ``Box`` of float32 in [-1, 1], as Gymnasium's clients
+        like it, from the lowest to the highest that the task allows: ``drive`` stands still at (-1/3, 0), not at 0.
     Info: ``outcome`` (int, an ``Outcome``), ``success`` (bool) and ``state`` (the task's, an array).
     Reset: ``reset(seed=...)`` seeds the starts, ``reset(options={"state": ...})`` begins at that state of the task.
 
@@ -40,7 +43,7 @@ class GymnasiumEnv(gymnasium.Env[Pixels, np.int64]):
         render_mode: what ``render`` returns: the present view, or nothing.
 
     Raises:
-        ValueError: for another batch size, an action that is not discrete, or another render mode.
+        ValueError: for another batch size, an action that is neither discrete nor bounded, or another render mode.
     """
 
     metadata = _METADATA
@@ -60,7 +63,7 @@ class GymnasiumEnv(gymnasium.Env[Pixels, np.int64]):
         self._present = _begin(self.env, seed, options)
         return _pixels(self._present)[0], _one(_infos(self._present))
 
-    def step(self, action: np.int64) -> tuple[Pixels, float, bool, bool, Infos]:
+    def step(self, action: Action) -> tuple[Pixels, float, bool, bool, Infos]:
         """Take one action."""
         if self._present is None:
             raise gymnasium.error.ResetNeeded("step: expected reset first")
@@ -79,11 +82,11 @@ class GymnasiumEnv(gymnasium.Env[Pixels, np.int64]):
         return _pixels(self._present)[0]
 
 
-class GymnasiumVectorEnv(VectorEnv[Pixels, npt.NDArray[np.int64], npt.NDArray[Any]]):
+class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
     """A batch of robots; a robot whose episode ends begins the next in the same step.
 
     Observation: [B, H, W, 3] uint8.
-    Action: [B] int64.
+    Action: [B] int64, or [B, n] float32 in [-1, 1] with continuous control; see ``GymnasiumEnv``.
     Info: ``outcome``, ``success`` and ``state`` of what is observed, [B, ...] each; of the robots whose episode ended,
         ``final_obs`` and ``final_info`` hold the last of it. A mask, [B] bool, stands beside each under ``_<name>``.
 
@@ -91,7 +94,7 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, npt.NDArray[np.int64], npt.NDArray[An
         env: a ``SplatEnv``, bare or under transforms.
 
     Raises:
-        ValueError: for an env that is not of batch size [B], or an action that is not discrete.
+        ValueError: for an env that is not of batch size [B], or an action that is neither discrete nor bounded.
     """
 
     metadata = _VECTOR_METADATA
@@ -117,7 +120,7 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, npt.NDArray[np.int64], npt.NDArray[An
         return _pixels(self._present), _masked(_infos(self._present), everywhere)
 
     def step(
-        self, actions: npt.NDArray[np.int64]
+        self, actions: Actions
     ) -> tuple[Pixels, npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_], Infos]:
         """Take an action with each robot."""
         if self._present is None:
@@ -144,10 +147,16 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, npt.NDArray[np.int64], npt.NDArray[An
 
 def _spaces(env: EnvBase) -> tuple[gymnasium.Space[Any], gymnasium.Space[Any]]:
     """Observation and action of one robot."""
-    if not isinstance(env.action_spec, Categorical):
-        raise ValueError(f"env: expected a discrete action, got {type(env.action_spec).__name__}")
-    shape = tuple(env.observation_spec["pixels"].shape[1:])
-    return Box(0, 255, shape, np.uint8), Discrete(int(env.action_spec.n))
+    return Box(0, 255, tuple(env.observation_spec["pixels"].shape[1:]), np.uint8), _action_space(env.action_spec)
+
+
+def _action_space(spec: TensorSpec) -> gymnasium.Space[Any]:
+    """Action of one robot, from the spec of the batch."""
+    if isinstance(spec, Categorical):
+        return Discrete(int(spec.n))
+    if isinstance(spec, Bounded) and spec.dtype == torch.float32:
+        return Box(-1.0, 1.0, tuple(spec.shape[1:]), np.float32)
+    raise ValueError(f"env: expected a discrete or a bounded float32 action, got {type(spec).__name__} {spec.dtype}")
 
 
 def _begin(env: EnvBase, seed: int | None, options: dict[str, Any] | None) -> TensorDictBase:
@@ -167,9 +176,16 @@ def _begin(env: EnvBase, seed: int | None, options: dict[str, Any] | None) -> Te
 
 
 def _act(env: EnvBase, present: TensorDictBase, space: gymnasium.Space[Any], actions: Any) -> TensorDictBase:
+    continuous = isinstance(space, Box)
+    if continuous:
+        actions = np.asarray(actions, space.dtype)  # float64 is as good
     if not space.contains(actions):
         raise ValueError(f"action: expected one of {space}, got {actions}")
-    return present.set("action", torch.as_tensor(actions, device=env.device).reshape(env.action_spec.shape))
+    spec = env.action_spec
+    action = torch.as_tensor(actions, device=env.device).reshape(spec.shape)
+    if continuous:
+        action = torch.lerp(spec.low, spec.high, (action + 1) / 2)
+    return present.set("action", action)
 
 
 def _pixels(td: TensorDictBase) -> Pixels:

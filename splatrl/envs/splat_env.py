@@ -29,8 +29,8 @@ class SplatEnv(EnvBase):
         [B, 1] int64, ``episode_return`` [B, 1] float32, ``level`` [B, 1] int64 at which the episode began, ``outcome``
         [B, 1] int64 (an ``Outcome``), ``touched_fraction`` [B, 1] float32 (how much of the last move was free; 1 when
         nothing was touched). With ``depth`` also ``depth`` [B, H, W] float32, metres along the optical axis (0 where
-        there is nothing but haze), and ``camera_to_world`` [B, 4, 4] float32 of the camera that took the pixels. With a task
-        whose goal is an object, ``target`` [B, 3] float32, its place in the world, metres.
+        there is nothing but haze), and ``camera_to_world`` [B, 4, 4] float32 of the camera that took the pixels. With a
+        task whose goal is an object, ``target`` [B, 3] float32, its place in the world, metres.
     Action: the task's.
     Reward: [B, 1] float32, the task's.
         A goal that must be seen is granted by the ``ImageGoal`` transform, which then also tells the curriculum.

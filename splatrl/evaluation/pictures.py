@@ -10,7 +10,7 @@ from torchrl.envs import EnvBase, TransformedEnv
 
 from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Plan
-from splatrl.envs.transforms import SpriteOverlay
+from splatrl.envs.transforms import sprite_among
 from splatrl.evaluation.figures import learning_curve, start_map, success_map
 from splatrl.evaluation.recording import record_episodes
 from splatrl.evaluation.rollouts import Episodes
@@ -73,7 +73,8 @@ class Pictures:
         spread = (torch.arange(1, count + 1) * len(ordered) // count - 1).clamp_min(0)
         recordings = record_episodes(env, policy, self.plan.states[ordered[spread]], seed=seed)
         names = getattr(env.task.motion, "action_names", ())
-        views = (env.renderer, _sprite(env))
+        sprite = sprite_among([env.transform]) if isinstance(env, TransformedEnv) else None
+        views = (env.renderer, sprite)
         rollout_video(recordings, env.robot, env.task.goal, self.ground, path, self.solid, *views, action_names=names)
         return path
 
@@ -83,9 +84,3 @@ class Pictures:
         distinct, row = places.unique(dim=0, return_inverse=True)
         fits = torch.zeros(len(distinct)).index_add(0, row, self.plan.free.float())
         return distinct[fits == 0]
-
-
-def _sprite(env: EnvBase) -> SpriteOverlay | None:
-    """What an env draws into its images, if anything."""
-    transforms = env.transform.modules() if isinstance(env, TransformedEnv) else ()
-    return next((transform for transform in transforms if isinstance(transform, SpriteOverlay)), None)

@@ -1,7 +1,7 @@
 """An object that is not in the scene."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import torch
@@ -87,3 +87,9 @@ class SpriteOverlay(Transform):
         shape = (*spec.shape, 1)
         spec["sprite_share"] = Bounded(0.0, 1.0, shape=shape, dtype=torch.float32, device=spec.device)
         return spec
+
+
+def sprite_among(transforms: Iterable[Transform]) -> SpriteOverlay | None:
+    """The overlay among some transforms, at any depth of nesting; None where there is none."""
+    parts = (part for transform in transforms for part in transform.modules())
+    return next((part for part in parts if isinstance(part, SpriteOverlay)), None)
