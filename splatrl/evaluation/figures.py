@@ -96,8 +96,8 @@ def start_map(
         blocked: [M, 2] x and y of positions where the body fits in no heading, metres.
     """
     poses, rate = _mean_by_row(planar, success)
-    length = 0.5 * _spacing(poses, ground)
     headings = np.unique(poses[:, :2], axis=0, return_counts=True)[1].max()
+    length = (0.5 if headings > 2 else 0.85) * _spacing(poses, ground)
     half_width = min(0.14 * length, 0.75 * length * math.pi * 0.68 / headings)
     kinds = [
         (rate == 1, REACHED, "goal reached"),

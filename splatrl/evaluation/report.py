@@ -20,7 +20,8 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor) -> dict[str
         shortest: [N] int64, steps of the shortest path from each start.
 
     Returns:
-        Rates in [0, 1], SPL, mean returns and mean lengths; keys of the second set end in ``_argmax``.
+        Rates in [0, 1], SPL, mean returns and mean lengths, and the mean of the shortest; keys of the second set end in
+        ``_argmax``.
     """
     summary: dict[str, float] = {}
     for suffix, episodes in (("", sampled), ("_argmax", argmax)):
@@ -34,6 +35,7 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor) -> dict[str
             f"mean_length{suffix}": episodes.length.double().mean().item(),
         }
     summary["episodes"] = len(sampled.outcome)
+    summary["mean_shortest"] = shortest.double().mean().item()
     return summary
 
 

@@ -19,7 +19,8 @@ SCORES, MACHINE = "scores.json", "machine.json"
 MAPS = {"starts.png": "start poses by success", "success_map.png": "success by start position"}
 """Pictures of a run that stand side by side."""
 EXPLANATION = (
-    "Success is over every start pose, actions sampled from the policy; argmax takes its most likely action. "
+    "Success is over the start set (of more than `evaluation.starts` poses, over that many, evenly spaced), actions "
+    "sampled from the policy; argmax takes its most likely action. "
     "SPL weighs success by the shortest path over the path taken. "
     "Values are means over seeds ± their standard deviation."
 )
