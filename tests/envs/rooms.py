@@ -1,0 +1,76 @@
+"""Robots off the lattice in the tiny room: coarse motions, whose paths are found at once, and an apple made of paint."""
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import torch
+from torch import Tensor
+from torchrl.envs import TransformedEnv
+
+from splatrl.cameras import Cameras
+from splatrl.curriculum import Curriculum, Plan, plan
+from splatrl.envs import DriveMotion, ForwardMotion, SplatEnv
+from splatrl.envs.tasks import Apple, Drive
+from splatrl.envs.transforms import ImageGoal
+from splatrl.renderers import RenderOutput
+from tests.tiny import HEIGHT, BlockChecker, tiny_renderer, tiny_robot
+
+BOUNDS: dict[str, Any] = {"lower": (-1.0, -1.5), "upper": (1.0, 1.5)}
+PLACE = (0.75, 1.0, HEIGHT)
+"""Of the apple."""
+
+
+class RedEast:
+    """Paints a view all red where the camera looks east, and else grey, brighter than any apple."""
+
+    def pixels(self, cameras: Cameras) -> Tensor:
+        east = cameras.camera_to_world[:, 0, 2] > 0.9
+        colors = torch.where(east[:, None], torch.tensor([200, 0, 0]), torch.tensor([230, 230, 230])).to(torch.uint8)
+        return colors[:, None, None].expand(len(cameras), cameras.height, cameras.width, 3).clone()
+
+    def render(self, cameras: Cameras) -> RenderOutput:
+        raise NotImplementedError
+
+
+def coarse_forward() -> ForwardMotion:
+    """Steps of 0.25 m and quarter turns: walks stay on the lattice of starts, 9 × 13 places and 4 headings."""
+    return ForwardMotion(HEIGHT, 0.25, 90.0, **BOUNDS)
+
+
+def coarse_apple(motion: ForwardMotion | None = None, **settings: Any) -> Apple:
+    """Found from one step away."""
+    return Apple(motion or coarse_forward(), PLACE, **settings)
+
+
+@cache
+def apple_plan() -> Plan:
+    """Paths to the apple around the block."""
+    task = coarse_apple()
+    return plan(task.motion, BlockChecker(), task.reached)
+
+
+def painted_env(task: Apple, batch: int, seed: int = 0, **curriculum: Any) -> TransformedEnv:
+    """Robots among paint: what they see is known from their heading."""
+    levels = Curriculum(apple_plan(), **{"first": None, **curriculum})
+    env = SplatEnv(RedEast(), BlockChecker(), tiny_robot(), task, levels, [batch], seed)
+    return TransformedEnv(env, ImageGoal())
+
+
+def coarse_drive() -> Drive:
+    """At most 0.25 m and a quarter turn in each time step of half a second."""
+    motion = DriveMotion(HEIGHT, 0.5, angular_deg=180.0, spacing=0.25, headings=4, **BOUNDS)
+    return Drive(motion, (0.5, 1.0, 0.0), max_steps=20)
+
+
+@cache
+def drive_plan() -> Plan:
+    """Paths around the block."""
+    task = coarse_drive()
+    return plan(task.motion, BlockChecker(), task.reached)
+
+
+def drive_env(batch_size: Sequence[int] = (1,), seed: int = 0) -> SplatEnv:
+    """Robots with wheels in the tiny room."""
+    curriculum = Curriculum(drive_plan(), None)
+    return SplatEnv(tiny_renderer(), BlockChecker(), tiny_robot(), coarse_drive(), curriculum, batch_size, seed)

@@ -1,0 +1,159 @@
+"""The apple task."""
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from hydra.utils import instantiate
+from torch import Tensor
+
+from splatrl.configuration import load_config
+from splatrl.envs.tasks import Apple, Outcome, SeenGoal
+from tests.envs.rooms import PLACE, coarse_apple
+
+X, Y, _ = PLACE
+NEAR = (X - 0.25, Y, 0.0)
+RED, GREY, BLACK = (200, 0, 0), (230, 230, 230), (0, 0, 0)
+
+
+def image(*colors: tuple[int, int, int]) -> Tensor:
+    """Two rows of five pixels, as many of each color as given, the rest black: [1, 2, 5, 3] uint8."""
+    rows = [*colors, *[BLACK] * (10 - len(colors))]
+    return torch.tensor(rows, dtype=torch.uint8).reshape(1, 2, 5, 3)
+
+
+def sees(task: Apple, pixels: Tensor, state: tuple[float, float, float] = NEAR) -> bool:
+    return bool(task.seen(torch.tensor([state]), torch.tensor([PLACE]), pixels))
+
+
+@pytest.mark.parametrize(("away", "near"), [(0.0, True), (0.25, True), (0.275, True), (0.2752, False), (0.5, False)])
+def test_an_apple_is_found_within_the_reach_and_no_farther(away: float, near: bool) -> None:
+    for angle in (0.0, 1.0, 4.0):
+        state = (X + away * math.cos(angle), Y + away * math.sin(angle), 2.0)
+        assert sees(coarse_apple(reach=1.1), image(*[RED] * 10), state) is near
+
+
+def test_the_distance_is_along_the_ground_to_the_target_that_is_given() -> None:
+    task, states = coarse_apple(), torch.tensor([NEAR, NEAR, NEAR])
+    targets = torch.tensor([[X, Y, 9.0], [-X, Y, 0.5], [X - 0.25, Y - 0.25, 0.5]])
+    assert task.seen(states, targets, image(*[RED] * 10).expand(3, 2, 5, 3)).tolist() == [True, False, True]
+
+
+def test_near_is_not_enough_without_red_nor_red_without_being_near() -> None:
+    task = coarse_apple()
+    assert not sees(task, image(*[GREY] * 10)) and not sees(task, image(*[RED] * 10), (0.0, 0.0, 0.0))
+    assert sees(task, image(*[RED] * 10))
+
+
+@pytest.mark.parametrize(
+    ("color", "red"),
+    [
+        ((102, 0, 0), True),
+        ((101, 0, 0), False),
+        ((160, 100, 100), True),  # exactly 1.6 times
+        ((160, 101, 0), False),
+        ((160, 0, 101), False),
+        ((159, 100, 0), False),
+        ((255, 159, 159), True),
+        ((255, 160, 0), False),
+        ((0, 200, 0), False),
+        (GREY, False),
+    ],
+)
+def test_a_pixel_is_clearly_red_by_its_brightness_and_its_purity(color: tuple[int, int, int], red: bool) -> None:
+    assert sees(coarse_apple(red_share=1.0), image(*[color] * 10)) is red
+
+
+def test_exactly_1_6_times_is_enough_at_every_brightness() -> None:
+    colors = [(8 * k, 5 * k, 5 * k) for k in range(13, 32)]
+    for color in colors:
+        assert sees(coarse_apple(red_share=1.0), image(*[color] * 10)), color
+
+
+@pytest.mark.parametrize(("count", "enough"), [(0, False), (2, False), (3, True), (10, True)])
+def test_a_share_of_the_pixels_is_enough(count: int, enough: bool) -> None:
+    assert sees(coarse_apple(red_share=0.3), image(*[RED] * count)) is enough
+
+
+def test_each_image_is_judged_by_itself() -> None:
+    pixels = torch.cat([image(*[RED] * 10), image(*[GREY] * 10), image(*[RED] * 3)])
+    task = coarse_apple()
+    assert task.seen(torch.tensor([NEAR] * 3), torch.tensor([PLACE] * 3), pixels).tolist() == [True, False, True]
+
+
+def test_a_bright_grey_image_is_no_apple_though_the_published_test_says_so() -> None:
+    bright = image(*[GREY] * 10)
+    assert not sees(coarse_apple(), bright) and sees(coarse_apple(mean_red=0.55), bright)
+
+
+def test_mean_red_takes_the_place_of_the_share() -> None:
+    task = coarse_apple(mean_red=0.55)  # 140.25 of 255
+    assert sees(task, image(*[(141, 0, 0)] * 10)) and not sees(task, image(*[(140, 0, 0)] * 10))
+    assert sees(coarse_apple(), image(*[RED] * 5)) and not sees(task, image(*[RED] * 5))
+
+
+@pytest.mark.parametrize(
+    ("state", "there"),
+    [
+        ((X - 0.25, Y, 0.0), True),
+        ((X, Y - 0.25, 90.0), True),
+        ((X + 0.25, Y, 180.0), True),
+        ((X - 0.25, Y, 20.0), True),
+        ((X - 0.25, Y, 340.0), True),
+        ((X - 0.25, Y, 21.0), False),
+        ((X - 0.25, Y, 339.0), False),
+        ((X - 0.25, Y, 180.0), False),
+        ((X - 0.5, Y, 0.0), False),
+    ],
+)
+def test_for_planning_an_apple_is_reached_where_it_is_near_and_faced(
+    state: tuple[float, float, float], there: bool
+) -> None:
+    x, y, yaw_deg = state
+    assert coarse_apple().reached(torch.tensor([[x, y, math.radians(yaw_deg)]])).tolist() == [there]
+
+
+def test_a_step_alone_is_never_a_goal() -> None:
+    task = coarse_apple()
+    ahead = torch.tensor([NEAR, NEAR, (1.2, Y, math.pi), (1.2, Y, math.pi)])
+    verdict = task.judge(ahead, torch.zeros(4, dtype=torch.int64), ahead, torch.tensor([False, True, False, True]))
+    expected = [Outcome.RUNNING, Outcome.COLLISION, Outcome.OUT_OF_BOUNDS, Outcome.COLLISION]
+    assert task.reached(ahead[:1]).all() and verdict.outcome.flatten().tolist() == expected
+    assert verdict.reward.flatten().tolist() == pytest.approx([-0.2, -10.0, -10.0, -10.0])
+    assert verdict.terminated.flatten().tolist() == [False, True, True, True]
+
+
+def test_the_apple_has_one_place_and_the_goal_no_heading() -> None:
+    task = coarse_apple()
+    assert isinstance(task, SeenGoal) and task.ends_at_goal and task.goal_reward == 50.0
+    assert torch.equal(task.targets(torch.zeros(3, 3)), torch.tensor([PLACE] * 3))
+    assert task.goal[:2].tolist() == [X, Y] and task.goal[2].isnan()
+
+
+def test_the_config_is_the_published_one_without_collision() -> None:
+    cfg = load_config(["task=apple"])
+    task = instantiate(cfg.task)
+    assert task.reach == pytest.approx(0.11) and task.mean_red is None and task.max_steps == 200
+    assert task.place.tolist() == pytest.approx(list(cfg.landmarks.object))
+    assert cfg.collision.checker._target_.endswith("NoChecker") and cfg.robot.body.size == [0.01] * 3
+    assert cfg.transforms.sprite and cfg.transforms.goal and not cfg.transforms.pose_noise
+    solid = load_config(["task=apple", "collision=native"])
+    assert solid.collision.checker._target_.endswith("NativeChecker")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"place": None}, r"task\.place: expected x, y and z in metres, got None"),
+        ({"place": (0.0, 1.0)}, r"task\.place: expected x, y and z in metres, got \[0\.0, 1\.0\]"),
+        ({"place": (0.0, 1.0, math.nan)}, r"task\.place"),
+        ({"red_share": 0.0}, r"task\.red_share: expected a share in \(0, 1\], got 0\.0"),
+        ({"red_share": 1.5}, r"task\.red_share"),
+        ({"mean_red": 55.0}, r"task\.mean_red: expected a share in \(0, 1\], got 55\.0"),
+        ({"max_steps": 0}, r"task\.max_steps"),
+    ],
+)
+def test_a_task_without_sense_is_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Apple(**{"motion": coarse_apple().motion, "place": PLACE, **change})

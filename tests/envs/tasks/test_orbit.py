@@ -1,0 +1,104 @@
+"""The circle, polar plane and hemisphere tasks."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from hydra.utils import instantiate
+
+from splatrl import make_env
+from splatrl.configuration import load_config
+from splatrl.envs import OrbitMotion
+from splatrl.envs.tasks import Orbit, Outcome
+from tests.tiny import tiny_overrides
+
+ORIGIN = (0.75, 1.0, 0.5)
+RUN, GOAL, HIT, OUT = Outcome.RUNNING, Outcome.GOAL, Outcome.COLLISION, Outcome.OUT_OF_BOUNDS
+
+
+def orbit(azimuth_deg: float = 180.0, distance: float = 1.0, elevation_deg: float = 0.0, **settings: Any) -> Orbit:
+    """12 azimuths, 5 distances from 0.5 m and 4 elevations."""
+    motion = OrbitMotion(ORIGIN, 30.0, 0.25, (0.5, 1.5), (0.0, 90.0))
+    return Orbit(motion, azimuth_deg, distance, elevation_deg, **settings)
+
+
+def test_the_goal_is_within_one_step_of_each() -> None:
+    task = orbit()
+    states = task.motion.states()
+    there = states[task.reached(states)]
+    assert sorted(set(there[:, 0].tolist())) == [5, 6, 7]
+    assert sorted(set(there[:, 1].tolist())) == [1, 2, 3]
+    assert sorted(set(there[:, 2].tolist())) == [0, 1] and len(there) == 3 * 3 * 2
+
+
+@pytest.mark.parametrize("azimuth_deg", [0.0, 360.0, -360.0, 720.0])
+def test_azimuths_wrap(azimuth_deg: float) -> None:
+    task = orbit(azimuth_deg)
+    states = task.motion.states()
+    assert sorted(set(states[task.reached(states)][:, 0].tolist())) == [0, 1, 11]
+
+
+def test_a_goal_between_states_is_two_of_each() -> None:
+    task = orbit(195.0, 1.125, 45.0)
+    assert task.reached(task.motion.states()).sum() == 2 * 2 * 2
+
+
+def test_the_goal_pose_stands_off_the_origin_and_looks_at_it() -> None:
+    reach = 1.0 * math.cos(math.radians(60.0))
+    goal = orbit(90.0, 1.0, 60.0).goal
+    assert goal[:2].tolist() == pytest.approx([ORIGIN[0], ORIGIN[1] + reach])
+    assert math.remainder(float(goal[2]) + math.pi / 2, math.tau) == pytest.approx(0.0)
+    task = orbit(90.0, 1.0, 60.0)
+    at_goal = task.motion.planar(torch.tensor([[3, 2, 2]]))[0]
+    assert at_goal[:2].tolist() == pytest.approx(goal[:2].tolist())
+    assert math.remainder(float(at_goal[2] - goal[2]), math.tau) == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize(
+    ("next_state", "hit", "outcome", "reward"),
+    [
+        ([0, 2, 0], False, RUN, 0.0),
+        ([6, 2, 0], False, GOAL, 1.0),
+        ([6, 2, 0], True, HIT, -1.0),  # before the goal
+        ([6, 5, 0], False, OUT, -1.0),
+        ([6, 2, -1], False, OUT, -1.0),  # before the goal, from which it is one step
+        ([6, 5, 0], True, HIT, -1.0),  # before the bounds
+    ],
+)
+def test_a_step_is_judged_by_collision_then_range_then_goal(
+    next_state: list[int], hit: bool, outcome: Outcome, reward: float
+) -> None:
+    task, ahead = orbit(), torch.tensor([next_state])
+    verdict = task.judge(ahead, torch.tensor([0]), ahead, torch.tensor([hit]))
+    assert verdict.outcome.tolist() == [[outcome]] and verdict.reward.tolist() == [[reward]]
+    assert verdict.terminated.tolist() == [[outcome != RUN]] and verdict.reward.dtype == torch.float32
+
+
+@pytest.mark.parametrize(
+    ("name", "actions", "states"), [("circle", 2, 36), ("polar_plane", 4, 36 * 11), ("hemisphere", 6, 36 * 11 * 10)]
+)
+def test_the_configs_differ_in_what_varies(name: str, actions: int, states: int) -> None:
+    cfg = load_config([f"task={name}"])
+    task = instantiate(cfg.task)
+    assert task.motion.action_spec.n == actions and len(task.motion.states()) == states
+    assert task.motion.origin.tolist() == pytest.approx(list(cfg.landmarks.object))
+    assert task.reached(task.motion.states()).any()
+    assert task.outcome_rewards.tolist() == [0.0, 1.0, -1.0, -1.0]
+
+
+def test_an_env_goes_round_the_object(tmp_path: Path) -> None:
+    env = make_env(tiny_overrides(tmp_path, "circle"), [2], 0)
+    states = torch.tensor([[16, 0, 0], [13, 0, 0]])
+    td = env.reset(env.reset().select("state").set("state", states), set_state=True)
+    after = env.step(td.set("action", torch.tensor([0, 0])))["next"]
+    assert after["state"].tolist() == [[17, 0, 0], [14, 0, 0]]
+    assert after["outcome"].flatten().tolist() == [GOAL, RUN] and after["reward"].flatten().tolist() == [1.0, 0.0]
+    assert after["pixels"].float().std() > 10
+
+
+@pytest.mark.parametrize("change", [{"azimuth_deg": math.nan}, {"distance": math.inf}, {"elevation_deg": math.nan}])
+def test_a_goal_that_is_not_finite_is_refused(change: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="task: expected finite azimuth_deg, distance and elevation_deg"):
+        orbit(**change)
