@@ -6,11 +6,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from splatrl.collision import NoChecker
 from splatrl.curriculum import UNREACHABLE, Plan, plan
+from splatrl.curriculum.field import FAR
 from splatrl.curriculum.planner import successors
 from splatrl.envs import LatticeMotion
 from splatrl.envs.tasks import Grid
-from tests.tiny import BlockChecker, tiny_plan, tiny_task
+from tests.tiny import BODY, BlockChecker, tiny_plan, tiny_task
 
 State = tuple[int, ...]
 
@@ -144,3 +146,57 @@ def test_a_goal_without_a_way_to_it_is_refused() -> None:
     task = tiny_task()
     with pytest.raises(ValueError, match=r"task\.goal: expected a way to it from some free pose, got none from 280"):
         plan(task.motion, Frozen(), task.reached)
+
+
+def test_optimal_actions_are_those_that_lead_one_step_nearer() -> None:
+    found = tiny_plan()
+    choices, distance = moves(found), found.distance
+    after = torch.where(choices == UNREACHABLE, 10**6, distance[choices])
+    expected = (after == distance.unsqueeze(1) - 1) & (distance > 0).unsqueeze(1)
+    best = found.optimal(found.states[found.free])
+    assert torch.equal(best, expected[found.free])
+    assert (best.sum(1) > 1).any() and (best.sum(1) == 1).any()
+
+
+def test_optimal_actions_by_hand() -> None:
+    best = tiny_plan().optimal(torch.tensor([[1, 5, 0], [0, 5, 2], [1, 3, 0], [3, 5, 0]]))
+    yes = [row.nonzero().flatten().tolist() for row in best]
+    assert yes == [[0], [0, 5], [2], []]  # +x; +x or turn right; round the block by +y; at the goal
+
+
+def test_no_action_is_optimal_where_there_is_no_way() -> None:
+    task = tiny_task()
+    found = plan(task.motion, FenceChecker(), Grid(task.motion, goal=(1.0, 1.0, 0.0)).reached)
+    west = found.states[found.states[:, 0] < 3]
+    assert not found.optimal(west).any() and (found.steps_to_go(west) == FAR).all()
+
+
+def test_steps_to_go_are_the_distances() -> None:
+    found = tiny_plan()
+    rows = found.distance >= 0
+    assert torch.equal(found.steps_to_go(found.states[rows]), found.distance[rows].float())
+
+
+@pytest.mark.parametrize("farthest", [1, 4, 9, 50])
+def test_the_start_set_can_be_cut_at_a_longest_path(farthest: int) -> None:
+    task = tiny_task()
+    cut, whole = plan(task.motion, BlockChecker(), task.reached, farthest), tiny_plan()
+    assert torch.equal(cut.distance, whole.distance)  # which says how far it is from everywhere still
+    assert torch.equal(cut.start_rows, ((whole.distance > 0) & (whole.distance <= farthest)).nonzero().squeeze(1))
+    assert (len(cut.start_rows) < len(whole.start_rows)) is (farthest < 9)
+
+
+def test_a_set_without_starts_is_refused() -> None:
+    task = tiny_task()
+    with pytest.raises(ValueError, match=r"task\.goal: expected a way to it from some free pose, got none from 272"):
+        plan(task.motion, BlockChecker(), task.reached, farthest=0)
+
+
+def test_robots_that_go_through_everything_start_everywhere_and_go_straight() -> None:
+    task = tiny_task()
+    found = plan(task.motion, NoChecker(None, BODY), task.reached)
+    assert found.free.all() and len(found.start_rows) == 280 - 27
+    x, y, spin = (found.states - torch.tensor([3, 5, 0])).abs().unbind(1)
+    spin = torch.minimum(spin, 8 - spin)
+    expected = sum((axis - 1).clamp_min(0) for axis in (x, y, spin))
+    assert torch.equal(found.distance, expected)

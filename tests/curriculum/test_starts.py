@@ -1,5 +1,7 @@
 """Start states by level."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -70,6 +72,18 @@ def test_the_curriculum_samples_at_its_present_level() -> None:
     curriculum.record(torch.tensor([0]), one, one)
     assert curriculum.level == 1
     assert distances(curriculum.sample(500, generator)).max() == 3
+
+
+def test_anywhere_is_the_whole_start_set_whatever_the_level() -> None:
+    curriculum = Curriculum(tiny_plan(), first=2)
+    drawn = curriculum.anywhere(COUNT, torch.Generator().manual_seed(0))
+    expected = {tuple(state) for state in tiny_plan().states[tiny_plan().start_rows].tolist()}
+    assert {tuple(state) for state in drawn.tolist()} == expected and curriculum.level == 0
+
+
+def test_a_plan_that_was_cut_has_fewer_levels() -> None:
+    cut = Starts(replace(tiny_plan(), farthest=5), first=2)
+    assert cut.levels == 4 and distances(draw(cut, 3)).max() == 5
 
 
 def test_progress_is_all_that_a_curriculum_saves() -> None:

@@ -1,4 +1,4 @@
-"""Robots off the lattice in the tiny room: coarse motions, whose paths are found at once, and an apple made of paint."""
+"""Robots off the lattice in the tiny room: coarse motions, for which paths are found at once, and a painted apple."""
 
 from collections.abc import Sequence
 from functools import cache

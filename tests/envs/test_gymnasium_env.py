@@ -1,6 +1,8 @@
 """Gymnasium's view: its own checker, its wrappers, and a client that learns."""
 
+import math
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -11,11 +13,14 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
+from tensordict import TensorDict
+from torchrl.data import Unbounded
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms import RewardScaling, TransformedEnv
 
 from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
 from splatrl.envs.tasks import Outcome
+from tests.envs.rooms import coarse_apple, drive_env, painted_env
 from tests.tiny import tiny_env
 
 FORWARD_X, BACK_X, LEFT_Y, RIGHT_Y, SPIN, SPIN_BACK = range(6)
@@ -26,8 +31,19 @@ def make_tiny(render_mode: str | None = None, **settings: Any) -> GymnasiumEnv:
     return GymnasiumEnv(tiny_env([1], **settings), render_mode=render_mode)
 
 
-def test_gymnasiums_checker_has_nothing_to_say() -> None:
-    spec = gymnasium.envs.registration.EnvSpec("Tiny-v0", entry_point=make_tiny, disable_env_checker=True)
+def make_driving(render_mode: str | None = None) -> GymnasiumEnv:
+    """Continuous control."""
+    return GymnasiumEnv(drive_env(), render_mode=render_mode)
+
+
+def make_painted(render_mode: str | None = None) -> GymnasiumEnv:
+    """Under a transform that changes reward and outcome."""
+    return GymnasiumEnv(painted_env(coarse_apple(), 1), render_mode=render_mode)
+
+
+@pytest.mark.parametrize("make", [make_tiny, make_driving, make_painted])
+def test_gymnasiums_checker_has_nothing_to_say(make: Callable[..., GymnasiumEnv]) -> None:
+    spec = gymnasium.envs.registration.EnvSpec("Tiny-v0", entry_point=make, disable_env_checker=True)
     env = gymnasium.make(spec, render_mode="rgb_array").unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -84,6 +100,13 @@ def test_later_steps_do_not_change_an_observation_that_was_handed_out() -> None:
     assert np.array_equal(observation, kept) and not np.array_equal(moved, kept)
 
 
+def unbounded_env() -> EnvBase:
+    """An action without limits."""
+    env = tiny_env([1])
+    env.action_spec = Unbounded((1, 2))
+    return env
+
+
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
@@ -98,6 +121,7 @@ def test_later_steps_do_not_change_an_observation_that_was_handed_out() -> None:
         (lambda env: env.render(), gymnasium.error.ResetNeeded, "render: expected reset first"),
         (lambda env: (env.reset(), env.step(np.int64(6))), ValueError, r"action: expected one of Discrete\(6\), got 6"),
         (lambda env: (env.reset(), env.step(np.int64(-1))), ValueError, "action"),
+        (lambda env: GymnasiumEnv(unbounded_env()), ValueError, "env: expected a discrete or a bounded float32 action"),
         (lambda env: GymnasiumEnv(tiny_env([2])), ValueError, r"env: expected batch size \[1\], got \[2\]"),
         (lambda env: GymnasiumEnv(tiny_env([1]), "human"), ValueError, "render_mode: expected 'rgb_array' or None"),
         (lambda env: GymnasiumVectorEnv(tiny_env([2])).reset(seed=[1, 2]), ValueError, "seed: expected one number"),
@@ -178,6 +202,81 @@ def test_transforms_show_through() -> None:
     env.reset(seed=0, options={"state": [[1, 5, 0], [0, 0, 0], [1, 3, 0]]})
     _, reward, *_ = env.step(np.array([FORWARD_X, SPIN, FORWARD_X]))
     assert reward.tolist() == pytest.approx([25.0, -0.1, -5.0])
+
+
+@pytest.mark.parametrize(
+    ("action", "linear", "angular"),
+    [
+        ((1.0, 1.0), 0.5, math.pi),
+        ((-1.0, -1.0), -0.25, -math.pi),
+        ((1.0, 0.0), 0.5, 0.0),
+        ((-1 / 3, 0.0), 0.0, 0.0),
+        ((0.0, 0.5), 0.125, math.pi / 2),
+    ],
+)
+def test_a_continuous_action_goes_from_the_lowest_to_the_highest(
+    action: tuple[float, float], linear: float, angular: float
+) -> None:
+    view, env = make_driving(), drive_env()
+    start = torch.tensor([[-0.75, 1.0, 0.5]])
+    _, info = view.reset(options={"state": start[0].numpy()})
+    assert np.array_equal(info["state"], start[0])
+    td = env.reset(TensorDict({"state": start}, [1]), set_state=True)
+    after = env.step(td.set("action", torch.tensor([[linear, angular]])))["next"]
+    seen, reward, _, _, info = view.step(np.array(action, np.float32))
+    np.testing.assert_allclose(info["state"], after["state"][0], atol=1e-6)
+    assert reward == after["reward"].item() and np.abs(seen.astype(int) - after["pixels"][0].numpy()).max() <= 1
+
+
+def test_a_continuous_action_can_have_double_precision_and_may_not_leave_the_box() -> None:
+    env = make_driving()
+    env.reset(seed=0)
+    space = env.action_space
+    assert space == gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+    env.step(np.array([0.3, -0.2]))
+    for action in ([1.1, 0.0], [0.0, np.nan], [0.0], 0.5):
+        with pytest.raises(ValueError, match="action: expected one of Box"):
+            env.step(np.array(action))
+
+
+def test_a_batch_drives_as_single_robots_do() -> None:
+    batch, singles = vector(drive_env([3])), [make_driving() for _ in range(3)]
+    assert batch.action_space.shape == (3, 2) and batch.single_action_space == singles[0].action_space
+    starts = np.array([[-0.75, 1.0, 0.0], [-0.5, 0.0, 0.0], [0.25, 1.0, 0.0]], np.float32)
+    batch.reset(options={"state": starts})
+    actions = np.array([[0.2, 0.3], [1.0, 0.0], [0.9, -0.1]], np.float32)
+    seen, reward, terminated, _, info = batch.step(actions)
+    assert terminated.tolist() == [False, True, True] and info["final_info"]["success"].tolist() == [False, False, True]
+    for row, single in enumerate(singles):
+        single.reset(options={"state": starts[row]})
+        shown, alone, ended, _, told = single.step(actions[row])
+        assert alone == reward[row] and ended == terminated[row]
+        if ended:
+            assert np.array_equal(info["final_obs"][row], shown)
+            assert np.array_equal(info["final_info"]["state"][row], told["state"])
+        else:
+            assert np.array_equal(seen[row], shown) and np.array_equal(info["state"][row], told["state"])
+
+
+def test_a_goal_that_a_transform_grants_is_what_a_client_is_told() -> None:
+    env, batch = make_painted(), vector(painted_env(coarse_apple(), 2))
+    before_apple, far = [0.25, 1.0, 0.0], [-0.75, 1.0, 0.0]
+    env.reset(options={"state": np.array(before_apple)})
+    _, reward, terminated, truncated, info = env.step(np.int64(0))
+    assert (reward, terminated, truncated, info["success"]) == (50.0, True, False, True)
+    batch.reset(options={"state": np.array([far, before_apple])})
+    seen, reward, terminated, _, info = batch.step(np.array([0, 0]))
+    assert reward.tolist() == pytest.approx([-0.2, 50.0]) and terminated.tolist() == [False, True]
+    assert info["final_info"]["success"].tolist() == [False, True] and (info["final_obs"][1][..., 1] == 0).all()
+    assert info["outcome"].tolist() == [Outcome.RUNNING] * 2 and seen.shape == (2, 12, 16, 3)
+
+
+def test_stable_baselines_drives_with_it() -> None:
+    env = make_driving()
+    model = PPO("MlpPolicy", env, n_steps=32, batch_size=32, n_epochs=1, seed=0, device="cpu").learn(64)
+    observation, _ = env.reset(seed=0)
+    action, _ = model.predict(observation)
+    assert env.action_space.contains(action) and model.num_timesteps == 64
 
 
 def test_stable_baselines_learns_with_it() -> None:

@@ -1,5 +1,7 @@
 """The snake task."""
 
+from itertools import pairwise
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -63,7 +65,7 @@ def test_the_target_moves_on_in_exactly_the_step_that_reaches_it() -> None:
         assert torch.equal(step["target"], seen[-2])  # what the step began with is as it was
         td = env.step_mdp(step)
         assert not td["done"].any()
-    moved = [(a != b).any(1).tolist() for a, b in zip(seen, seen[1:], strict=False)]
+    moved = [(a != b).any(1).tolist() for a, b in pairwise(seen)]
     assert moved == [[True, False, False], [False, True, False]]
     assert rewards[0] == pytest.approx([50.0, -0.2, -0.2]) and rewards[1][1:] == pytest.approx([50.0, -0.2])
     assert outcomes[0] == [Outcome.GOAL, Outcome.RUNNING, Outcome.RUNNING]
