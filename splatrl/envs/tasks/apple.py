@@ -33,7 +33,7 @@ class Apple(OutcomeRewards):
     Example:
         >>> import splatrl
         >>> env = splatrl.make_env(["task=apple"], batch_size=[4])
-        >>> env.rollout(3)["target"].shape
+        >>> env.rollout(3, break_when_any_done=False)["target"].shape
         torch.Size([4, 3, 3])
 
     Args:

@@ -19,6 +19,6 @@ class Drive(PoseGoal):
     Example:
         >>> import splatrl
         >>> env = splatrl.make_env(["task=drive"], batch_size=[4])
-        >>> env.rollout(3)["action"].shape
+        >>> env.rollout(3, break_when_any_done=False)["action"].shape
         torch.Size([4, 3, 2])
     """

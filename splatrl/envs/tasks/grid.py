@@ -23,6 +23,6 @@ class Grid(PoseGoal):
     Example:
         >>> import splatrl
         >>> env = splatrl.make_env(["task=grid"], batch_size=[4])
-        >>> env.rollout(3)["next", "reward"].shape
+        >>> env.rollout(3, break_when_any_done=False)["next", "reward"].shape
         torch.Size([4, 3, 1])
     """
