@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
-from torchrl.data import Unbounded
+from torchrl.data import Bounded
 
 from splatrl.geometry import axis_rotations, rigid
 
@@ -56,9 +56,11 @@ class Plane(nn.Module):
         self.register_buffer("upper", torch.tensor(tuple(upper), dtype=torch.float32), persistent=False)
 
     @property
-    def state_spec(self) -> Unbounded:
+    def state_spec(self) -> Bounded:
         """x, y and yaw, [3]; no batch."""
-        return Unbounded(shape=(3,), dtype=torch.float32)
+        lower, upper = self.lower - EDGE, self.upper + EDGE
+        low, high = torch.cat([lower, lower.new_zeros(1)]), torch.cat([upper, upper.new_full((1,), math.tau)])
+        return Bounded(low=low, high=high, shape=(3,), dtype=torch.float32)
 
     def states(self) -> Tensor:
         """The lattice of starts: [S, 3] float32."""

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from splatrl.envs.tasks.apple import Apple
-from splatrl.envs.tasks.base import Outcome, Verdict
+from splatrl.envs.tasks.base import Verdict
 
 
 class Snake(Apple):
@@ -12,7 +12,7 @@ class Snake(Apple):
 
     Observation and action are those of ``Apple``.
     Reward: [B, 1] float32; −0.2 a step, and in its place +50 at an apple, −10 for touching something or the bounds.
-    Termination: never. A blocked robot stays where it was and goes on.
+    Termination: never. A blocked robot stays where it was and goes on; ``outcome`` says what that step met.
     Truncation: after ``max_steps`` steps.
     State: that of ``Apple``; ``target`` [B, 3] float32 moves on in the step that reaches it, and is shown at the new
         place from the next step on.
@@ -32,9 +32,7 @@ class Snake(Apple):
     def judge(self, state: Tensor, action: Tensor, next_state: Tensor, hit: Tensor) -> Verdict:
         """Judge all but the goal; see ``Task.judge``."""
         verdict = super().judge(state, action, next_state, hit)
-        return verdict._replace(
-            terminated=torch.zeros_like(verdict.terminated), outcome=torch.full_like(verdict.outcome, Outcome.RUNNING)
-        )
+        return verdict._replace(terminated=torch.zeros_like(verdict.terminated))
 
     def targets(self, states: Tensor) -> Tensor:
         """An apple where each state is, at the height of ``place``: [N, 3] -> [N, 3] float32."""

@@ -32,7 +32,8 @@ def test_nothing_that_a_robot_does_ends_the_episode() -> None:
     task = snake()
     ahead = torch.tensor([[0.5, 1.0, 0.0], [0.0, 0.0, 0.0], [1.25, 0.0, 0.0]])
     verdict = task.judge(ahead, torch.zeros(3, dtype=torch.int64), ahead, torch.tensor([False, True, False]))
-    assert not verdict.terminated.any() and (verdict.outcome == Outcome.RUNNING).all()
+    assert not verdict.terminated.any()
+    assert verdict.outcome.flatten().tolist() == [Outcome.RUNNING, Outcome.COLLISION, Outcome.OUT_OF_BOUNDS]
     assert verdict.reward.flatten().tolist() == pytest.approx([-0.2, -10.0, -10.0])
     assert isinstance(task, SeenGoal) and not task.ends_at_goal
 
@@ -44,10 +45,18 @@ def test_a_blocked_robot_stays_and_goes_on() -> None:
     step = env.step(td.set("action", torch.tensor([FORWARD, FORWARD])))
     after = step["next"]
     assert torch.equal(after["state"], td["state"]) and column(after, "reward") == [-10.0, -10.0]
-    assert not after["done"].any() and column(after, "outcome") == [Outcome.RUNNING] * 2
+    assert not after["done"].any() and column(after, "outcome") == [Outcome.COLLISION, Outcome.OUT_OF_BOUNDS]
     goes_on = env.step(env.step_mdp(step).set("action", torch.tensor([BACK, BACK])))["next"]
     torch.testing.assert_close(goes_on["state"][:, 0], torch.tensor([-0.75, 0.75]))
     assert column(goes_on, "episode_return") == pytest.approx([-10.2, -10.2])
+
+
+def test_a_robot_that_runs_into_something_gets_no_apple_for_it() -> None:
+    env = painted_env(snake(), 1)
+    td = env.reset(placed([[1.0, 1.0, 0.0]], [[1.0, 1.0, HEIGHT]]), set_state=True)  # at the bound, on the apple
+    after = env.step(td.set("action", torch.tensor([FORWARD])))["next"]
+    assert column(after, "outcome") == [Outcome.OUT_OF_BOUNDS] and column(after, "reward") == [-10.0]
+    assert torch.equal(after["target"], td["target"])
 
 
 def test_the_target_moves_on_in_exactly_the_step_that_reaches_it() -> None:
