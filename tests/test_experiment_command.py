@@ -39,10 +39,10 @@ def test_every_experiment_composes_and_states_its_budget(
 
     monkeypatch.setattr(experiment_command, "train", nothing)
     experiment(load_config(["name=all", f"folder={tmp_path}", "kitchen=kitchen.spz", "jobs=2"], "experiment"))
-    assert len(trained) == 25 + 12 + 6 + 12
-    assert "kitchen-gru-s2" in trained
+    assert len(trained) == 25 + 8 + 6 + 8
+    assert "kitchen-gru-s0" in trained
     said = capsys.readouterr().out
-    assert "55 of 55 trainings to do" in said
+    assert "47 of 47 trainings to do" in said
     for name in ("grid", "fps", "apple", "sim2real"):
         assert f"{name:<9} " in said
         assert (tmp_path / name / "report.md").is_file()
