@@ -12,7 +12,7 @@ from splatrl.evaluation.report import write_json
 from splatrl.experiments.curves import learning_curves
 from splatrl.experiments.experiment import Experiment
 from splatrl.experiments.results import Entry, Spread, comparable, entries
-from splatrl.experiments.tables import main_table, marks_table, scores_table, table, verdicts
+from splatrl.experiments.tables import main_table, marks_table, scores_sentences, scores_table, table, verdicts
 from splatrl.files import replacing
 
 SCORES, MACHINE = "scores.json", "machine.json"
@@ -86,13 +86,14 @@ def _section(
     lines += [f"**Asked.** {experiment.question}", "", f"**The paper.** {experiment.paper}", ""]
     if not finished:
         return [*lines, f"**Here.** None of {len(experiment.runs)} trainings is finished."]
-    lines += ["**Here.**", "", *verdicts(found), ""]
+    scores = _scores(experiment)
+    sentences = scores_sentences(scores, experiment) if scores else []
+    lines += ["**Here.**", "", *sentences, *verdicts(found), ""]
     if finished < len(experiment.runs):
         lines += [f"*{finished} of {len(experiment.runs)} trainings are finished; the rest is left out.*", ""]
     lines += [*main_table(found), ""]
     if heading == "#":
         lines += [EXPLANATION, ""]
-    scores = _scores(experiment)
     if scores:
         lines += [f"{heading}# Actions on labelled clips", "", *scores_table(scores, experiment), ""]
     lines += [f"{heading}# Success while learning", "", *marks_table(found, experiment), ""]

@@ -7,6 +7,9 @@ from typing import Any
 from splatrl.experiments.experiment import Experiment
 from splatrl.experiments.results import Entry, Spread, comparable
 
+TOTAL = "**all**"
+"""Stands for all clips of a scene."""
+
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> list[str]:
     """A markdown table: the first columns hold words, the rest numbers.
@@ -85,28 +88,61 @@ def _deviation(spread: Spread) -> float:
 
 
 def scores_table(scores: Sequence[Mapping[str, Any]], experiment: Experiment) -> list[str]:
-    """Share of frames of labelled clips in which the policy's action is among the right ones.
+    """Share of frames of labelled clips in which the policy's action is among the right ones, arms side by side.
 
     Args:
         scores: a row a run and clip: ``run`` (name of its folder), ``clip``, ``frames`` and ``matches``.
         experiment: whose runs they are.
     """
+    found = _match_rates(scores, experiment)
+    labels = list(dict.fromkeys(run.label for run in experiment.runs))
+    rows = [
+        [scene, clip, f"{frames:,}", *(rates.get(label, Spread(())).percent() for label in labels)]
+        for (scene, clip), (frames, rates) in found.items()
+    ]
+    return table(["scene", "clip", "frames", *labels], rows)
+
+
+def scores_sentences(scores: Sequence[Mapping[str, Any]], experiment: Experiment) -> list[str]:
+    """A sentence a scene: the match rate of each arm over all clips.
+
+    Args:
+        scores: as for ``scores_table``.
+        experiment: whose runs they are.
+    """
+    lines = []
+    for (scene, clip), (frames, rates) in _match_rates(scores, experiment).items():
+        if clip == TOTAL:
+            each = ", ".join(f"{label} {rate.percent()}" for label, rate in rates.items())
+            lines.append(f"- **{scene}, labelled clips**: actions match in {each} of {frames:,} frames.")
+    return lines
+
+
+def _match_rates(
+    scores: Sequence[Mapping[str, Any]], experiment: Experiment
+) -> dict[tuple[str, str], tuple[int, dict[str, Spread]]]:
+    """Frames, and the match rates of the seeds of each arm, by scene and clip; all clips of a scene come last."""
     runs = {run.folder.name: run for run in experiment.runs}
-    counts: dict[tuple[str, str, str], dict[str, tuple[int, int]]] = {}
+    counts: dict[tuple[str, str], dict[str, tuple[int, int]]] = {}
     for score in scores:
         run = runs.get(score["run"])
         if run is None:
             continue
-        for clip in (score["clip"], "**all**"):
-            seeds = counts.setdefault((run.scene, run.label, clip), {})
+        for clip in (score["clip"], TOTAL):
+            seeds = counts.setdefault((run.scene, clip), {})
             frames, matches = seeds.get(score["run"], (0, 0))
             seeds[score["run"]] = (frames + score["frames"], matches + score["matches"])
-    arms = list(dict.fromkeys((run.scene, run.label) for run in experiment.runs))
-    order = sorted(counts, key=lambda key: (arms.index(key[:2]), key[2] == "**all**"))
-    rows = []
-    for key in order:
-        seeds = counts[key]
-        rates = Spread(tuple(matches / frames for frames, matches in seeds.values() if frames))
-        frames = next(iter(seeds.values()))[0]
-        rows.append([*key, f"{frames:,}", str(len(seeds)), rates.percent()])
-    return table(["scene", "arm", "clip", "frames", "seeds", "match"], rows, words=3)
+    scenes = list(dict.fromkeys(run.scene for run in experiment.runs))
+    labels = list(dict.fromkeys(run.label for run in experiment.runs))
+    result = {}
+    for scene, clip in sorted(counts, key=lambda key: (scenes.index(key[0]), key[1] == TOTAL)):
+        found = counts[scene, clip]
+        rates = {
+            label: tuple(matches / frames for name, (frames, matches) in found.items() if runs[name].label == label)
+            for label in labels
+        }
+        result[scene, clip] = (
+            next(iter(found.values()))[0],
+            {label: Spread(values) for label, values in rates.items() if values},
+        )
+    return result

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from splatrl.experiments.results import entries
-from splatrl.experiments.tables import main_table, marks_table, scores_table, verdicts
+from splatrl.experiments.tables import main_table, marks_table, scores_sentences, scores_table, verdicts
 from tests.experiments.made_up import finish, made_up
 
 
@@ -51,11 +51,15 @@ def test_matches_are_given_for_each_clip_and_for_all_frames_together(tmp_path: P
         {"run": f"yard-with-s{seed}", "clip": clip, "frames": frames, "matches": matches}
         for seed, clip, frames, matches in [(0, "a", 10, 5), (0, "b", 30, 27), (1, "a", 10, 7), (1, "b", 30, 29)]
     ]
+    scores.append({"run": "yard-without-s0", "clip": "a", "frames": 10, "matches": 2})
     rows = scores_table([*scores, {"run": "another", "clip": "a", "frames": 1, "matches": 1}], experiment)[2:]
-    assert [row.split(" | ")[2:] for row in rows] == [
-        ["a", "10", "2", "60.0 ± 14.1 % |"],
-        ["b", "30", "2", "93.3 ± 4.7 % |"],
-        ["**all**", "40", "2", "85.0 ± 7.1 % |"],
+    assert [row.split(" | ")[1:] for row in rows] == [
+        ["a", "10", "60.0 ± 14.1 %", "20.0 % |"],
+        ["b", "30", "93.3 ± 4.7 %", "– |"],
+        ["**all**", "40", "85.0 ± 7.1 %", "20.0 % |"],
+    ]
+    assert scores_sentences(scores, experiment) == [
+        "- **yard, labelled clips**: actions match in with it 85.0 ± 7.1 %, without 20.0 % of 40 frames."
     ]
 
 
