@@ -4,13 +4,13 @@ import math
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor, nn
-from torchrl.data import Bounded, Categorical
+from torch import Tensor
 
+from splatrl.envs.motions.indices import Indices
 from splatrl.geometry import axis_rotations, rigid
 
 
-class LatticeMotion(nn.Module):
+class LatticeMotion(Indices):
     """Steps on a lattice of positions and headings: the motion of the grid task.
 
     A state is [..., 3] int64: the indices of x, y and heading. Positions stand ``step`` apart from the lower to the
@@ -29,7 +29,6 @@ class LatticeMotion(nn.Module):
     """
 
     action_names = ("+x", "-x", "+y", "-y", "+spin", "-spin")
-    moves: Tensor  # [6, 3] int64
     rotations: Tensor  # [headings, 3, 3]
     origin: Tensor  # [2] float64
 
@@ -41,39 +40,17 @@ class LatticeMotion(nn.Module):
         lower: Sequence[float] = (-1.0, -1.0),
         upper: Sequence[float] = (1.0, 1.0),
     ):
-        super().__init__()
         headings = whole_steps("angle_step_deg", 360.0, angle_step_deg)
         columns, rows = (
             whole_steps(f"step: bounds along {axis}", high - low, step) + 1
             for axis, low, high in zip("xy", lower, upper, strict=True)
         )
-        self.height, self.step, self.angle_step = height, step, math.tau / headings
-        self.shape = (columns, rows, headings)
         moves = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
+        super().__init__((columns, rows, headings), moves)
+        self.height, self.step, self.angle_step = height, step, math.tau / headings
         yaws = torch.arange(headings, dtype=torch.float64) * self.angle_step
-        self.register_buffer("moves", torch.tensor(moves), persistent=False)
         self.register_buffer("rotations", axis_rotations(2, yaws).float(), persistent=False)
         self.register_buffer("origin", torch.tensor(tuple(lower), dtype=torch.float64), persistent=False)
-
-    @property
-    def action_spec(self) -> Categorical:
-        """One of six actions; no batch."""
-        return Categorical(len(self.moves), shape=(), dtype=torch.int64)
-
-    @property
-    def state_spec(self) -> Bounded:
-        """Lattice indices [3]; no batch."""
-        high = torch.tensor(self.shape) - 1
-        return Bounded(low=torch.zeros_like(high), high=high, shape=(3,), dtype=torch.int64)
-
-    def states(self) -> Tensor:
-        """Every state of the lattice, in the order of ``index``: [S, 3] int64."""
-        return torch.cartesian_prod(*(torch.arange(n, device=self.moves.device) for n in self.shape))
-
-    def index(self, state: Tensor) -> Tensor:
-        """The row of each state in ``states()``: [..., 3] int64, inside the lattice -> [...] int64."""
-        _, rows, headings = self.shape
-        return (state[..., 0] * rows + state[..., 1]) * headings + state[..., 2]
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
         """Where an unhindered action leads; it can be outside the lattice.

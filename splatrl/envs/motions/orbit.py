@@ -4,14 +4,14 @@ import math
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor, nn
-from torchrl.data import Bounded, Categorical
+from torch import Tensor
 
+from splatrl.envs.motions.indices import Indices
 from splatrl.envs.motions.lattice import whole_steps
 from splatrl.geometry import axis_rotations, rigid
 
 
-class OrbitMotion(nn.Module):
+class OrbitMotion(Indices):
     """Looks at an origin from a lattice of azimuths, distances and elevations.
 
     A state is [..., 3] int64: the indices of azimuth, distance and elevation. Azimuth 0 stands at +x of the origin and
@@ -29,7 +29,6 @@ class OrbitMotion(nn.Module):
         ValueError: for steps that do not divide, or ranges out of order.
     """
 
-    moves: Tensor  # [A, 3] int64
     smallest: Tensor  # [3] float64: azimuth, distance, elevation
     steps: Tensor  # [3] float64
     origin: Tensor  # [3] float64
@@ -42,7 +41,6 @@ class OrbitMotion(nn.Module):
         distance: Sequence[float] = (0.5, 1.5),
         elevation_deg: Sequence[float] = (0.0, 90.0),
     ):
-        super().__init__()
         if origin is None or len(origin) != 3:
             raise ValueError(f"task.motion.origin: expected x, y and z in metres, got {origin}")
         if not 0 < distance[0] <= distance[1] or not -90 <= elevation_deg[0] <= elevation_deg[1] <= 90:
@@ -53,41 +51,16 @@ class OrbitMotion(nn.Module):
         turns = whole_steps("task.motion.angle_step_deg", 360.0, angle_step_deg)
         rings = _count("task.motion.distance", distance, distance_step)
         tiers = _count("task.motion.elevation_deg", elevation_deg, angle_step_deg)
-        self.shape = (turns, rings, tiers)
+        shape = (turns, rings, tiers)
+        axes = [(name, axis) for name, axis in (("azimuth", 0), ("elevation", 2), ("distance", 1)) if shape[axis] > 1]
+        super().__init__(shape, [[sign * (axis == i) for i in range(3)] for _, axis in axes for sign in (1, -1)])
         self.step, self.angle_step = distance_step, math.radians(angle_step_deg)
-        axes = [
-            (name, axis) for name, axis in (("azimuth", 0), ("elevation", 2), ("distance", 1)) if self.shape[axis] > 1
-        ]
         self.action_names = tuple(f"{sign}{name}" for name, _ in axes for sign in "+-")
-        moves = torch.zeros(2 * len(axes), 3, dtype=torch.int64)
-        for row, (_, axis) in enumerate(axes):
-            moves[2 * row, axis], moves[2 * row + 1, axis] = 1, -1
         smallest = [0.0, distance[0], math.radians(elevation_deg[0])]
-        self.register_buffer("moves", moves, persistent=False)
         self.register_buffer("smallest", torch.tensor(smallest, dtype=torch.float64), persistent=False)
         steps = torch.tensor([self.angle_step, distance_step, self.angle_step], dtype=torch.float64)
         self.register_buffer("steps", steps, persistent=False)
         self.register_buffer("origin", torch.tensor(tuple(origin), dtype=torch.float64), persistent=False)
-
-    @property
-    def action_spec(self) -> Categorical:
-        """One of two, four or six actions; no batch."""
-        return Categorical(len(self.moves), shape=(), dtype=torch.int64)
-
-    @property
-    def state_spec(self) -> Bounded:
-        """Lattice indices [3]; no batch."""
-        high = torch.tensor(self.shape) - 1
-        return Bounded(low=torch.zeros_like(high), high=high, shape=(3,), dtype=torch.int64)
-
-    def states(self) -> Tensor:
-        """Every state of the lattice, in the order of ``index``: [S, 3] int64."""
-        return torch.cartesian_prod(*(torch.arange(n, device=self.moves.device) for n in self.shape))
-
-    def index(self, state: Tensor) -> Tensor:
-        """The row of each state in ``states()``: [..., 3] int64, inside the lattice -> [...] int64."""
-        _, rings, tiers = self.shape
-        return (state[..., 0] * rings + state[..., 1]) * tiers + state[..., 2]
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
         """Where an unhindered action leads; it can be outside the lattice: [B, 3] int64, [B] int64 -> [B, 3] int64."""

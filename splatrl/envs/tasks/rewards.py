@@ -1,12 +1,14 @@
 """One reward for each way in which a step can turn out: what the tasks share."""
 
+from abc import ABC, abstractmethod
+
 import torch
 from torch import Tensor, nn
 
 from splatrl.envs.tasks.base import Motion, Outcome, Verdict
 
 
-class OutcomeRewards(nn.Module):
+class OutcomeRewards(nn.Module, ABC):
     """Judges a step by collision, then bounds, then goal; a goal, a collision and leaving the bounds end the episode.
 
     Subclasses say what ``reached`` means.
@@ -42,9 +44,9 @@ class OutcomeRewards(nn.Module):
         rewards = torch.tensor([step_reward, goal_reward, collision_reward, bounds_reward], dtype=torch.float32)
         self.register_buffer("outcome_rewards", rewards, persistent=False)
 
+    @abstractmethod
     def reached(self, state: Tensor) -> Tensor:
         """Whether states are at the goal: [B, ...] -> [B] bool."""
-        raise NotImplementedError
 
     def judge(self, state: Tensor, action: Tensor, next_state: Tensor, hit: Tensor) -> Verdict:
         """Judge a step; see ``Task.judge``."""
