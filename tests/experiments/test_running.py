@@ -66,13 +66,18 @@ def test_a_run_that_fails_is_named_and_the_others_go_on(tmp_path: Path, capsys: 
     assert str(runs[1].folder / "log.txt") in "".join(capsys.readouterr())
 
 
+def hears_interrupts() -> None:
+    """A shell makes what it starts in the background deaf to them, and so all that is started from there."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_an_interrupt_ends_the_trainings(tmp_path: Path) -> None:
     children: list[subprocess.Popen[bytes]] = []
 
     def one(run: Run, threads: int) -> subprocess.Popen[bytes]:
         if children:
             raise KeyboardInterrupt
-        children.append(subprocess.Popen(SLEEP))
+        children.append(subprocess.Popen(SLEEP, preexec_fn=hears_interrupts))
         return children[0]
 
     with pytest.raises(KeyboardInterrupt):
