@@ -10,7 +10,7 @@ import splatrl
 
 PACKAGE = Path(splatrl.__file__).parent
 ORDER = [
-    {"files", "geometry", "spherical_harmonics"},
+    {"files", "faults", "geometry", "spherical_harmonics"},
     {"cameras"},
     {"bodies"},
     {"native"},
