@@ -53,12 +53,12 @@ class TimedRenderer:
     def __init__(self, renderer: Renderer):
         self.renderer, self.seconds = renderer, 0.0
 
-    def render(self, cameras: Cameras) -> RenderOutput:
-        return self.renderer.render(cameras)
+    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
+        return self.renderer.render(cameras, only)
 
-    def pixels(self, cameras: Cameras) -> Tensor:
+    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
         start = time.perf_counter()
-        pixels = self.renderer.pixels(cameras)
+        pixels = self.renderer.pixels(cameras, only)
         self.seconds += time.perf_counter() - start
         return pixels
 

@@ -17,6 +17,7 @@ from splatrl.curriculum import Curriculum, Plan, plan
 from splatrl.envs import LatticeMotion, Robot, SplatEnv
 from splatrl.envs.tasks import Grid
 from splatrl.renderers import ReferenceRenderer, Renderer, RenderOutput
+from splatrl.renderers.base import draw_only
 from splatrl.scenes import write_gaussians
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
@@ -105,13 +106,16 @@ class CountingRenderer:
     def __init__(self, renderer: Renderer):
         self.renderer, self.rendered = renderer, 0
 
-    def render(self, cameras: Cameras) -> RenderOutput:
-        self.rendered += len(cameras)
-        return self.renderer.render(cameras)
+    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
+        self._count(cameras, only)
+        return self.renderer.render(cameras, only)
 
-    def pixels(self, cameras: Cameras) -> Tensor:
-        self.rendered += len(cameras)
-        return self.renderer.pixels(cameras)
+    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+        self._count(cameras, only)
+        return self.renderer.pixels(cameras, only)
+
+    def _count(self, cameras: Cameras, only: Tensor | None) -> None:
+        self.rendered += len(cameras) if only is None else int(only.sum())
 
 
 class RememberingRenderer:
@@ -121,10 +125,13 @@ class RememberingRenderer:
         self.renderer = renderer
         self.views: dict[bytes, Tensor] = {}
 
-    def render(self, cameras: Cameras) -> RenderOutput:
-        return self.renderer.render(cameras)
+    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
+        return self.renderer.render(cameras, only)
 
-    def pixels(self, cameras: Cameras) -> Tensor:
+    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+        return draw_only(self._views, cameras, only)
+
+    def _views(self, cameras: Cameras) -> Tensor:
         return torch.stack([self._view(cameras[row : row + 1]) for row in range(len(cameras))])
 
     def _view(self, camera: Cameras) -> Tensor:

@@ -1,7 +1,7 @@
 """What every renderer promises."""
 
-from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol, TypeVar
 
 import torch
 from torch import Tensor
@@ -27,15 +27,48 @@ class RenderOutput(NamedTuple):
 
 
 class Renderer(Protocol):
-    """Turns cameras into images of one scene. Frame i has the same bytes whatever else is in the batch."""
+    """Turns cameras into images of one scene. Frame i has the same bytes whatever else is in the batch.
 
-    def render(self, cameras: Cameras) -> RenderOutput:
+    Where ``only`` [B] bool is given, the other rows are not drawn and are zero.
+    """
+
+    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera."""
         ...
 
-    def pixels(self, cameras: Cameras) -> Tensor:
+    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
         """What an observation is: [B, H, W, 3] uint8, ``round(255 · rgb)``."""
         ...
+
+
+Drawn = TypeVar("Drawn", Tensor, RenderOutput)
+
+
+def draw_only(draw: Callable[[Cameras], Drawn], cameras: Cameras, only: Tensor | None) -> Drawn:
+    """Draw some rows of a batch and leave the others zero, by reading the mask: for renderers that the host drives.
+
+    Args:
+        draw: makes images of cameras, [N, ...] each.
+        cameras: B views.
+        only: [B] bool, which to draw; None draws all.
+
+    Returns:
+        What ``draw`` gives, [B, ...].
+
+    Raises:
+        ValueError: for an ``only`` of another shape or type.
+    """
+    if only is None:
+        return draw(cameras)
+    if only.shape != (len(cameras),) or only.dtype != torch.bool:
+        raise ValueError(f"only: expected [{len(cameras)}] torch.bool, got {list(only.shape)} {only.dtype}")
+    rows = only.nonzero().squeeze(1)
+    drawn = draw(cameras[rows])
+
+    def placed(images: Tensor) -> Tensor:
+        return images.new_zeros(len(only), *images.shape[1:]).index_copy(0, rows.to(images.device), images)
+
+    return RenderOutput(*(placed(images) for images in drawn)) if isinstance(drawn, RenderOutput) else placed(drawn)
 
 
 def to_pixels(rgb: Tensor) -> Tensor:

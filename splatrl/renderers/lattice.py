@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
-from splatrl.renderers.base import Renderer, RenderOutput
+from splatrl.renderers.base import Renderer, RenderOutput, draw_only
 
 
 class _Album:
@@ -69,12 +69,15 @@ class LatticeRenderer:
         """Memory that the remembered images take."""
         return sum(album.bytes_held() for album in self._albums.values())
 
-    def render(self, cameras: Cameras) -> RenderOutput:
+    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera; nothing is remembered."""
-        return self.renderer.render(cameras)
+        return self.renderer.render(cameras, only)
 
-    def pixels(self, cameras: Cameras) -> Tensor:
-        """[B, H, W, 3] uint8: remembered where they were seen before, rendered where not."""
+    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+        """[B, H, W, 3] uint8: remembered where they were seen before, rendered where not; zero where not ``only``."""
+        return draw_only(self._recalled, cameras, only)
+
+    def _recalled(self, cameras: Cameras) -> Tensor:
         album = self._albums.setdefault((cameras.width, cameras.height), _Album())
         views = _keys(cameras)
         if album.images is not None and all(view in album.slots for view in views):

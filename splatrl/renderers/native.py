@@ -10,7 +10,7 @@ from splatrl.cameras import Cameras
 from splatrl.geometry import quats_to_rotations
 from splatrl.native import _core
 from splatrl.native.threads import usable_cores
-from splatrl.renderers.base import RenderOutput, checked_background, gaussians_of, require_finite
+from splatrl.renderers.base import RenderOutput, checked_background, draw_only, gaussians_of, require_finite
 from splatrl.renderers.lod import build_levels, cached_levels
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
@@ -97,8 +97,11 @@ class NativeRenderer:
             tolerance=tolerance,
         )
 
-    def render(self, cameras: Cameras) -> RenderOutput:
+    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera, float32, on the cameras' device."""
+        return draw_only(self._rendered, cameras, only)
+
+    def _rendered(self, cameras: Cameras) -> RenderOutput:
         shape = (len(cameras), cameras.height, cameras.width)
         rgb, depth, alpha = torch.empty(*shape, 3), torch.empty(shape), torch.empty(shape)
         efforts = torch.empty(len(cameras), len(Effort._fields))
@@ -106,19 +109,25 @@ class NativeRenderer:
         device = cameras.camera_to_world.device
         return RenderOutput(rgb.to(device), depth.to(device), alpha.to(device))
 
-    def pixels(self, cameras: Cameras, out: Tensor | None = None) -> Tensor:
+    def pixels(self, cameras: Cameras, only: Tensor | None = None, out: Tensor | None = None) -> Tensor:
         """What an observation is: [B, H, W, 3] uint8.
 
         Args:
             cameras: B views.
-            out: [B, H, W, 3] uint8, contiguous, in main memory: written to in place of a new tensor.
+            only: [B] bool, which to draw; the others are zero. None draws all.
+            out: [B, H, W, 3] uint8, contiguous, in main memory: written to in place of a new tensor, whole.
 
         Raises:
-            ValueError: for an ``out`` of another shape, type, layout or device.
+            ValueError: for an ``out`` of another shape, type, layout or device, or with ``only``.
         """
-        if out is not None:
-            self._draw(cameras, _checked_out(out, cameras))
-            return out
+        if out is None:
+            return draw_only(self._pixels, cameras, only)
+        if only is not None:
+            raise ValueError("out: expected no only beside it, since what is not drawn would keep its old pixels")
+        self._draw(cameras, _checked_out(out, cameras))
+        return out
+
+    def _pixels(self, cameras: Cameras) -> Tensor:
         pixels = _empty_pixels(cameras)
         self._draw(cameras, pixels)
         return pixels.to(cameras.camera_to_world.device)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.geometry import invert_rigid
-from splatrl.renderers.base import RenderOutput, checked_background, gaussians_of, require_finite, to_pixels
+from splatrl.renderers.base import RenderOutput, checked_background, draw_only, gaussians_of, require_finite, to_pixels
 from splatrl.scenes.gaussians import INVISIBLE, Gaussians
 from splatrl.scenes.scene import Scene
 from splatrl.spherical_harmonics import sh_colors
@@ -72,8 +72,11 @@ class ReferenceRenderer:
         self.background = checked_background(background)
         self.invisible = FAINT if antialiased else INVISIBLE
 
-    def render(self, cameras: Cameras) -> RenderOutput:
+    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera, on the device and in the float type of the Gaussians."""
+        return draw_only(self._rendered, cameras, only)
+
+    def _rendered(self, cameras: Cameras) -> RenderOutput:
         require_finite(cameras)
         shape = (len(cameras), cameras.height, cameras.width)
         outputs = self.gaussians.means.new_zeros(*shape, 5)
@@ -91,10 +94,14 @@ class ReferenceRenderer:
         depth = torch.where(covered, weighted_depth / torch.where(covered, alpha, 1.0), 0.0)
         return RenderOutput(rgb.clamp(0.0, 1.0), depth, alpha)
 
-    def pixels(self, cameras: Cameras) -> Tensor:
+    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
         """[B, H, W, 3] uint8."""
+
+        def quantised(some: Cameras) -> Tensor:  # before the rows spread out: what is not drawn is zero
+            return to_pixels(self._rendered(some).rgb)
+
         with torch.no_grad():
-            return to_pixels(self.render(cameras).rgb)
+            return draw_only(quantised, cameras, only)
 
     def project(self, cameras: Cameras, row: int) -> Projected:
         """Project the Gaussians onto the image of one camera (EWA splatting, eq. 29 to 31 of Zwicker et al. 2001)."""

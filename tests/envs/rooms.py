@@ -14,6 +14,7 @@ from splatrl.envs import DriveMotion, ForwardMotion, SplatEnv
 from splatrl.envs.tasks import Apple, Drive
 from splatrl.envs.transforms import ImageGoal
 from splatrl.renderers import RenderOutput
+from splatrl.renderers.base import draw_only
 from tests.tiny import HEIGHT, BlockChecker, tiny_renderer, tiny_robot
 
 BOUNDS: dict[str, Any] = {"lower": (-1.0, -1.5), "upper": (1.0, 1.5)}
@@ -24,12 +25,15 @@ PLACE = (0.75, 1.0, HEIGHT)
 class RedEast:
     """Paints a view all red where the camera looks east, and else grey, brighter than any apple."""
 
-    def pixels(self, cameras: Cameras) -> Tensor:
+    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+        return draw_only(self._painted, cameras, only)
+
+    def _painted(self, cameras: Cameras) -> Tensor:
         east = cameras.camera_to_world[:, 0, 2] > 0.9
         colors = torch.where(east[:, None], torch.tensor([200, 0, 0]), torch.tensor([230, 230, 230])).to(torch.uint8)
         return colors[:, None, None].expand(len(cameras), cameras.height, cameras.width, 3).clone()
 
-    def render(self, cameras: Cameras) -> RenderOutput:
+    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
         raise NotImplementedError
 
 

@@ -131,9 +131,9 @@ def test_the_curriculum_hears_of_each_end_once_and_of_no_episode_placed_by_hand(
 class CameraRecorder(RememberingRenderer):
     """Keeps the cameras that it was last asked for."""
 
-    def pixels(self, cameras: Cameras) -> Tensor:
+    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
         self.cameras = cameras
-        return super().pixels(cameras)
+        return super().pixels(cameras, only)
 
 
 def test_a_camera_offset_moves_the_camera_and_not_the_robot() -> None:

@@ -206,12 +206,12 @@ def test_a_pose_beside_a_lattice_belongs_to_the_nearest_state() -> None:
 class Painter:
     """Paints each view with the height of its camera; its depth is 1 m."""
 
-    def render(self, cameras: Cameras) -> RenderOutput:
+    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
         shape = (len(cameras), cameras.height, cameras.width)
         level = cameras.camera_to_world[:, 2, 3].view(-1, 1, 1, 1)
         return RenderOutput(level.expand(*shape, 3), torch.ones(shape), torch.ones(shape))
 
-    def pixels(self, cameras: Cameras) -> Tensor:
+    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
         raise NotImplementedError
 
 

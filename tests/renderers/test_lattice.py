@@ -14,10 +14,11 @@ class Counting:
         self.renderer = NativeRenderer(random_gaussians(0, 100), threads=1)
         self.frames = 0
 
-    def render(self, cameras: Cameras) -> RenderOutput:
-        return self.renderer.render(cameras)
+    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
+        return self.renderer.render(cameras, only)
 
-    def pixels(self, cameras: Cameras) -> Tensor:
+    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+        assert only is None, "a memory asks for what it has not, and no more"
         self.frames += len(cameras)
         return self.renderer.pixels(cameras)
 
