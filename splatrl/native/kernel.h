@@ -4,11 +4,10 @@
 #include <cstdint>
 
 #include "splat.h"
+#include "tree.h"
 
 namespace splatrl {
 
-constexpr int GROUP = 16;    // Gaussians that are projected at once; the lanes of a vector
-constexpr int CLUSTER = 256; // Gaussians that are culled at once; its groups are the lanes of a vector
 constexpr int BLOCK = 4;     // a block is 4×4 pixels; the lanes of a vector
 constexpr int TILE = 64;     // a tile is at most 64×64 pixels: its lists and pixels stay in the second-level cache
 constexpr int ACROSS = TILE / BLOCK, BLOCKS = ACROSS * ACROSS;  // blocks of a tile
@@ -20,26 +19,6 @@ enum Geometry { MEAN = 0, AXES = 3, LOG2_OPACITY = 12, GEOMETRY = 13 };
 
 // And for groups of merged Gaussians: how many one stands for, and the sum of their opacities.
 enum Merged { MEMBERS, SUM, MERGING };
-
-// Bounds of some Gaussians, world frame, metres.
-struct Bounds {
-    float center[3], radius;  // a sphere around the means
-    float reach;              // the most standard deviations at which one of them shows
-    float reach_scale;        // the largest product of that and its longest axis, metres
-};
-
-// A node of the tree over a scene, in preorder: the children of an inner node follow it.
-struct Cluster {
-    Bounds bounds;   // of all below it
-    float error;     // metres by which what it shows is displaced: 0 in a leaf, infinite where it shows nothing
-    uint32_t first_group, groups;
-    uint32_t skip;   // the cluster behind all below this one
-};
-
-// Bounds of the groups of a cluster: the members of Bounds, one after another.
-struct alignas(64) GroupBounds {
-    float members[6][GROUP];
-};
 
 struct SceneView {
     const float* geometry;            // [groups, GEOMETRY, GROUP]
@@ -100,11 +79,6 @@ struct Scratch {
     SlabSplat* slab;         // [SLAB] nearest first
     uint16_t* lists;         // [LISTS, LIST] splats of the slab on each block, nearest first
     float* pixels;           // [BLOCKS, CHANNELS, BLOCK · BLOCK]
-};
-
-// A part of an image, whole blocks from (left, top); pixels, the lower and right edge not counted.
-struct Tile {
-    int left, top, right, bottom;
 };
 
 // What a tile took; tiles add up. `blended` counts pairs of a splat and a block.

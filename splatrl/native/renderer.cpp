@@ -24,22 +24,6 @@ RenderTile kernel_of(Isa isa) {
     }
 }
 
-// The margin is 0.15 image sizes: outside it the linearised projection would explode.
-Camera camera_of(const float* pose, const float* K, int width, int height) {
-    Camera camera{};
-    for (int row = 0; row < 3; ++row)
-        for (int column = 0; column < 3; ++column) camera.rotation[3 * row + column] = pose[4 * column + row];
-    for (int axis = 0; axis < 3; ++axis) camera.position[axis] = pose[4 * axis + 3];
-    camera.fx = K[0], camera.fy = K[4], camera.cx = K[2], camera.cy = K[5];
-    const float margin_x = 0.15f * float(width) / camera.fx, margin_y = 0.15f * float(height) / camera.fy;
-    camera.slope_left = -camera.cx / camera.fx - margin_x;
-    camera.slope_right = (float(width) - camera.cx) / camera.fx + margin_x;
-    camera.slope_top = -camera.cy / camera.fy - margin_y;
-    camera.slope_bottom = (float(height) - camera.cy) / camera.fy + margin_y;
-    camera.width = width, camera.height = height;
-    return camera;
-}
-
 // Frames are cut into tiles, which take no account of each other: large frames so that a tile's memory stays small, and
 // small ones where they are fewer than the threads.
 std::vector<Tile> tiles_of(size_t batch, int width, int height, size_t threads) {

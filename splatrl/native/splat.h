@@ -1,15 +1,13 @@
 // The mathematics of a splat, for one number or a vector of them, on any processor.
 //
-// `F` is a number type: float, or Lanes of sixteen floats. Overloads of reciprocal, reciprocal_sqrt, log2, exp2, min,
-// max and select for it are found where a template is used. The formulas are those of renderers/reference.py, with one change for precision:
-// covariances are kept as factors A (Σ = A Aᵀ), from which determinants come without cancellation.
+// `F` is a number type: float (include scalars.h first), or Lanes of sixteen floats. Overloads of reciprocal,
+// reciprocal_sqrt, log2, exp2, min, max and select for it are found where a template is used. The formulas are those of
+// renderers/reference.py, with one change for precision: covariances are kept as factors A (Σ = A Aᵀ), from which
+// determinants come without cancellation.
 #pragma once
 
-#ifdef __CUDACC__
-#define SPLAT_INLINE __host__ __device__ __forceinline__
-#else
-#define SPLAT_INLINE static inline __attribute__((always_inline))
-#endif
+#include "camera.h"
+#include "inline.h"
 
 namespace splatrl {
 
@@ -21,14 +19,6 @@ constexpr float LOG2_INVISIBLE_CLASSIC = -7.99435344f;      // log2(1 / 255): a 
 constexpr float LOG2_INVISIBLE_ANTIALIASED = -9.99435344f;  // a quarter of it: far surfaces are many faint Gaussians
 constexpr float HALF_LOG2_E = 0.72134752f, ROOT_HALF_LOG2_E = 0.84932180f;
 constexpr float SH_C0 = 0.28209479177387814f;
-
-struct Camera {
-    float rotation[9];  // world_to_camera, row-major
-    float position[3];  // world, metres
-    float fx, fy, cx, cy;
-    float slope_left, slope_right, slope_top, slope_bottom;  // bounds of x / z and y / z in the Jacobian
-    int width, height;
-};
 
 // A Gaussian on the image: alpha(p) = min(peak, 2^(log2_opacity - u² - v²)), u = l11 dx + l12 dy, v = l22 dy, (dx, dy) = p - mean.
 template <class F>

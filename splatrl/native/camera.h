@@ -1,0 +1,38 @@
+// A pinhole camera as the renderers read it.
+#pragma once
+
+#include "inline.h"
+
+namespace splatrl {
+
+struct Camera {
+    float rotation[9];  // world_to_camera, row-major
+    float position[3];  // world, metres
+    float fx, fy, cx, cy;
+    float slope_left, slope_right, slope_top, slope_bottom;  // bounds of x / z and y / z in the Jacobian
+    int width, height;
+};
+
+// A part of an image; pixels, the lower and right edge not counted.
+struct Tile {
+    int left, top, right, bottom;
+};
+
+// From camera_to_world, row-major 4×4, and K, row-major 3×3. The margin is 0.15 image sizes: outside it the linearised
+// projection would explode.
+SPLAT_INLINE Camera camera_of(const float* pose, const float* K, int width, int height) {
+    Camera camera;
+    for (int row = 0; row < 3; ++row)
+        for (int column = 0; column < 3; ++column) camera.rotation[3 * row + column] = pose[4 * column + row];
+    for (int axis = 0; axis < 3; ++axis) camera.position[axis] = pose[4 * axis + 3];
+    camera.fx = K[0], camera.fy = K[4], camera.cx = K[2], camera.cy = K[5];
+    const float margin_x = 0.15f * float(width) / camera.fx, margin_y = 0.15f * float(height) / camera.fy;
+    camera.slope_left = -camera.cx / camera.fx - margin_x;
+    camera.slope_right = (float(width) - camera.cx) / camera.fx + margin_x;
+    camera.slope_top = -camera.cy / camera.fy - margin_y;
+    camera.slope_bottom = (float(height) - camera.cy) / camera.fy + margin_y;
+    camera.width = width, camera.height = height;
+    return camera;
+}
+
+}  // namespace splatrl

@@ -1,0 +1,56 @@
+// The functions of splat.h for one float: what Lanes has for sixteen. On a GPU they are the hardware's own, whose
+// errors are of a few units in the last place.
+#pragma once
+
+#include "inline.h"
+
+#ifndef __CUDACC__
+#include <cmath>
+#endif
+
+namespace splatrl {
+
+SPLAT_INLINE float min(float a, float b) { return a < b ? a : b; }
+SPLAT_INLINE float max(float a, float b) { return a > b ? a : b; }
+
+SPLAT_INLINE float select_if_at_least(float tested, float bound, float value) { return tested >= bound ? value : 0.0f; }
+
+#ifdef __CUDA_ARCH__
+
+SPLAT_INLINE float reciprocal(float a) {
+    float out;
+    asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(out) : "f"(a));
+    return out;
+}
+
+SPLAT_INLINE float reciprocal_sqrt(float a) {
+    float out;
+    asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(out) : "f"(a));
+    return out;
+}
+
+SPLAT_INLINE float square_root(float a) { return __fsqrt_rn(a); }
+
+SPLAT_INLINE float log2(float a) {
+    float out;
+    asm("lg2.approx.ftz.f32 %0, %1;" : "=f"(out) : "f"(a));
+    return out;
+}
+
+SPLAT_INLINE float exp2(float a) {
+    float out;
+    asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(out) : "f"(a));
+    return out;
+}
+
+#else
+
+SPLAT_INLINE float reciprocal(float a) { return 1.0f / a; }
+SPLAT_INLINE float reciprocal_sqrt(float a) { return 1.0f / std::sqrt(a); }
+SPLAT_INLINE float square_root(float a) { return std::sqrt(a); }
+SPLAT_INLINE float log2(float a) { return std::log2(a); }
+SPLAT_INLINE float exp2(float a) { return std::exp2(a); }
+
+#endif
+
+}  // namespace splatrl
