@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and where those are that can be made again."""
 
 import os
 import secrets
@@ -23,3 +23,9 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def cache_dir() -> Path:
+    """Where caches live: $SPLATRL_CACHE, or splatrl in $XDG_CACHE_HOME or ~/.cache."""
+    chosen = os.environ.get("SPLATRL_CACHE")
+    return Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "splatrl"

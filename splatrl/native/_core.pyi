@@ -1,5 +1,7 @@
 """The C++ core. Arrays are C-contiguous CPU memory: torch tensors and numpy arrays both go in without a copy."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
@@ -34,6 +36,23 @@ def build_levels(
     degree: int,
 ) -> dict[str, NDArray[np.float32] | NDArray[np.uint32]]:
     """The tree over a scene with merged Gaussians in its inner nodes; ``renderers/lod.py`` says what the arrays are."""
+
+def flat_scene(
+    means: Tensor,  # [N, 3] float32, metres, world frame
+    axes: Tensor,  # [N, 3, 3] float32, Σ = A Aᵀ
+    opacities: Tensor,  # [N] float32
+    sh: Tensor,  # [N, (degree + 1)², 3] float32
+    degree: int,
+    background: tuple[float, float, float],
+    levels: dict[str, NDArray[np.float32] | NDArray[np.uint32]] | None,  # those of build_levels; None draws exactly
+    antialiased: bool,
+    tolerance: float,  # pixels
+) -> dict[str, Any]:
+    """The scene as ``cuda/render.cu`` reads it; ``renderers/cuda.py`` says what the arrays are.
+
+    Raises:
+        ValueError: for levels that are not of these Gaussians.
+    """
 
 class Collider:
     """A body in a grid of voxels. Queries take the addresses of C-contiguous CPU memory and write to ``out``; they

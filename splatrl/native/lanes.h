@@ -162,6 +162,9 @@ LANE_INLINE uint32_t bits_above(const Lanes& a, const Lanes& b) {
 #endif
 }
 
+// A vector of sixteen is of merged Gaussians, or of none.
+LANE_INLINE bool stand_for_many(const Lanes&) { return true; }
+
 // 1 / a and 1 / sqrt(a) to the last bit or two, for normal a > 0: an estimate and one step of Newton's method.
 LANE_INLINE Lanes reciprocal(const Lanes& a) {
     Lanes out;

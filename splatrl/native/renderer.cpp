@@ -10,9 +10,6 @@ namespace splatrl {
 
 namespace {
 
-// Classic images blow every small Gaussian up to a pixel, where merging it shows.
-constexpr float CLASSIC_STRICTNESS = 4.0f;
-
 RenderTile kernel_of(Isa isa) {
     switch (isa) {
 #ifdef SPLATRL_X86
@@ -98,7 +95,7 @@ private:
 
 Renderer::Renderer(Scene scene, bool antialiased, float tolerance, Isa isa)
     : scene_(std::move(scene)), antialiased_(antialiased),
-      tolerance_(antialiased ? tolerance : tolerance / CLASSIC_STRICTNESS), render_tile_(kernel_of(isa)) {}
+      tolerance_(held_tolerance(tolerance, antialiased)), render_tile_(kernel_of(isa)) {}
 
 Renderer::~Renderer() = default;
 

@@ -15,6 +15,9 @@ SPLAT_INLINE float max(float a, float b) { return a > b ? a : b; }
 
 SPLAT_INLINE float select_if_at_least(float tested, float bound, float value) { return tested >= bound ? value : 0.0f; }
 
+// Whether `members` are those of a merged Gaussian.
+SPLAT_INLINE bool stand_for_many(float members) { return members > 0.0f; }
+
 #ifdef __CUDA_ARCH__
 
 SPLAT_INLINE float reciprocal(float a) {

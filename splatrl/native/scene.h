@@ -11,6 +11,9 @@
 
 namespace splatrl {
 
+// The tolerance that is held: classic images blow every small Gaussian up to a pixel, where merging it shows.
+inline float held_tolerance(float tolerance, bool antialiased) { return antialiased ? tolerance : tolerance / 4.0f; }
+
 class Scene {
 public:
     // The colours are kept relative to the background.

@@ -40,7 +40,8 @@ SPLAT_INLINE Vector<F> rotate(const float* rotation, F x, F y, F z) {
             x * rotation[6] + y * rotation[7] + z * rotation[8]};
 }
 
-// What a merged Gaussian stands for: so many Gaussians of equal mass, whose opacities have this sum.
+// What a merged Gaussian stands for: so many Gaussians of equal mass, whose opacities have this sum. No members: it is
+// one of the scene's own.
 template <class F>
 struct Merging {
     F members, sum;
@@ -98,7 +99,7 @@ SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const 
     const F inverse_root = reciprocal_sqrt(determinant);
     if (ANTIALIASED)
         out.log2_opacity = log2_opacity + 0.5f * log2(max(bare_determinant * (inverse_root * inverse_root), 1e-30f));
-    if (MERGED) {
+    if (MERGED && stand_for_many(merging.members)) {
         F mass = exp2(max(out.log2_opacity, -60.0f));
         if (!ANTIALIASED) {  // each member was dilated
             const F bare = max(bare_determinant, 1e-20f);

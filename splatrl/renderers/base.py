@@ -44,6 +44,17 @@ class Renderer(Protocol):
 Drawn = TypeVar("Drawn", Tensor, RenderOutput)
 
 
+def checked_only(only: Tensor, cameras: Cameras) -> Tensor:
+    """A mask of rows, as it is.
+
+    Raises:
+        ValueError: for another shape or type than [B] bool.
+    """
+    if only.shape != (len(cameras),) or only.dtype != torch.bool:
+        raise ValueError(f"only: expected [{len(cameras)}] torch.bool, got {list(only.shape)} {only.dtype}")
+    return only
+
+
 def draw_only(draw: Callable[[Cameras], Drawn], cameras: Cameras, only: Tensor | None) -> Drawn:
     """Draw some rows of a batch and leave the others zero, by reading the mask: for renderers that the host drives.
 
@@ -60,9 +71,7 @@ def draw_only(draw: Callable[[Cameras], Drawn], cameras: Cameras, only: Tensor |
     """
     if only is None:
         return draw(cameras)
-    if only.shape != (len(cameras),) or only.dtype != torch.bool:
-        raise ValueError(f"only: expected [{len(cameras)}] torch.bool, got {list(only.shape)} {only.dtype}")
-    rows = only.nonzero().squeeze(1)
+    rows = checked_only(only, cameras).nonzero().squeeze(1)
     drawn = draw(cameras[rows])
 
     def placed(images: Tensor) -> Tensor:

@@ -10,14 +10,61 @@ mean: root mean square by mass, in pixels at the node's nearest depth.
 from collections.abc import Mapping
 
 import numpy as np
+import torch
 from torch import Tensor
 
+from splatrl.geometry import quats_to_rotations
 from splatrl.native import _core
+from splatrl.renderers.base import gaussians_of
 from splatrl.scenes.cache import Arrays
+from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
 LEVELS_VERSION = 1
 """Raise it when the tree or the merging changes: cached levels are then built again."""
+
+
+def gaussian_arrays(gaussians: Gaussians) -> dict[str, Tensor]:
+    """Gaussians as the C++ core takes them.
+
+    Returns:
+        ``means`` [N, 3], ``axes`` [N, 3, 3] whose columns are standard deviations, ``opacities`` [N] and ``sh``
+        [N, harmonics, 3]: float32, contiguous, in main memory.
+
+    Raises:
+        ValueError: for a value that is not finite.
+    """
+    fields = {
+        "means": gaussians.means,
+        "axes": quats_to_rotations(gaussians.quats.double()) * gaussians.scales.double().unsqueeze(-2),
+        "opacities": gaussians.opacities,
+        "sh": gaussians.sh,
+    }
+    arrays = {name: value.detach().to("cpu", torch.float32).contiguous() for name, value in fields.items()}
+    for name, value in arrays.items():
+        if not bool(value.isfinite().all()):
+            raise ValueError(f"gaussians.{name}: expected finite values")
+    return arrays
+
+
+def levels_for(scene: Scene | Gaussians, arrays: Mapping[str, Tensor], tolerance: float) -> Arrays | None:
+    """The levels that a renderer needs: a scene's are kept in its cache; None where every Gaussian is drawn.
+
+    Args:
+        scene: or bare Gaussians.
+        arrays: its ``gaussian_arrays``.
+        tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
+
+    Raises:
+        ValueError: for a tolerance that is negative or not finite.
+    """
+    if not 0.0 <= tolerance < float("inf"):
+        raise ValueError(f"tolerance: expected pixels, at least 0 and finite, got {tolerance}")
+    if tolerance == 0.0:
+        return None
+    if isinstance(scene, Scene):
+        return cached_levels(scene, arrays)
+    return build_levels(arrays, gaussians_of(scene).sh_degree)
 
 
 def build_levels(arrays: Mapping[str, Tensor], degree: int) -> Arrays:

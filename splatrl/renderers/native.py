@@ -7,11 +7,10 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
-from splatrl.geometry import quats_to_rotations
 from splatrl.native import _core
 from splatrl.native.threads import usable_cores
 from splatrl.renderers.base import RenderOutput, checked_background, draw_only, gaussians_of, require_finite
-from splatrl.renderers.lod import build_levels, cached_levels
+from splatrl.renderers.lod import gaussian_arrays, levels_for
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
@@ -69,31 +68,15 @@ class NativeRenderer:
     ) -> None:
         if threads is not None and threads < 1:
             raise ValueError(f"threads: expected at least 1, or None for all cores, got {threads}")
-        if not 0.0 <= tolerance < float("inf"):
-            raise ValueError(f"tolerance: expected pixels, at least 0 and finite, got {tolerance}")
         self.threads = threads or usable_cores()
         gaussians = gaussians_of(scene)
-        axes = quats_to_rotations(gaussians.quats.double()) * gaussians.scales.double().unsqueeze(-2)
-        fields = {
-            "means": gaussians.means,
-            "axes": axes,  # [N, 3, 3], the columns are standard deviations
-            "opacities": gaussians.opacities,
-            "sh": gaussians.sh,
-        }
-        arrays = {name: _cpu_floats(value) for name, value in fields.items()}
-        for name, value in arrays.items():
-            if not bool(value.isfinite().all()):
-                raise ValueError(f"gaussians.{name}: expected finite values")
-        degree = gaussians.sh_degree
-        levels = None
-        if tolerance > 0.0:
-            levels = cached_levels(scene, arrays) if isinstance(scene, Scene) else build_levels(arrays, degree)
+        arrays = gaussian_arrays(gaussians)
         self._core = _core.Renderer(
             **arrays,
-            degree=degree,
+            degree=gaussians.sh_degree,
             antialiased=antialiased,
             background=checked_background(background),
-            levels=levels,
+            levels=levels_for(scene, arrays, tolerance),
             tolerance=tolerance,
         )
 

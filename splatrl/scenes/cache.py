@@ -1,7 +1,6 @@
 """A cache of arrays on disk: everything in it can be made again."""
 
 import functools
-import os
 import struct
 import warnings
 import zipfile
@@ -13,18 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splatrl.files import replacing
+from splatrl.files import cache_dir, replacing
 
 Arrays = dict[str, NDArray[Any]]
 
 DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, KeyError, OSError, RuntimeError, ValueError)
 """What ``np.load`` raises for a damaged npz file."""
-
-
-def cache_dir() -> Path:
-    """Where caches live: $SPLATRL_CACHE, or splatrl in $XDG_CACHE_HOME or ~/.cache."""
-    chosen = os.environ.get("SPLATRL_CACHE")
-    return Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "splatrl"
 
 
 def cached_arrays(name: str, build: Callable[[], Arrays], compressed: bool = True) -> Arrays:

@@ -1,0 +1,75 @@
+// Where a splat shows on a small tile: patches of 8×4 pixels, one for each bit of a word.
+#pragma once
+
+#include <cstdint>
+
+#include "scalars.h"
+#include "splat.h"
+
+namespace splatrl {
+
+constexpr int PATCH_WIDTH = 8, PATCH_HEIGHT = 4;       // 32 pixels: the lanes of a warp
+constexpr int PATCHES_ACROSS = 4, PATCHES_DOWN = 8;    // of a tile
+constexpr int SMALL_TILE = 32;                         // pixels, both ways
+static_assert(PATCHES_ACROSS * PATCH_WIDTH == SMALL_TILE && PATCHES_DOWN * PATCH_HEIGHT == SMALL_TILE, "whole patches");
+
+// Bits come in quads: the four of 2×2 patches follow each other, so that a quad is one warp's.
+SPLAT_INLINE int patch_bit(int column, int row) {
+    return ((row / 2 * (PATCHES_ACROSS / 2) + column / 2) * 4) + (row % 2) * 2 + column % 2;
+}
+
+// The ellipse in which a splat is visible, by its right edge: dx = center ± half where dy is known.
+struct Ellipse {
+    float squared_reach;     // of u² + v²
+    float l12, l22, inverse_l11;
+    float height, tip;       // the largest dy; and dy where dx is largest
+
+    INLINE_MEMBER void of(const Footprint<float>& print, float log2_invisible) {
+        squared_reach = max(print.log2_opacity - log2_invisible, 0.0f) * 1.0002f + 1e-6f;
+        l12 = print.l12, l22 = print.l22, inverse_l11 = 1.0f / print.l11;
+        const float reach = square_root(squared_reach), slope = l12 / l22;
+        height = reach / l22;
+        tip = -height * slope / square_root(1.0f + slope * slope);
+    }
+
+    // The largest dx for dy in [low, high], which meets [-height, height]; the boundary is concave.
+    INLINE_MEMBER float right(float low, float high) const { return edge(min(max(tip, low), high), 1.0f); }
+    INLINE_MEMBER float left(float low, float high) const { return edge(min(max(-tip, low), high), -1.0f); }
+
+private:
+    INLINE_MEMBER float edge(float dy, float side) const {
+        const float v = l22 * dy;
+        return (side * square_root(max(squared_reach - v * v, 0.0f)) - l12 * dy) * inverse_l11;
+    }
+};
+
+// The patches of a tile at (left, top), of which only pixels before (right, bottom) count, on which a splat shows at the
+// centre of some pixel; perhaps some more, never fewer.
+template <bool ANTIALIASED>
+SPLAT_INLINE uint32_t covered_patches(const Footprint<float>& print, const Tile& tile) {
+    constexpr float LOG2_INVISIBLE = ANTIALIASED ? LOG2_INVISIBLE_ANTIALIASED : LOG2_INVISIBLE_CLASSIC;
+    if (!(print.log2_opacity > LOG2_INVISIBLE && print.depth >= NEAR_DEPTH)) return 0;
+    Ellipse ellipse;
+    ellipse.of(print, LOG2_INVISIBLE);
+    constexpr float SLACK = 1e-3f;  // pixels: rounding here
+    const float first = max(print.x - print.extent_x, float(tile.left)), last = min(print.x + print.extent_x, float(tile.right));
+    const float above = print.y - print.extent_y, below = print.y + print.extent_y;
+    if (!(first <= last && above <= float(tile.bottom) && below >= float(tile.top))) return 0;
+    uint32_t mask = 0;
+    for (int row = 0; row < PATCHES_DOWN; ++row) {
+        const float top = float(tile.top + row * PATCH_HEIGHT) + 0.5f - SLACK;  // centres of the first and the last line
+        const float bottom = min(top + float(PATCH_HEIGHT - 1), float(tile.bottom) - 0.5f) + 2.0f * SLACK;
+        const float low = max(top - print.y, -ellipse.height), high = min(bottom - print.y, ellipse.height);
+        if (!(low <= high)) continue;
+        const float reach_left = max(print.x + ellipse.left(low, high), first) - SLACK;
+        const float reach_right = min(print.x + ellipse.right(low, high), last) + SLACK;
+        for (int column = 0; column < PATCHES_ACROSS; ++column) {
+            const float west = float(tile.left + column * PATCH_WIDTH) + 0.5f;  // centres of the first and the last column
+            const float east = min(west + float(PATCH_WIDTH - 1), float(tile.right) - 0.5f);
+            if (reach_left <= east && reach_right >= west) mask |= 1u << patch_bit(column, row);
+        }
+    }
+    return mask;
+}
+
+}  // namespace splatrl

@@ -1,0 +1,1 @@
+"""CUDA kernels, compiled where they run: nobody needs a CUDA toolkit."""

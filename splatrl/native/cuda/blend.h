@@ -1,0 +1,150 @@
+// From sorted keys to pixels. Each warp holds four patches of 8×4 pixels in its registers, a pixel of each in a lane.
+#pragma once
+
+#include "tile.h"
+
+namespace splatrl {
+
+constexpr int QUAD = 4;  // patches of a warp
+
+struct Color {
+    float red, green, blue;
+};
+
+// The colour of the Gaussian in a slot, seen along `offset`, relative to the background; rounded to half floats, as on
+// the CPU.
+SPLAT_INLINE Color color_of(const SceneArrays& scene, uint32_t slot, const Vector<float>& offset) {
+    const uint16_t* coefficients = scene.colors + size_t(slot) * scene.color_stride;
+    if (scene.degree == 0)
+        return {half_to_float(coefficients[0]), half_to_float(coefficients[1]), half_to_float(coefficients[2])};
+    const float squared = offset.x * offset.x + offset.y * offset.y + offset.z * offset.z;
+    const float inverse = reciprocal_sqrt(max(squared, 1e-30f));
+    float basis[16], sums[3] = {0.5f, 0.5f, 0.5f};
+    sh_basis(scene.degree, offset.x * inverse, offset.y * inverse, offset.z * inverse, basis);
+    const uint2* words = reinterpret_cast<const uint2*>(coefficients);  // four half floats each
+#pragma unroll
+    for (int word = 0; word < 12; ++word) {
+        if (4 * word >= scene.color_stride) break;
+        const uint2 four = words[word];
+        const uint32_t halves[2] = {four.x, four.y};
+#pragma unroll
+        for (int i = 0; i < 4; ++i) {
+            const int at = 4 * word + i;  // past the last coefficient the padding is 0, and the basis is not read
+            if (at / 3 < (scene.degree + 1) * (scene.degree + 1))
+                sums[at % 3] += basis[at / 3] * half_to_float(uint16_t(halves[i / 2] >> 16 * (i % 2)));
+        }
+    }
+    float out[3];
+    for (int i = 0; i < 3; ++i) out[i] = rounded_to_half(max(sums[i], 0.0f) - scene.background[i]);
+    return {out[0], out[1], out[2]};
+}
+
+// Project the Gaussians of a sorted slab and colour those that show.
+template <bool ANTIALIASED_IMAGE>
+SPLAT_INLINE void load_slab(const SceneArrays& scene, Shared& shared, uint32_t count, uint32_t& visible) {
+    for (uint32_t i = thread(); i < count; i += THREADS) {
+        const uint32_t slot = scene.slots[uint32_t(shared.sorted[i]) & ((1u << INDEX_BITS) - 1)];
+        const float4 sphere = scene.spheres[slot];
+        const float4* shape = scene.shapes + 3 * size_t(slot);
+        const float4 a = shape[0], b = shape[1], c = shape[2];
+        const float axes[9] = {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x};
+        const float* position = shared.camera.position;
+        const Vector<float> offset{sphere.x - position[0], sphere.y - position[1], sphere.z - position[2]};
+        const Footprint<float> print =
+            project<ANTIALIASED_IMAGE, true>(shared.camera, offset, axes, c.y, Merging<float>{c.z, c.w});
+        const uint32_t patches = covered_patches<ANTIALIASED_IMAGE>(print, shared.tile);
+        shared.patches[i] = patches;
+        if (patches == 0) continue;
+        ++visible;
+        const Color color = color_of(scene, slot, offset);
+        Record& record = shared.records[i];
+        record.place = make_float4(print.x, print.y, print.l11, print.l12);
+        record.fall = make_float4(print.l22, print.log2_opacity, rounded_to_half(print.peak), print.depth);
+        record.color = make_float4(color.red, color.green, color.blue, 0.0f);
+    }
+    __syncthreads();
+}
+
+// What a lane accumulates: a pixel of each of its warp's patches.
+template <bool WITH_DEPTH>
+struct Pixels {
+    float red[QUAD], green[QUAD], blue[QUAD], transmittance[QUAD], depth[QUAD], alpha[QUAD];
+    float x, y;          // of the lane's pixel in the first patch
+    uint32_t active;     // patches that are not finished, by bits
+    uint32_t blended;    // pairs of a splat and a patch
+
+    INLINE_MEMBER void begin(const SceneArrays& scene, const Tile& tile) {
+        const int column = tile.left + warp() % 2 * 2 * PATCH_WIDTH + lane() % PATCH_WIDTH;
+        const int row = tile.top + warp() / 2 * 2 * PATCH_HEIGHT + lane() / PATCH_WIDTH;
+        x = float(column) + 0.5f, y = float(row) + 0.5f, blended = 0;
+#pragma unroll
+        for (int i = 0; i < QUAD; ++i) {
+            const bool inside = column + i % 2 * PATCH_WIDTH < tile.right && row + i / 2 * PATCH_HEIGHT < tile.bottom;
+            red[i] = scene.background[0], green[i] = scene.background[1], blue[i] = scene.background[2];
+            transmittance[i] = inside ? 1.0f : 0.0f;
+            if (WITH_DEPTH) depth[i] = 0.0f, alpha[i] = 0.0f;
+        }
+        find_active();
+    }
+
+    INLINE_MEMBER void find_active() {
+        active = 0;
+#pragma unroll
+        for (int i = 0; i < QUAD; ++i)
+            active |= uint32_t(__any_sync(ALL_LANES, transmittance[i] > MIN_TRANSMITTANCE) != 0) << i;
+    }
+
+    // Blend one splat over those of the warp's patches that `patches` names. A splat's share of a pixel is 0 from where
+    // the transmittance would fall to MIN_TRANSMITTANCE, which goes on falling.
+    template <bool ANTIALIASED_IMAGE>
+    INLINE_MEMBER void blend(const Record& record, uint32_t patches) {
+        const float4 place = record.place, fall = record.fall, color = record.color;
+#pragma unroll
+        for (int i = 0; i < QUAD; ++i) {
+            if ((patches >> i & 1) == 0) continue;
+            const float dx = x + float(i % 2 * PATCH_WIDTH) - place.x, dy = y + float(i / 2 * PATCH_HEIGHT) - place.y;
+            const float share = transmittance[i] * alpha_at<ANTIALIASED_IMAGE>(dx, dy, place.z, place.w, fall.x, fall.y, fall.z);
+            transmittance[i] -= share;
+            const float counted = transmittance[i] > MIN_TRANSMITTANCE ? share : 0.0f;
+            red[i] += counted * color.x;
+            green[i] += counted * color.y;
+            blue[i] += counted * color.z;
+            if (WITH_DEPTH) depth[i] += counted * fall.w, alpha[i] += counted;
+        }
+    }
+
+    // Blend a slab, nearest first. Each warp picks what shows on its own patches, 32 splats at a time.
+    template <bool ANTIALIASED_IMAGE>
+    INLINE_MEMBER void blend_slab(const Shared& shared, uint32_t count) {
+        for (uint32_t first = 0; first < count && active != 0; first += WARP) {
+            const uint32_t at = first + lane();
+            const uint32_t patches = at < count ? shared.patches[at] >> (warp() * QUAD) & active : 0;
+            for (uint32_t left = __ballot_sync(ALL_LANES, patches != 0); left != 0; left &= left - 1) {
+                const int next = __ffs(left) - 1;
+                const uint32_t touched = shared.patches[first + next] >> (warp() * QUAD) & active;
+                blend<ANTIALIASED_IMAGE>(shared.records[first + next], touched);
+                blended += __popc(touched);
+            }
+            find_active();
+        }
+    }
+
+    INLINE_MEMBER void write(const Tile& tile, const Images& images, int row_of_batch, int width, int height) const {
+#pragma unroll
+        for (int i = 0; i < QUAD; ++i) {
+            const int column = int(x) + i % 2 * PATCH_WIDTH, row = int(y) + i / 2 * PATCH_HEIGHT;
+            if (column >= tile.right || row >= tile.bottom) continue;
+            const size_t at = (size_t(row_of_batch) * height + row) * width + column;
+            const float rgb[3] = {min(max(red[i], 0.0f), 1.0f), min(max(green[i], 0.0f), 1.0f), min(max(blue[i], 0.0f), 1.0f)};
+            for (int channel = 0; channel < 3; ++channel) {
+                if (images.pixels) images.pixels[3 * at + channel] = uint8_t(int(255.0f * rgb[channel] + 0.5f));
+                if (WITH_DEPTH) images.rgb[3 * at + channel] = rgb[channel];
+            }
+            if (!WITH_DEPTH) continue;
+            images.depth[at] = alpha[i] > 0.0f ? depth[i] / alpha[i] : 0.0f;
+            images.alpha[at] = min(alpha[i], 1.0f);
+        }
+    }
+};
+
+}  // namespace splatrl

@@ -1,0 +1,99 @@
+"""From a kernel's source to machine code for one GPU, by NVRTC: once for each architecture, kept in a cache."""
+
+import hashlib
+import importlib.metadata
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+from splatrl.files import cache_dir, replacing
+
+NATIVE = Path(__file__).parents[1]
+FOLDERS = (NATIVE / "cuda", NATIVE, NATIVE / "cuda" / "std")
+"""Where sources and headers are found, in this order."""
+_MISSING = (
+    "CUDA kernels need cuda-core and NVRTC: pip install 'splatrl[cuda]', or 'splatrl[cuda12]' for a driver of CUDA 12"
+)
+
+
+def compiled(source: str, arch: str, defines: Mapping[str, int] | None = None) -> bytes:
+    """Machine code (cubin) of a source, from the cache where it is there.
+
+    The first time a line on standard error says what is compiled, as it takes seconds. Where the cache cannot be
+    written to, it is compiled every time.
+
+    Args:
+        source: name of a file in ``splatrl/native/cuda``, without its ending.
+        arch: ``"sm_90"`` and so on.
+        defines: macros, by name.
+
+    Raises:
+        ImportError: where cuda-core or NVRTC is not installed; says how to get them.
+        RuntimeError: where the source does not compile; NVRTC's log.
+    """
+    path = cache_dir() / f"{source}-{arch}-{_digest(source, arch, defines or {})}.cubin"
+    if path.is_file():
+        return path.read_bytes()
+    start = time.monotonic()
+    print(f"splatrl: compiling {source}.cu for {arch}, once ...", end="", file=sys.stderr, flush=True)
+    code, _ = translated(source, arch, defines or {})
+    print(f" {time.monotonic() - start:.1f} s", file=sys.stderr)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as stream:
+            stream.write(code)
+    except OSError as error:
+        print(f"splatrl: {path.parent}: cannot keep kernels here, set SPLATRL_CACHE: {error}", file=sys.stderr)
+    return code
+
+
+def translated(source: str, arch: str, defines: Mapping[str, int]) -> tuple[bytes, str]:
+    """Compile a source: machine code, and what the assembler says of registers and memory. See ``compiled``."""
+    try:
+        from cuda.core import Program, ProgramOptions
+    except ImportError as error:
+        raise ImportError(_MISSING) from error
+    options = ProgramOptions(
+        name=f"{source}.cu",
+        arch=arch,
+        std="c++17",
+        include_path=[str(folder) for folder in FOLDERS],
+        define_macro=[(name, str(value)) for name, value in sorted(defines.items())] or None,
+        device_as_default_execution_space=True,
+        ptxas_options=["-v"],
+        lineinfo=True,
+    )
+    text = (FOLDERS[0] / f"{source}.cu").read_text()
+    try:
+        program = Program(text, "c++", options)
+    except RuntimeError as error:  # of cuda-core, where the NVRTC library is not found
+        raise ImportError(_MISSING) from error
+    log = _Log()
+    code = program.compile("cubin", logs=log).code
+    return bytes(code), log.text
+
+
+class _Log:
+    """Where NVRTC writes."""
+
+    def __init__(self) -> None:
+        self.text = ""
+
+    def write(self, text: str) -> None:
+        self.text += text
+
+
+def _digest(source: str, arch: str, defines: Mapping[str, int]) -> str:
+    """Of all that machine code is made from: every header counts, whether the source includes it or not."""
+    digest = hashlib.sha256()
+    files = [path for folder in FOLDERS for path in sorted(folder.iterdir()) if path.suffix in (".h", ".cu", "")]
+    for path in files:
+        if path.is_file():
+            digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    try:
+        version = importlib.metadata.version("nvidia-cuda-nvrtc")
+    except importlib.metadata.PackageNotFoundError:
+        version = ""
+    digest.update(repr((source, arch, sorted(defines.items()), version)).encode())
+    return digest.hexdigest()[:24]

@@ -1,0 +1,121 @@
+"""Kernels that are loaded on a GPU, and how they are launched."""
+
+import ctypes
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from splatrl.native.cuda.compiler import compiled
+
+FREELY_SHARED = 48 * 1024
+"""Bytes of shared memory that a block may use without asking."""
+
+
+class Kernels(Protocol):
+    """The kernels of one source, on one device.
+
+    Attributes:
+        device: where they run, and where their tensors are.
+        multiprocessors: of that device.
+    """
+
+    device: torch.device
+    multiprocessors: int
+
+    def resident(self, name: str, threads: int, shared: int = 0) -> int:
+        """How many blocks of a kernel a multiprocessor holds at a time, at least 1."""
+        ...
+
+    def launch(self, name: str, blocks: int, threads: int, *arguments: Any, shared: int = 0) -> None:
+        """Queue a kernel on PyTorch's current stream of the device, and return at once.
+
+        Args:
+            name: of the kernel.
+            blocks: of the grid.
+            threads: of a block.
+            arguments: of the kernel. A tensor stands for its address and must be contiguous on the device, None for no
+                address; an int is one of 32 bits, a float is single precision, what ctypes makes is what it says.
+            shared: bytes of dynamic shared memory.
+        """
+        ...
+
+
+def packed(arguments: tuple[Any, ...], device: torch.device) -> list[Any]:
+    """Arguments of a kernel as ctypes values."""
+    values: list[Any] = []
+    for argument in arguments:
+        if isinstance(argument, Tensor):
+            assert argument.device == device and argument.is_contiguous(), (argument.device, argument.stride())
+            values.append(ctypes.c_void_p(argument.data_ptr()))
+        elif argument is None:
+            values.append(ctypes.c_void_p(0))
+        elif isinstance(argument, int):
+            values.append(ctypes.c_int(argument))
+        elif isinstance(argument, float):
+            values.append(ctypes.c_float(argument))
+        else:
+            values.append(argument)
+    return values
+
+
+class CudaKernels:
+    """Kernels on a CUDA device, by the driver's own interface: see ``Kernels``.
+
+    Args:
+        source: name of the file in ``splatrl/native/cuda``.
+        device: a CUDA device.
+        defines: macros.
+
+    Raises:
+        ImportError: where cuda-core is not installed.
+        RuntimeError: where the driver refuses the code.
+    """
+
+    def __init__(self, source: str, device: torch.device | str, defines: Mapping[str, int] | None = None) -> None:
+        self.device = torch.empty(0, device=device).device  # with its index; and PyTorch's context is there from now on
+        major, minor = torch.cuda.get_device_capability(self.device)
+        self.multiprocessors = torch.cuda.get_device_properties(self.device).multi_processor_count
+        code = compiled(source, f"sm_{major}{minor}", defines)
+        from cuda.bindings import driver
+
+        self._driver = driver
+        self._kernels: dict[tuple[str, int], Any] = {}
+        with torch.cuda.device(self.device):
+            self._module = self._answer(driver.cuModuleLoadData(code))
+
+    def resident(self, name: str, threads: int, shared: int = 0) -> int:
+        """See ``Kernels.resident``."""
+        with torch.cuda.device(self.device):
+            kernel = self._kernel(name, shared)
+            blocks = self._answer(self._driver.cuOccupancyMaxActiveBlocksPerMultiprocessor(kernel, threads, shared))
+        return max(1, int(blocks))
+
+    def launch(self, name: str, blocks: int, threads: int, *arguments: Any, shared: int = 0) -> None:
+        """See ``Kernels.launch``."""
+        values = packed(arguments, self.device)
+        addresses = (ctypes.c_void_p * len(values))(*(ctypes.addressof(value) for value in values))
+        with torch.cuda.device(self.device):
+            stream = self._driver.CUstream(torch.cuda.current_stream(self.device).cuda_stream)
+            kernel, where = self._kernel(name, shared), ctypes.addressof(addresses)
+            self._answer(
+                self._driver.cuLaunchKernel(kernel, blocks, 1, 1, threads, 1, 1, shared, stream, where, 0)
+            )  # which copies the arguments before it returns
+
+    def _kernel(self, name: str, shared: int) -> Any:
+        """The kernel, allowed to use so much shared memory."""
+        if (name, shared) not in self._kernels:
+            kernel = self._answer(self._driver.cuModuleGetFunction(self._module, name.encode()))
+            limit = self._driver.CUfunction_attribute.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
+            if shared > FREELY_SHARED:
+                self._answer(self._driver.cuFuncSetAttribute(kernel, limit, shared))
+            self._kernels[name, shared] = kernel
+        return self._kernels[name, shared]
+
+    def _answer(self, answer: tuple[Any, ...]) -> Any:
+        """What the driver gives, after its verdict."""
+        error, *values = answer
+        if int(error) != 0:
+            raise RuntimeError(f"CUDA driver on {self.device}: {error!r}")
+        return values[0] if values else None

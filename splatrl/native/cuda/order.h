@@ -1,0 +1,180 @@
+// Keys in order, a slab at a time.
+#pragma once
+
+#include "tile.h"
+
+namespace splatrl {
+
+// Sort shared.sorted: bitonic, each thread holding neighbours. Exchanges are between registers, lanes, or by memory.
+SPLAT_INLINE void sort_slab(Shared& shared) {
+    constexpr int OWN = SLAB / THREADS;
+    static_assert(OWN == 2, "the exchange within a thread is that of two");
+    const int first = thread() * OWN;
+    __syncthreads();
+    Key mine[OWN] = {shared.sorted[first], shared.sorted[first + 1]};
+    for (int size = 2; size <= SLAB; size *= 2)
+        for (int apart = size / 2; apart > 0; apart /= 2) {
+            Key other[OWN];
+            if (apart >= OWN * WARP) {
+                __syncthreads();
+                for (int i = 0; i < OWN; ++i) shared.sorted[first + i] = mine[i];
+                __syncthreads();
+                for (int i = 0; i < OWN; ++i) other[i] = shared.sorted[(first + i) ^ apart];
+            } else if (apart >= OWN) {
+                for (int i = 0; i < OWN; ++i) other[i] = __shfl_xor_sync(ALL_LANES, mine[i], apart / OWN);
+            } else {
+                other[0] = mine[1], other[1] = mine[0];
+            }
+            for (int i = 0; i < OWN; ++i) {
+                const bool smaller = (((first + i) & apart) == 0) == (((first + i) & size) == 0);
+                mine[i] = (other[i] < mine[i]) == smaller ? other[i] : mine[i];
+            }
+        }
+    __syncthreads();
+    for (int i = 0; i < OWN; ++i) shared.sorted[first + i] = mine[i];
+    __syncthreads();
+}
+
+// Replace counts by the sums of all before each. Returns the sum of all.
+SPLAT_INLINE uint32_t sum_up(Shared& shared, uint32_t* counts) {
+    constexpr int OWN = BUCKETS / THREADS;
+    uint32_t own[OWN], total = 0;
+    for (int i = 0; i < OWN; ++i) {
+        own[i] = total;
+        total += counts[thread() * OWN + i];
+    }
+    uint32_t upto = total;  // within the warp
+    for (int by = 1; by < WARP; by *= 2) {
+        const uint32_t before = __shfl_up_sync(ALL_LANES, upto, by);
+        if (lane() >= by) upto += before;
+    }
+    if (lane() == WARP - 1) shared.sums[warp()] = upto;
+    __syncthreads();
+    uint32_t base = upto - total, all = 0;
+    for (int i = 0; i < WARPS; ++i) {
+        if (i < warp()) base += shared.sums[i];
+        all += shared.sums[i];
+    }
+    for (int i = 0; i < OWN; ++i) counts[thread() * OWN + i] = base + own[i];
+    __syncthreads();
+    return all;
+}
+
+// A range of keys, cut evenly into buckets.
+struct Cut {
+    Key low, high;  // both in the range
+    int shift;
+
+    INLINE_MEMBER Cut(Key low, Key high) : low(low), high(high), shift(0) {
+        constexpr int BUCKET_BITS = 10;
+        static_assert(1 << BUCKET_BITS == BUCKETS, "a bucket for each value of these bits");
+        const int bits = 64 - __clzll(high - low);
+        shift = bits > BUCKET_BITS ? bits - BUCKET_BITS : 0;
+    }
+    INLINE_MEMBER int bucket(Key key) const { return int((key - low) >> shift); }
+    INLINE_MEMBER Key begin(int bucket) const { return low + (Key(bucket) << shift); }
+};
+
+// Count the keys of a range into counts [BUCKETS].
+SPLAT_INLINE void count_keys(uint32_t* counts, const Key* keys, uint32_t count, const Cut& cut) {
+    for (int i = thread(); i < BUCKETS; i += THREADS) counts[i] = 0;
+    __syncthreads();
+    for (uint32_t i = thread(); i < count; i += THREADS) {
+        const Key key = keys[i];
+        if (key >= cut.low && key <= cut.high) atomicAdd(&counts[cut.bucket(key)], 1u);
+    }
+    __syncthreads();
+}
+
+// Bring keys from [count] into the order of their buckets, in `to`; shared.ends says where each bucket ends.
+SPLAT_INLINE void deal_to_buckets(Shared& shared, const Key* from, Key* to, uint32_t count, const Cut& cut) {
+    count_keys(shared.ends, from, count, cut);
+    sum_up(shared, shared.ends);
+    for (uint32_t i = thread(); i < count; i += THREADS) {
+        const Key key = from[i];
+        to[atomicAdd(&shared.ends[cut.bucket(key)], 1u)] = key;
+    }
+    __syncthreads();
+}
+
+// How many of the ascending numbers from `first` on are at most `limit`; as an index behind the last of them.
+SPLAT_INLINE int behind_last(const uint32_t* numbers, int first, int end, uint32_t limit) {
+    while (first < end) {
+        const int middle = (first + end) / 2;
+        if (numbers[middle] <= limit)
+            first = middle + 1;
+        else
+            end = middle;
+    }
+    return first;
+}
+
+// Of keys too many for a slab, all at least `from` and at most `last`: where to cut so that those before fit into one.
+SPLAT_INLINE Key fitting_cut(Shared& shared, const Key* keys, uint32_t count, Key from, Key last) {
+    for (;;) {
+        const Cut cut(from, last);
+        count_keys(shared.histogram, keys, count, cut);
+        const uint32_t all = sum_up(shared, shared.histogram);
+        if (all <= SLAB) return last + 1;
+        const int whole = behind_last(shared.histogram, 0, BUCKETS, SLAB) - 1;  // buckets before it are within the slab
+        __syncthreads();
+        if (whole > 0) return cut.begin(whole);
+        last = cut.begin(1) - 1;
+    }
+}
+
+// Copy the keys in [from, until) to shared.sorted, at most SLAB of them, in any order. Returns how many.
+SPLAT_INLINE uint32_t gather(Shared& shared, const Key* keys, uint32_t count, Key from, Key until) {
+    if (thread() == 0) shared.count = 0;
+    __syncthreads();
+    for (uint32_t i = thread(); i < count; i += THREADS) {
+        const Key key = keys[i];
+        if (key >= from && key < until) shared.sorted[atomicAdd(&shared.count, 1u)] = key;
+    }
+    __syncthreads();
+    return shared.count;
+}
+
+// Call draw(n) for slab after slab of at most SLAB keys, nearest first, in shared.sorted, until it returns false.
+// `keys` [2, capacity] holds the candidates in its first part.
+template <class Draw>
+SPLAT_INLINE void each_slab(Shared& shared, Key* keys, int capacity, const Draw& draw) {
+    const uint32_t count = shared.count;
+    if (count == 0) return;
+    const Cut cut(shared.low, shared.high);
+    const Key* dealt = keys;
+    if (count > SLAB) {
+        deal_to_buckets(shared, keys, keys + capacity, count, cut);
+        dealt = keys + capacity;
+    }
+    int bucket = 0;
+    for (uint32_t begin = 0; begin < count;) {
+        uint32_t end = count;
+        if (count > SLAB) {
+            const int behind = behind_last(shared.ends, bucket, BUCKETS, begin + SLAB);
+            const bool fits = behind > bucket;
+            end = shared.ends[fits ? behind - 1 : bucket];
+            bucket = fits ? behind : bucket + 1;
+        }
+        if (end - begin <= SLAB) {
+            for (uint32_t i = thread(); i < SLAB; i += THREADS)
+                shared.sorted[i] = i < end - begin ? dealt[begin + i] : NO_KEY;
+            sort_slab(shared);
+            if (end > begin && !draw(end - begin)) return;
+        } else {  // one bucket of more than a slab
+            const Key last = cut.begin(bucket) - 1;
+            for (Key from = cut.begin(bucket - 1); from <= last;) {
+                const Key until = fitting_cut(shared, dealt + begin, end - begin, from, last);
+                const uint32_t some = gather(shared, dealt + begin, end - begin, from, until);
+                from = until;
+                if (some == 0) continue;
+                for (uint32_t i = some + thread(); i < SLAB; i += THREADS) shared.sorted[i] = NO_KEY;
+                sort_slab(shared);
+                if (!draw(some)) return;
+            }
+        }
+        begin = end;
+    }
+}
+
+}  // namespace splatrl

@@ -1,0 +1,38 @@
+// What every kernel begins with. The tests' emulator (tests/emulator/cuda.h) gives the same names to a CPU.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "inline.h"
+
+constexpr unsigned ALL_LANES = 0xffffffffu;
+constexpr int WARP = 32;
+
+#ifdef __CUDACC__
+
+// The dynamic shared memory of the block, as one T.
+#define DYNAMIC_SHARED(T, name)                                          \
+    extern __shared__ __align__(16) unsigned char dynamic_shared_memory[]; \
+    T& name = *reinterpret_cast<T*>(dynamic_shared_memory)
+
+namespace splatrl {
+
+SPLAT_INLINE float half_to_float(uint16_t half) {
+    float out;
+    asm("cvt.f32.f16 %0, %1;" : "=f"(out) : "h"(half));
+    return out;
+}
+
+// The nearest half float.
+SPLAT_INLINE float rounded_to_half(float value) {
+    float out;
+    asm("{ .reg .b16 half; cvt.rn.f16.f32 half, %1; cvt.f32.f16 %0, half; }" : "=f"(out) : "f"(value));
+    return out;
+}
+
+SPLAT_INLINE uint64_t bits_of(double value) { return uint64_t(__double_as_longlong(value)); }
+
+}  // namespace splatrl
+
+#endif

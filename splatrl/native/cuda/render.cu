@@ -1,0 +1,86 @@
+// Thousands of small images at once. A block draws a tile of 32×32 pixels from beginning to end and takes the next: it
+// goes down the tree (candidates.h), puts what may show in order of depth (order.h), and blends it slab by slab with the
+// pixels in registers (blend.h). Blocks take no account of each other, and what is found in no order is ordered by keys
+// of which no two are equal: a frame has the same bytes in every batch.
+//
+// ANTIALIASED_IMAGES is 1 or 0: a macro, so that each is compiled by itself.
+#include "platform.h"
+
+#include "blend.h"
+#include "candidates.h"
+#include "order.h"
+
+namespace splatrl {
+
+constexpr bool ANTIALIASED_IMAGE = ANTIALIASED_IMAGES != 0;
+
+// Whether a camera can be drawn: finite, with positive focal lengths.
+SPLAT_INLINE bool is_camera(const float* pose, const float* K) {
+    float sum = 0.0f;  // not a number where any of them is none
+    for (int i = 0; i < 16; ++i) sum += 0.0f * pose[i];
+    for (int i = 0; i < 9; ++i) sum += 0.0f * K[i];
+    return sum == 0.0f && K[0] > 0.0f && K[4] > 0.0f;
+}
+
+// Take the next tile. Returns whether there is one; shared.drawn says whether it is drawn.
+SPLAT_INLINE bool next_tile(const Views& views, const Workspace& workspace, Shared& shared) {
+    const int across = (views.width + SMALL_TILE - 1) / SMALL_TILE, down = (views.height + SMALL_TILE - 1) / SMALL_TILE;
+    __syncthreads();
+    if (thread() == 0) {
+        shared.item = atomicAdd(workspace.next_tile, 1);
+        shared.row = shared.item / (across * down);
+        shared.drawn = shared.row < views.batch && (views.only == nullptr || views.only[shared.row] != 0);
+        if (shared.drawn) {
+            const float *pose = views.camera_to_world + 16 * size_t(shared.row), *K = views.K + 9 * size_t(shared.row);
+            const int tile = shared.item % (across * down), left = tile % across * SMALL_TILE, top = tile / across * SMALL_TILE;
+            const int right = left + SMALL_TILE, bottom = top + SMALL_TILE;
+            shared.tile = {left, top, right < views.width ? right : views.width, bottom < views.height ? bottom : views.height};
+            shared.camera = camera_of(pose, K, views.width, views.height);
+            shared.frustum = frustum_of(shared.camera, shared.tile);
+            shared.drawn = is_camera(pose, K);
+            if (!shared.drawn) atomicMin(workspace.fault, shared.row);
+        }
+    }
+    __syncthreads();
+    return shared.row < views.batch;
+}
+
+template <bool WITH_DEPTH>
+SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const Workspace& workspace, const Images& images) {
+    DYNAMIC_SHARED(Shared, shared);
+    Key* keys = workspace.keys + 2 * size_t(blockIdx.x) * workspace.key_capacity;
+    uint32_t* nodes = workspace.nodes + 3 * size_t(blockIdx.x) * workspace.node_capacity;
+    while (next_tile(views, workspace, shared)) {
+        if (!shared.drawn) continue;
+        cull(scene, shared, nodes, workspace.node_capacity);
+        find_candidates(scene, shared, nodes, workspace.node_capacity, keys);
+        const uint32_t projected = shared.count;
+        uint32_t visible = 0;
+        Pixels<WITH_DEPTH> pixels;
+        pixels.begin(scene, shared.tile);
+        each_slab(shared, keys, workspace.key_capacity, [&](uint32_t count) {
+            load_slab<ANTIALIASED_IMAGE>(scene, shared, count, visible);
+            pixels.template blend_slab<ANTIALIASED_IMAGE>(shared, count);
+            return __syncthreads_or(pixels.active != 0) != 0;
+        });
+        pixels.write(shared.tile, images, shared.row, views.width, views.height);
+        if (workspace.efforts != nullptr) {
+            uint32_t* efforts = workspace.efforts + size_t(shared.row) * EFFORTS;
+            if (thread() == 0) atomicAdd(efforts + PROJECTED, projected);
+            atomicAdd(efforts + VISIBLE, visible);
+            if (lane() == 0) atomicAdd(efforts + BLENDED, pixels.blended);
+        }
+    }
+}
+
+}  // namespace splatrl
+
+extern "C" __global__ void __launch_bounds__(splatrl::THREADS, BLOCKS_A_MULTIPROCESSOR)
+draw_pixels(splatrl::SceneArrays scene, splatrl::Views views, splatrl::Workspace workspace, splatrl::Images images) {
+    splatrl::draw_tiles<false>(scene, views, workspace, images);
+}
+
+extern "C" __global__ void __launch_bounds__(splatrl::THREADS, BLOCKS_A_MULTIPROCESSOR)
+draw_images(splatrl::SceneArrays scene, splatrl::Views views, splatrl::Workspace workspace, splatrl::Images images) {
+    splatrl::draw_tiles<true>(scene, views, workspace, images);
+}

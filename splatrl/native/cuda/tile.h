@@ -1,0 +1,94 @@
+// What the stages of render.cu say to each other.
+#pragma once
+
+#include "platform.h"
+
+#include "coverage.h"
+#include "frustum.h"
+
+namespace splatrl {
+
+constexpr int THREADS = BLOCK_THREADS, WARPS = THREADS / WARP;
+static_assert(WARPS * 4 == PATCHES_ACROSS * PATCHES_DOWN, "four patches of 8×4 pixels a warp, in its registers");
+
+constexpr int SLAB = 512;      // splats that are sorted and blended at once
+constexpr int BUCKETS = 1024;  // of a histogram of depths
+
+// Depth in the high bits, the index in the scene in the low ones: no two keys of an image are equal, so their order does
+// not hang on the order in which they were found.
+using Key = uint64_t;
+constexpr int INDEX_BITS = 24;
+constexpr Key NO_KEY = ~Key(0);
+
+// A scene, every Gaussian by itself. A slot is its place; slots without one pad the groups.
+struct SceneArrays {
+    const float4* spheres;            // [slots] mean, world; how far it can show from there, below 0 for nothing. Metres.
+    const float4* shapes;             // [slots, 3] factor A of the covariance, log2 opacity, members and sum if merged
+    const uint16_t* colors;           // [slots, color_stride] half floats, [harmonics, 3]; final colours at degree 0
+    const uint32_t* indices;          // [slots] index in the scene, merged Gaussians behind it
+    const uint32_t* slots;            // [indices]
+    const Cluster* clusters;          // the tree in preorder
+    const GroupBounds* group_bounds;  // of each cluster
+    int degree, color_stride;
+    float background[3];              // the colours are relative to it
+    float tolerance;                  // pixels by which what is shown may be displaced
+    float most_reach;                 // standard deviations at which any Gaussian shows
+};
+
+struct Views {
+    const float* camera_to_world;     // [batch, 4, 4]
+    const float* K;                   // [batch, 3, 3]
+    const uint8_t* only;              // [batch] which to draw; null for all
+    int batch, width, height;
+};
+
+// Memory of the launch; [blocks] parts.
+struct Workspace {
+    Key* keys;                        // [blocks, 2, key_capacity]
+    uint32_t* nodes;                  // [blocks, 3, node_capacity]
+    int* next_tile;                   // 0 at first
+    int* fault;                       // the lowest row whose camera is refused
+    uint32_t* efforts;                // [batch, EFFORTS] added to; null if not asked for
+    int key_capacity, node_capacity;
+};
+
+enum Efforts { PROJECTED, VISIBLE, BLENDED, EFFORTS };  // candidates, splats that show, pairs of a splat and a patch
+
+// Where to write; null where not asked for.
+struct Images {
+    uint8_t* pixels;                  // [batch, height, width, 3]
+    float *rgb, *depth, *alpha;       // [batch, height, width, 3], [batch, height, width] twice
+};
+
+// A splat as it is blended.
+struct Record {
+    float4 place;   // x, y, l11, l12
+    float4 fall;    // l22, log2 opacity, peak, depth
+    float4 color;   // red, green, blue, relative to the background
+};
+
+// The shared memory of a block, which draws one tile at a time.
+struct Shared {
+    Camera camera;
+    Frustum frustum;
+    Tile tile;
+    int item, row, drawn;             // drawn: whether the tile is drawn at all
+    uint32_t count, accepted, frontier[2];
+    Key low, high;                    // of the keys that were found
+    uint32_t sums[WARPS];
+    uint32_t ends[BUCKETS];           // where each bucket of keys ends
+    Key sorted[SLAB];                 // the keys of a slab, nearest first
+    uint32_t patches[SLAB];           // that its splats show on, by bits
+    union {
+        Record records[SLAB];
+        uint32_t histogram[BUCKETS + 1];
+    };
+};
+
+static_assert(sizeof(Shared) <= SHARED_BYTES, "the launch asks for enough shared memory");
+
+SPLAT_INLINE int thread() { return int(threadIdx.x); }
+SPLAT_INLINE int lane() { return int(threadIdx.x) % WARP; }
+SPLAT_INLINE int warp() { return int(threadIdx.x) / WARP; }
+
+}  // namespace splatrl

@@ -1,0 +1,110 @@
+// A scene as CUDA reads it: each Gaussian by itself, not in groups of sixteen.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+#include "arrays.h"
+#include "bindings.h"
+#include "levels_binding.h"
+#include "scene.h"
+
+namespace nb = nanobind;
+
+namespace splatrl {
+
+namespace {
+
+constexpr size_t SPHERE = 4, SHAPE = 12;
+
+// The coefficients of a colour, in whole words of eight bytes.
+size_t color_stride(int degree) { return (size_t(3 * (degree + 1) * (degree + 1)) + 3) / 4 * 4; }
+
+struct FlatScene {
+    std::vector<float> spheres, shapes;
+    std::vector<uint16_t> colors;
+    std::vector<uint32_t> indices, slots;
+    float most_reach = 0.0f;  // of any Gaussian, standard deviations
+
+    FlatScene(const SceneView& view, size_t capacity, size_t gaussians)
+        : spheres(capacity * SPHERE), shapes(capacity * SHAPE), colors(capacity * color_stride(view.degree)),
+          indices(capacity), slots(gaussians) {
+        for (size_t slot = 0; slot < capacity; ++slot) add(view, slot);
+    }
+
+private:
+    void add(const SceneView& view, size_t slot) {
+        const size_t group = slot / GROUP, lane = slot % GROUP;
+        const float* geometry = view.geometry + group * GEOMETRY * GROUP + lane;
+        float *sphere = &spheres[slot * SPHERE], *shape = &shapes[slot * SHAPE];
+        const float log2_opacity = geometry[LOG2_OPACITY * GROUP];
+        for (int i = 0; i < 3; ++i) sphere[i] = geometry[(MEAN + i) * GROUP];
+        if (log2_opacity == std::numeric_limits<float>::lowest()) {  // it pads a group, or is transparent
+            sphere[3] = -1.0f;
+            return;
+        }
+        float squared = 0.0f;  // the trace of Σ: at least the largest variance
+        for (int i = 0; i < 9; ++i) {
+            shape[i] = geometry[(AXES + i) * GROUP];
+            squared += shape[i] * shape[i];
+        }
+        const float reach = std::sqrt(std::max(0.0f, log2_opacity - LOG2_INVISIBLE_ANTIALIASED) / HALF_LOG2_E);
+        sphere[3] = reach * std::sqrt(squared);
+        most_reach = std::max(most_reach, reach);
+        shape[9] = log2_opacity;
+        if (group >= view.first_merged) {
+            const float* merging = view.merging + (group - view.first_merged) * MERGING * GROUP + lane;
+            shape[10] = merging[MEMBERS * GROUP];
+            shape[11] = merging[SUM * GROUP];
+        }
+        const size_t values = 3 * size_t((view.degree + 1) * (view.degree + 1));
+        const uint16_t* color = view.colors + group * values * GROUP + lane;
+        for (size_t i = 0; i < values; ++i) colors[slot * color_stride(view.degree) + i] = color[i * GROUP];
+        indices[slot] = view.original_index[slot];
+        slots[indices[slot]] = uint32_t(slot);
+    }
+};
+
+template <class T>
+nb::ndarray<nb::numpy, uint8_t> bytes_of(const T* items, size_t count) {
+    std::vector<uint8_t> bytes(count * sizeof(T));
+    std::memcpy(bytes.data(), items, bytes.size());
+    return to_numpy(std::move(bytes), {count, sizeof(T)});
+}
+
+nb::dict flat_scene(Tensor<const float, -1, 3> means, Tensor<const float, -1, 3, 3> axes,
+                    Tensor<const float, -1> opacities, Tensor<const float, -1, -1, 3> sh, int degree,
+                    std::array<float, 3> background, std::optional<nb::dict> levels, bool antialiased, float tolerance) {
+    const GaussianArrays gaussians{means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0), degree};
+    const Levels tree = levels ? levels_of(*levels, gaussians) : build_levels(gaussians, CLUSTER, GROUP, false);
+    const Scene scene(gaussians, tree, background);
+    const SceneView view = scene.view(0.0f);
+    const size_t capacity = scene.capacity();
+    FlatScene flat(view, capacity, gaussians.count + tree.opacities.size());
+    nb::dict out;
+    out["spheres"] = to_numpy(std::move(flat.spheres), {capacity, SPHERE});
+    out["shapes"] = to_numpy(std::move(flat.shapes), {capacity, SHAPE});
+    out["colors"] = to_numpy(std::move(flat.colors), {capacity, color_stride(degree)});
+    out["indices"] = to_numpy(std::move(flat.indices), {capacity});
+    const size_t all = flat.slots.size();
+    out["slots"] = to_numpy(std::move(flat.slots), {all});
+    out["most_reach"] = flat.most_reach;
+    out["tolerance"] = held_tolerance(tolerance, antialiased);
+    out["clusters"] = bytes_of(view.clusters, view.cluster_count);
+    out["group_bounds"] = bytes_of(view.group_bounds, view.cluster_count);
+    return out;
+}
+
+}  // namespace
+
+void bind_flat_scene(nb::module_& m) {
+    m.def("flat_scene", &flat_scene, nb::arg("means"), nb::arg("axes"), nb::arg("opacities"), nb::arg("sh"),
+          nb::arg("degree"), nb::arg("background"), nb::arg("levels").none(),
+          nb::arg("antialiased"), nb::arg("tolerance"));
+}
+
+}  // namespace splatrl

@@ -1,0 +1,118 @@
+"""Kernels on a CPU: their own source, compiled by the C++ compiler under an emulation of CUDA's execution model."""
+
+import ctypes
+import functools
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from splatrl.native.cuda.compiler import NATIVE
+from splatrl.native.cuda.kernels import packed
+
+HERE = Path(__file__).parent
+_KERNEL = re.compile(r"__global__\s+void\s+(?:__launch_bounds__\([^)]*\)\s*)?(\w+)\s*\(")
+
+
+class EmulatedKernels:
+    """Runs kernels as ``Kernels`` does, on tensors in main memory, and returns when they are done.
+
+    Args:
+        source: name of a file in ``splatrl/native/cuda``, or a path.
+        defines: macros.
+
+    Attributes:
+        seed: of the order in which threads run; 0 is the order of their numbers.
+    """
+
+    device = torch.device("cpu")
+    multiprocessors = 2
+
+    def __init__(self, source: str | Path, defines: Mapping[str, int]) -> None:
+        path = Path(source) if Path(source).suffix else NATIVE / "cuda" / f"{source}.cu"
+        self._library = ctypes.CDLL(str(_library(path, tuple(sorted(defines.items())))))
+        self._library.launch.argtypes = [
+            ctypes.c_char_p,
+            ctypes.c_uint,
+            ctypes.c_uint,
+            ctypes.c_void_p,
+            ctypes.c_uint64,
+        ]
+        self.seed = 0
+
+    def resident(self, name: str, threads: int, shared: int = 0) -> int:
+        """One block at a time."""
+        return 1
+
+    def launch(self, name: str, blocks: int, threads: int, *arguments: Any, shared: int = 0) -> None:
+        """See ``Kernels.launch``."""
+        values = packed(arguments, self.device)
+        addresses = (ctypes.c_void_p * len(values))(*(ctypes.addressof(value) for value in values))
+        known = self._library.launch(name.encode(), blocks, threads, ctypes.addressof(addresses), self.seed)
+        assert known, f"{name}: no such kernel"
+
+
+def emulated(source: str | Path, defines: Mapping[str, int] | None = None) -> EmulatedKernels:
+    """The kernels of a source on the CPU."""
+    return EmulatedKernels(source, defines or {})
+
+
+@functools.cache
+def _library(path: Path, defines: tuple[tuple[str, int], ...]) -> Path:
+    """Compile a source once for each content of it and of all headers."""
+    names = _KERNEL.findall(path.read_text())
+    cases = "\n".join(
+        f'    if (!strcmp(name, "{n}")) return emulator::launch({n}, blocks, threads, a, seed), 1;' for n in names
+    )
+    program = f"""#include "cuda.h"
+#include "{path}"
+extern "C" int launch(const char* name, unsigned blocks, unsigned threads, void** a, uint64_t seed) {{
+{cases}
+    return 0;
+}}
+"""
+    folders = [HERE, NATIVE / "cuda", NATIVE]
+    digest = hashlib.sha256(program.encode() + repr(defines).encode())
+    for file in sorted({path, *(f for folder in folders for f in folder.glob("*.*")), *NATIVE.glob("cuda/*.cu")}):
+        if file.is_file():
+            digest.update(file.read_bytes())
+    library = (
+        Path(tempfile.gettempdir()) / f"splatrl-emulator-{os.getuid()}" / f"{path.stem}-{digest.hexdigest()[:20]}.so"
+    )
+    if library.is_file():
+        return library
+    library.parent.mkdir(mode=0o700, exist_ok=True)
+    compiler = os.environ.get("CXX") or shutil.which("c++") or shutil.which("g++")
+    assert compiler, "expected the C++ compiler that builds the package"
+    with tempfile.TemporaryDirectory() as folder:
+        main = Path(folder) / "main.cpp"
+        main.write_text(program)
+        made = Path(folder) / "library.so"
+        flags = [
+            "-std=c++17",
+            "-O2",
+            "-g1",
+            "-fPIC",
+            "-shared",
+            "-Wall",
+            "-Wextra",
+            "-Wno-unknown-pragmas",
+            "-ffp-contract=fast",
+            "-U_FORTIFY_SOURCE",
+        ]
+        macros = [f"-D{name}={value}" for name, value in defines]
+        includes = [part for f in folders for part in ("-I", str(f))]
+        command = [compiler, *flags, *macros, *includes, str(main), "-o", str(made)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        temporary = library.with_name(f"{library.name}.{os.getpid()}")
+        shutil.copy(made, temporary)
+        temporary.replace(library)
+    return library

@@ -1,0 +1,286 @@
+// CUDA's execution model on one CPU core, for testing: the threads of a block are fibers, blocks come one after another.
+//
+// A fiber runs until it waits for the others: at a barrier of the block, or with its warp. Which fiber goes on next is
+// drawn by a seed, so what depends on the order of threads between two barriers gives other results with other seeds.
+// Included before a kernel's source, in place of what NVRTC has built in.
+#pragma once
+
+#include <setjmp.h>
+#include <ucontext.h>
+
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#define __global__
+#define __device__
+#define __host__
+#define __shared__ static
+#define __forceinline__ inline
+#define __launch_bounds__(...)
+#define __restrict__ __restrict
+#define __align__(n) alignas(n)
+
+struct alignas(8) float2 { float x, y; };
+struct alignas(16) float4 { float x, y, z, w; };
+struct alignas(8) uint2 { unsigned x, y; };
+struct alignas(16) uint4 { unsigned x, y, z, w; };
+struct alignas(16) double2 { double x, y; };
+struct Index { unsigned x = 0, y = 0, z = 0; };
+static inline float2 make_float2(float x, float y) { return {x, y}; }
+static inline float4 make_float4(float x, float y, float z, float w) { return {x, y, z, w}; }
+static inline uint2 make_uint2(unsigned x, unsigned y) { return {x, y}; }
+static inline uint4 make_uint4(unsigned x, unsigned y, unsigned z, unsigned w) { return {x, y, z, w}; }
+
+namespace emulator {
+
+constexpr unsigned LANES = 32, MOST_THREADS = 1024;
+constexpr size_t STACK = 256 * 1024, MOST_SHARED = 228 * 1024;
+
+struct Barrier {
+    unsigned waiting = 0, passed = 0;
+    int any = 0, every = 1, any_before = 0, every_before = 1;  // votes, and those of the barrier that was passed last
+};
+
+struct Warp {
+    Barrier barrier;
+    uint64_t values[2][LANES] = {};
+};
+
+struct Fiber {
+    ucontext_t context;
+    jmp_buf state;
+    bool started = false, finished = false;
+    Index thread;
+    unsigned collectives = 0;
+};
+
+inline std::vector<Fiber> fibers(MOST_THREADS);
+inline std::vector<char> stacks(MOST_THREADS * STACK);
+inline Warp warps[MOST_THREADS / LANES];
+inline Barrier block_barrier;
+inline Fiber* running = nullptr;
+inline jmp_buf scheduler;
+inline unsigned alive = 0, threads = 0;
+inline uint64_t moves = 0;  // of any barrier: whether anything goes on
+inline Index block, block_size, grid_size;
+alignas(128) inline unsigned char shared_memory[MOST_SHARED];
+
+[[noreturn]] inline void fail(const char* why) {
+    std::fprintf(stderr, "emulated kernel, block %u, thread %u: %s\n", block.x, running ? running->thread.x : 0u, why);
+    std::abort();
+}
+
+inline void yield() {
+    if (_setjmp(running->state) == 0) _longjmp(scheduler, 1);
+}
+
+// Wait until `count` fibers are here.
+inline void meet(Barrier& barrier, unsigned count, int vote = 0) {
+    barrier.any |= vote != 0, barrier.every &= vote != 0;
+    const unsigned turn = barrier.passed;
+    if (++barrier.waiting == count) {
+        barrier.waiting = 0;
+        barrier.any_before = barrier.any, barrier.every_before = barrier.every;
+        barrier.any = 0, barrier.every = 1;
+        ++barrier.passed, ++moves;
+        return;
+    }
+    while (barrier.passed == turn) yield();
+}
+
+inline Warp& warp() { return warps[running->thread.x / LANES]; }
+
+inline unsigned warp_size() {
+    const unsigned first = running->thread.x / LANES * LANES;
+    return threads - first < LANES ? threads - first : LANES;
+}
+
+// Every lane gives a value and sees those of all.
+inline const uint64_t* exchange(unsigned mask, uint64_t value) {
+    if (mask != 0xffffffffu) fail("expected a collective of all 32 lanes");
+    if (warp_size() != LANES) fail("expected whole warps");
+    uint64_t* values = warp().values[running->collectives++ % 2];
+    values[running->thread.x % LANES] = value;
+    meet(warp().barrier, LANES);
+    return values;
+}
+
+template <class T>
+uint64_t to_bits(T value) {
+    static_assert(sizeof(T) <= sizeof(uint64_t), "at most eight bytes");
+    uint64_t bits = 0;
+    std::memcpy(&bits, &value, sizeof(T));
+    return bits;
+}
+
+template <class T>
+T from_bits(uint64_t bits) {
+    T value;
+    std::memcpy(&value, &bits, sizeof(T));
+    return value;
+}
+
+inline void (*body)(void*) = nullptr;
+inline void* body_arguments = nullptr;
+
+inline void enter() {
+    body(body_arguments);
+    running->finished = true;
+    --alive, ++moves;
+    _longjmp(scheduler, 1);
+}
+
+inline void resume(Fiber& fiber, char* stack) {
+    running = &fiber;
+    if (_setjmp(scheduler) != 0) return;
+    if (fiber.started) _longjmp(fiber.state, 1);
+    fiber.started = true;
+    getcontext(&fiber.context);
+    fiber.context.uc_stack.ss_sp = stack;
+    fiber.context.uc_stack.ss_size = STACK;
+    fiber.context.uc_link = nullptr;
+    makecontext(&fiber.context, enter, 0);
+    setcontext(&fiber.context);
+}
+
+inline void run_block(unsigned index, unsigned count, uint64_t seed) {
+    block.x = index, threads = alive = count;
+    block_barrier = Barrier{};
+    for (Warp& one : warps) one = Warp{};
+    for (unsigned i = 0; i < count; ++i) {
+        fibers[i] = Fiber{};
+        fibers[i].thread.x = i;
+    }
+    std::memset(shared_memory, 0xcd, sizeof(shared_memory));  // nothing may be read before it is written
+    uint64_t random = seed * 0x9e3779b97f4a7c15ull + index + 1;
+    while (alive > 0) {
+        const uint64_t before = moves;
+        random = random * 6364136223846793005ull + 1442695040888963407ull;
+        const unsigned first = seed == 0 ? 0 : unsigned(random >> 33) % count;
+        const unsigned stride = seed == 0 || random >> 63 == 0 ? 1 : count - 1;  // forwards or backwards
+        for (unsigned i = 0, at = first; i < count; ++i, at = (at + stride) % count)
+            if (!fibers[at].finished) resume(fibers[at], stacks.data() + at * STACK);
+        if (moves == before && alive > 0) fail("threads wait for others that never come");
+    }
+    running = nullptr;
+}
+
+template <class... A, size_t... I>
+void call(void (*kernel)(A...), void** arguments, std::index_sequence<I...>) {
+    kernel(*static_cast<std::remove_reference_t<A>*>(arguments[I])...);
+}
+
+
+template <class... A>
+void launch(void (*kernel)(A...), unsigned blocks, unsigned count, void** arguments, uint64_t seed) {
+    if (count > MOST_THREADS) fail("expected at most 1024 threads");
+    struct Bound {
+        void (*kernel)(A...);
+        void** arguments;
+    } bound{kernel, arguments};
+    body = [](void* what) {
+        Bound& it = *static_cast<Bound*>(what);
+        call(it.kernel, it.arguments, std::index_sequence_for<A...>{});
+    };
+    body_arguments = &bound;
+    block_size.x = count, grid_size.x = blocks;
+    for (unsigned i = 0; i < blocks; ++i) run_block(i, count, seed);
+}
+
+}  // namespace emulator
+
+#define threadIdx (emulator::running->thread)
+#define blockIdx (emulator::block)
+#define blockDim (emulator::block_size)
+#define gridDim (emulator::grid_size)
+#define DYNAMIC_SHARED(T, name)                                                  \
+    static_assert(sizeof(T) <= emulator::MOST_SHARED, "too much shared memory"); \
+    T& name = *reinterpret_cast<T*>(emulator::shared_memory)
+
+static inline void __syncthreads() { emulator::meet(emulator::block_barrier, emulator::alive); }
+static inline int __syncthreads_or(int vote) {
+    emulator::meet(emulator::block_barrier, emulator::alive, vote);
+    return emulator::block_barrier.any_before;
+}
+static inline int __syncthreads_and(int vote) {
+    emulator::meet(emulator::block_barrier, emulator::alive, vote);
+    return emulator::block_barrier.every_before;
+}
+static inline void __syncwarp(unsigned mask = 0xffffffffu) { emulator::exchange(mask, 0); }
+static inline void __threadfence_block() {}
+static inline unsigned __ballot_sync(unsigned mask, int vote) {
+    const uint64_t* votes = emulator::exchange(mask, vote != 0);
+    unsigned bits = 0;
+    for (unsigned lane = 0; lane < emulator::LANES; ++lane) bits |= unsigned(votes[lane]) << lane;
+    return bits;
+}
+static inline int __any_sync(unsigned mask, int vote) { return __ballot_sync(mask, vote) != 0; }
+static inline int __all_sync(unsigned mask, int vote) { return __ballot_sync(mask, vote) == 0xffffffffu; }
+template <class T>
+T __shfl_sync(unsigned mask, T value, int lane) {
+    return emulator::from_bits<T>(emulator::exchange(mask, emulator::to_bits(value))[lane % 32]);
+}
+template <class T>
+T __shfl_xor_sync(unsigned mask, T value, int lanes) {
+    const unsigned lane = threadIdx.x % 32;
+    return emulator::from_bits<T>(emulator::exchange(mask, emulator::to_bits(value))[lane ^ unsigned(lanes)]);
+}
+template <class T>
+T __shfl_up_sync(unsigned mask, T value, unsigned by) {
+    const unsigned lane = threadIdx.x % 32;
+    return emulator::from_bits<T>(emulator::exchange(mask, emulator::to_bits(value))[lane < by ? lane : lane - by]);
+}
+
+template <class T>
+T atomicAdd(T* to, T value) {
+    const T before = *to;
+    *to = before + value;
+    return before;
+}
+template <class T>
+T atomicMin(T* to, T value) {
+    const T before = *to;
+    if (value < before) *to = value;
+    return before;
+}
+template <class T>
+T atomicMax(T* to, T value) {
+    const T before = *to;
+    if (value > before) *to = value;
+    return before;
+}
+template <class T>
+T atomicOr(T* to, T value) {
+    const T before = *to;
+    *to = before | value;
+    return before;
+}
+
+template <class T>
+T __ldg(const T* from) { return *from; }
+static inline int __popc(unsigned bits) { return __builtin_popcount(bits); }
+static inline int __popcll(unsigned long long bits) { return __builtin_popcountll(bits); }
+static inline int __ffs(unsigned bits) { return __builtin_ffs(int(bits)); }
+static inline int __ffsll(unsigned long long bits) { return __builtin_ffsll((long long)bits); }
+static inline int __clz(unsigned bits) { return bits ? __builtin_clz(bits) : 32; }
+static inline int __clzll(unsigned long long bits) { return bits ? __builtin_clzll(bits) : 64; }
+static inline float __uint_as_float(unsigned bits) { return emulator::from_bits<float>(bits); }
+static inline unsigned __float_as_uint(float value) { return unsigned(emulator::to_bits(value)); }
+static inline float __int_as_float(int bits) { return emulator::from_bits<float>(unsigned(bits)); }
+static inline int __float_as_int(float value) { return int(emulator::to_bits(value)); }
+
+#include "half.h"
+
+namespace splatrl {
+
+static inline float half_to_float(uint16_t half) { return from_half(half); }
+static inline float rounded_to_half(float value) { return from_half(to_half(value)); }
+static inline uint64_t bits_of(double value) { return emulator::to_bits(value); }
+
+}  // namespace splatrl
