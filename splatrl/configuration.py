@@ -3,6 +3,7 @@
 import difflib
 import sys
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -192,7 +193,7 @@ class World:
             self.renderer,
             self.checker,
             self.robot,
-            self.task,
+            deepcopy(self.task),  # an env takes its task along to its device; the plan stays
             curriculum,
             [num_envs],
             seed,

@@ -50,14 +50,15 @@ class Starts(nn.Module):
     def sample(self, level: Tensor, count: int, generator: torch.Generator) -> Tensor:
         """Draw start states: level [] int64 -> [count, D]; takes ``count`` draws of the generator."""
         uniform = torch.rand(count, generator=generator, device=self.ordered.device, dtype=torch.float64)
-        available = self.counts[level]
+        available = self.counts.index_select(0, level.reshape(1))  # an index without a dimension is read by the host
         return self.ordered[(uniform * available).long().clamp_max(available - 1)]
 
 
 class Curriculum(nn.Module):
     """Starts that move away from the goal as the success rate holds.
 
-    Its progress is a buffer, so a resumed run goes on at the level it had.
+    Its progress is a buffer that is changed in place, so a resumed run goes on at the level it had, and a captured step
+    counts on where the last one stopped.
 
     Args:
         plan: states and distances.
@@ -91,4 +92,4 @@ class Curriculum(nn.Module):
 
     def record(self, level: Tensor, finished: Tensor, success: Tensor) -> None:
         """Take note of ended episodes; see ``Schedule.advance``."""
-        self.progress = self.schedule.advance(self.progress, level, finished, success)
+        self.progress.copy_(self.schedule.advance(self.progress, level, finished, success))

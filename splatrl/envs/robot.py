@@ -32,6 +32,9 @@ class Robot:
     image_height: int = 64
     camera_to_body: Tensor = field(init=False, repr=False, compare=False)  # [4, 4]
     K: Tensor = field(init=False, repr=False, compare=False)  # [3, 3]
+    _placed: dict[torch.device, tuple[Tensor, Tensor]] = field(
+        init=False, repr=False, compare=False, default_factory=dict
+    )
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.height):
@@ -52,10 +55,17 @@ class Robot:
         Returns:
             B cameras on the device of ``body_to_world``.
         """
-        camera_to_world = body_to_world @ self.camera_to_body.to(body_to_world)
+        camera_to_body, K = self._camera_on(body_to_world.device)
+        camera_to_world = body_to_world @ camera_to_body
         if camera_offset is not None:
             pitch, roll, yaw = camera_offset[:, 3:].unbind(-1)
             turn = axis_rotations(0, pitch) @ axis_rotations(2, roll) @ axis_rotations(1, yaw)
             rotation = camera_to_world[:, :3, :3] @ turn
             camera_to_world = rigid(rotation, camera_to_world[:, :3, 3] + camera_offset[:, :3])
-        return Cameras(camera_to_world, self.K.to(body_to_world), self.image_width, self.image_height)
+        return Cameras(camera_to_world, K, self.image_width, self.image_height)
+
+    def _camera_on(self, device: torch.device) -> tuple[Tensor, Tensor]:
+        """``camera_to_body`` and ``K`` on a device, copied there once: in every step, the copy would be waited for."""
+        if device not in self._placed:
+            self._placed[device] = self.camera_to_body.to(device), self.K.to(device)
+        return self._placed[device]

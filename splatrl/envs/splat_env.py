@@ -13,6 +13,7 @@ from splatrl.collision.base import Checker
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.robot import Robot
 from splatrl.envs.tasks.base import Outcome, SeenGoal, Task
+from splatrl.faults import Faulty
 from splatrl.renderers.base import Renderer, to_pixels
 
 HAZE = 0.5
@@ -24,6 +25,10 @@ class SplatEnv(EnvBase):
 
     Everything about an episode travels in the TensorDict, so the env itself holds only its random generator and the
     curriculum, both part of ``state_dict()``.
+
+    A step reads no tensor on the host, and neither does a reset by mask, as on a GPU: it draws start states for all
+    rows, of which TorchRL takes those that were asked for, and the renderer is told which to draw. On a CPU the rows
+    are looked up, so that nothing is drawn in vain.
 
     Observation: ``pixels`` [B, H, W, 3] uint8. For users, not for the policy: ``state`` (the task's), ``step_count``
         [B, 1] int64, ``episode_return`` [B, 1] float32, ``level`` [B, 1] int64 at which the episode began, ``outcome``
@@ -49,6 +54,7 @@ class SplatEnv(EnvBase):
         seed: of the env's generator.
         device: of every tensor that it takes and gives.
         depth: whether to observe depth and the camera's pose beside the pixels, as ``SpriteOverlay`` needs them.
+        reset_by_mask: whether resets of some rows go by mask; None does so anywhere but on a CPU.
 
     Raises:
         ValueError: for a batch size that is not one positive number, or a given state that the task does not have.
@@ -68,21 +74,48 @@ class SplatEnv(EnvBase):
         seed: int | None = 0,
         device: torch.device | str = "cpu",
         depth: bool = False,
+        reset_by_mask: bool | None = None,
     ):
         if len(batch_size) != 1 or batch_size[0] < 1:
             raise ValueError(f"batch_size: expected one number of at least 1, got {list(batch_size)}")
         super().__init__(device=device, batch_size=torch.Size(batch_size))
         self.renderer, self.checker, self.robot = renderer, checker, robot
         self.task, self.curriculum, self.depth = task, curriculum, depth
+        self.reset_by_mask = reset_by_mask
         self.generator = torch.Generator(self.device)
-        torch.nn.Module.to(self, self.device)  # EnvBase.to does nothing for the device that it already has
         self._make_specs()
+        torch.nn.Module.to(self, self.device)  # EnvBase.to does nothing for the device that it already has
         self.set_seed(seed)
 
     @property
     def seen_goal(self) -> SeenGoal | None:
         """The task, if its goal is an object that must be seen."""
         return self.task if isinstance(self.task, SeenGoal) else None
+
+    @property
+    def resets_by_mask(self) -> bool:
+        """Whether resets of some rows go by mask."""
+        return self.device.type != "cpu" if self.reset_by_mask is None else self.reset_by_mask
+
+    def to(self, device: torch.device | str) -> "SplatEnv":
+        """Move to a device: task, curriculum, and renderer and checker where they have ``to``.
+
+        Its generator begins anew there, with the seed that it had.
+        """
+        super().to(device)
+        if self.generator.device != self.device:
+            self.generator = torch.Generator(self.device).manual_seed(self.generator.initial_seed())
+        for name in ("renderer", "checker"):
+            move = getattr(getattr(self, name), "to", None)
+            if move is not None:
+                setattr(self, name, move(self.device))
+        return self
+
+    def raise_faults(self) -> None:
+        """Wait for the device, and raise what renderer or checker refused since the last call; see ``Faulty``."""
+        for part in (self.renderer, self.checker):
+            if isinstance(part, Faulty):
+                part.raise_faults()
 
     def _make_specs(self) -> None:
         motion, robot = self.task.motion, self.robot
@@ -118,37 +151,57 @@ class SplatEnv(EnvBase):
         return Composite(specs, shape=size).to(self.device)
 
     def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **_: Any) -> TensorDictBase:
-        rows = None if tensordict is None else tensordict.get("_reset", None)
-        rows = torch.arange(self.numel(), device=self.device) if rows is None else rows.flatten().nonzero().squeeze(1)
-        if set_state:
-            assert tensordict is not None
-            state = self._checked_state(tensordict["state"][rows])
-            level = torch.full_like(state[:, :1], -1, dtype=torch.int64)  # given by hand: of no level
+        given = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
+        mask = given.get("_reset", None)
+        if mask is None or (self.resets_by_mask and not set_state):
+            begun = self._begun(given, slice(None), self.numel(), None if mask is None else mask.flatten(), set_state)
         else:
-            state = self.curriculum.sample(len(rows), self.generator)
-            level = self.curriculum.level.expand(len(rows), 1)
-        offset = None if tensordict is None else tensordict.get("camera_offset", None)
-        poses = self.task.motion.body_to_world(state)
-        begun = {"state": state, "level": level, **self._views(poses, None if offset is None else offset[rows])}
-        if self.seen_goal is not None:
-            given = tensordict.get("target", None) if set_state and tensordict is not None else None
-            begun["target"] = self.fresh_targets(len(rows)) if given is None else given[rows]
+            rows = mask.flatten().nonzero().squeeze(1)
+            part = self._begun(given, rows, len(rows), None, set_state)
+            begun = {key: value.new_zeros(self.numel(), *value.shape[1:]) for key, value in part.items()}
+            for key, value in part.items():
+                begun[key][rows] = value  # the rest of the batch is TorchRL's to fill in
         count = torch.zeros(self.numel(), 1, dtype=torch.int64, device=self.device)
         values = {
-            **{key: value.new_zeros(self.numel(), *value.shape[1:]) for key, value in begun.items()},
+            **begun,
             "step_count": count,
             "episode_return": count.float(),
             "outcome": count.clone(),
             "touched_fraction": torch.ones_like(count, dtype=torch.float32),
             **{key: count.bool() for key in ("done", "terminated", "truncated")},
         }
-        for key, value in begun.items():
-            values[key][rows] = value  # the rest of the batch is TorchRL's to fill in
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
+
+    def _begun(
+        self, given: TensorDictBase, rows: slice | Tensor, count: int, only: Tensor | None, set_state: bool
+    ) -> dict[str, Tensor]:
+        """What episodes of some rows begin with, by key.
+
+        Args:
+            given: what the reset was given.
+            rows: of the batch.
+            count: how many these are.
+            only: [count] bool, which of them to render; None renders all.
+            set_state: whether to begin at the states in ``given``.
+        """
+        if set_state:
+            state = self._checked_state(given["state"][rows].clone())
+            level = torch.full_like(state[:, :1], -1, dtype=torch.int64)  # given by hand: of no level
+        else:
+            state = self.curriculum.sample(count, self.generator)
+            level = self.curriculum.level.expand(count, 1).clone()
+        offset = given.get("camera_offset", None)
+        poses = self.task.motion.body_to_world(state)
+        begun = {"state": state, "level": level}
+        begun |= self._views(poses, None if offset is None else offset[rows], only)
+        if self.seen_goal is not None:
+            target = given.get("target", None) if set_state else None
+            begun["target"] = self.fresh_targets(count) if target is None else target[rows].clone()
+        return begun
 
     def _checked_state(self, state: Tensor) -> Tensor:
         """States from outside: a wrong one would otherwise wrap around or end far away."""
-        spec = self.task.motion.state_spec
+        spec = self.task.motion.state_spec.to(state.device)
         if not spec.expand(len(state), *spec.shape).is_in(state):
             wrong = [row for row, one in enumerate(state) if not spec.is_in(one)]
             limits = f" from {spec.low.tolist()} to {spec.high.tolist()}" if isinstance(spec, Bounded) else ""
@@ -190,12 +243,14 @@ class SplatEnv(EnvBase):
             values["target"] = tensordict["target"].clone()
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
-    def _views(self, body_to_world: Tensor, camera_offset: Tensor | None) -> dict[str, Tensor]:
-        """What robots at some poses observe with their cameras, by key."""
+    def _views(
+        self, body_to_world: Tensor, camera_offset: Tensor | None, only: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """What robots at some poses observe with their cameras, by key; ``only`` as for ``Renderer``."""
         cameras = self.robot.cameras(body_to_world, camera_offset)
         if not self.depth:
-            return {"pixels": self.renderer.pixels(cameras)}
-        rgb, depth, alpha = self.renderer.render(cameras)
+            return {"pixels": self.renderer.pixels(cameras, only)}
+        rgb, depth, alpha = self.renderer.render(cameras, only)
         solid = depth.masked_fill(alpha < HAZE, 0.0)
         return {"pixels": to_pixels(rgb), "depth": solid, "camera_to_world": cameras.camera_to_world}
 

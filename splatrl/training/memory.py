@@ -1,21 +1,73 @@
 """A policy that remembers: a GRU whose state travels in the TensorDict."""
 
-from torch import nn
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor, nn
 from torchrl.data import Unbounded
 from torchrl.envs import InitTracker, TensorDictPrimer, Transform
 from torchrl.modules import GRUModule
 
+from splatrl.envs.transforms.reset_rows import resets_by_mask
+
 STATE = "recurrent_state"
 
 
-def gru(features: int, memory: int) -> GRUModule:
+class Memory(GRUModule):
+    """TorchRL's ``GRUModule``, which anywhere but on a CPU goes step by step.
+
+    TorchRL's asks the host where episodes begin, and in learning cuts the batch up there. Here the state is cleared
+    where an episode begins, so nothing is asked.
+
+    Attributes:
+        stepwise: whether to go step by step; None does so anywhere but on a CPU.
+    """
+
+    stepwise: bool | None = None
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """From ``features`` [B, F], or in learning [B, T, F], to ``hidden`` and the next state."""
+        features, is_init = tensordict[self.in_keys[0]], tensordict["is_init"]
+        stepwise = features.device.type != "cpu" if self.stepwise is None else self.stepwise
+        if not stepwise:
+            return super().forward(tensordict)
+        if not self.recurrent_mode:
+            state = self._after(features, tensordict[STATE].squeeze(-2), is_init)
+            return tensordict.set("hidden", state).set(("next", STATE), state.unsqueeze(-2))
+        state, hidden = tensordict[STATE][:, 0].squeeze(-2), []
+        for step in range(features.shape[1]):
+            state = self._after(features[:, step], state, is_init[:, step])
+            hidden.append(state)
+        stacked = torch.stack(hidden, 1)
+        return tensordict.set("hidden", stacked).set(("next", STATE), stacked.unsqueeze(-2))
+
+    def _after(self, features: Tensor, state: Tensor, is_init: Tensor) -> Tensor:
+        """The state after one step: [B, F], [B, M] and [B, 1] bool -> [B, M]."""
+        cell = self.gru
+        weights = (cell.weight_ih_l0, cell.weight_hh_l0, cell.bias_ih_l0, cell.bias_hh_l0)
+        return torch.gru_cell(features, torch.where(is_init, 0.0, state), *weights)
+
+
+class Forgetting(TensorDictPrimer):
+    """TorchRL's primer with zeros, which over an env that resets by mask does not ask the host whether any is reset."""
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        if not resets_by_mask(self):
+            return super()._reset(tensordict, tensordict_reset)
+        batch = tensordict_reset.batch_size
+        for key, spec in self.primers.items(True, True):
+            shape = spec.shape[-2:]
+            tensordict_reset.set(key, torch.zeros(*batch, *shape, dtype=spec.dtype, device=tensordict_reset.device))
+        return tensordict_reset
+
+
+def gru(features: int, memory: int) -> Memory:
     """From ``features`` and ``recurrent_state`` to ``hidden`` and the next ``recurrent_state``.
 
     Args:
         features: size of the input.
         memory: size of state and output.
     """
-    module = GRUModule(features, memory, in_keys=["features", STATE], out_keys=["hidden", ("next", STATE)])
+    module = Memory(features, memory, in_keys=["features", STATE], out_keys=["hidden", ("next", STATE)])
     for name, parameter in module.gru.named_parameters():
         if name.startswith("weight"):
             nn.init.orthogonal_(parameter)
@@ -35,4 +87,4 @@ def memory_transforms(memory: int) -> list[Transform]:
     """
     if not memory:
         return []
-    return [InitTracker(), TensorDictPrimer({STATE: Unbounded(shape=(1, memory))}, expand_specs=True)]
+    return [InitTracker(), Forgetting({STATE: Unbounded(shape=(1, memory))}, expand_specs=True)]

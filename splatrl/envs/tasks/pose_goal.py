@@ -38,6 +38,7 @@ class PoseGoal(OutcomeRewards):
     """
 
     goal: Tensor  # [3] float64
+    tolerance: Tensor  # [3] float64
 
     def __init__(
         self,
@@ -53,7 +54,8 @@ class PoseGoal(OutcomeRewards):
         if goal is None or len(goal) != 3 or not all(math.isfinite(value) for value in goal):
             got = goal if goal is None else list(goal)
             raise ValueError(f"task.goal: expected finite x, y (metres) and yaw (degrees), got {got}")
-        self.tolerance = torch.tensor([motion.step, motion.step, motion.angle_step], dtype=torch.float64)
+        tolerance = torch.tensor([motion.step, motion.step, motion.angle_step], dtype=torch.float64)
+        self.register_buffer("tolerance", tolerance, persistent=False)
         x, y, yaw_deg = goal
         self.register_buffer("goal", torch.tensor([x, y, math.radians(yaw_deg)], dtype=torch.float64), persistent=False)
 
@@ -62,4 +64,4 @@ class PoseGoal(OutcomeRewards):
         offset = (self.motion.planar(state) - self.goal).abs()
         turn = offset[:, 2] % math.tau
         offset[:, 2] = torch.minimum(turn, math.tau - turn)
-        return (offset <= self.tolerance.to(offset) * (1 + SLACK)).all(1)
+        return (offset <= self.tolerance * (1 + SLACK)).all(1)

@@ -71,8 +71,7 @@ class Appearance(RandomTransform):
         )  # drawn even if not used: what else is drawn must not depend on it
         given = tensordict.get("appearance", None)
         tensordict_reset.set("appearance", drawn if given is None else given.clone())
-        keys = ["pixels", "appearance"]
-        return transform_reset_rows(self._change, keys, ["pixels"], tensordict, tensordict_reset)
+        return transform_reset_rows(self, self._change, tensordict, tensordict_reset)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return self._change(next_tensordict.set("appearance", tensordict["appearance"].clone()))

@@ -2,8 +2,9 @@
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.envs import EnvBase, Transform
+from torchrl.envs import Transform
 
+from splatrl.envs.layers import layers
 from splatrl.envs.splat_env import SplatEnv
 from splatrl.envs.tasks.base import Outcome, SeenGoal
 
@@ -53,9 +54,8 @@ class ImageGoal(Transform):
         Raises:
             ValueError: where that is not a ``SplatEnv`` whose task has such a goal.
         """
-        env: EnvBase | None = self.parent
-        while env is not None and not isinstance(env, SplatEnv):
-            env = getattr(env, "base_env", None)
-        if env is None or env.seen_goal is None:
+        around = self.container
+        env = None if around is None else layers(around)[0]
+        if not isinstance(env, SplatEnv) or env.seen_goal is None:
             raise ValueError("ImageGoal: expected to stand around a SplatEnv whose task has a goal that must be seen")
         return env

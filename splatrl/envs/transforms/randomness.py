@@ -5,7 +5,9 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torchrl.envs import EnvBase, Transform, TransformedEnv
+from torchrl.envs import EnvBase, Transform
+
+from splatrl.envs.layers import layers
 
 
 class RandomTransform(Transform):
@@ -31,9 +33,7 @@ class RandomTransform(Transform):
             env = self.container
         except ValueError:
             return None  # it is held by something else, such as a replay buffer
-        while isinstance(env, TransformedEnv):
-            env = env.base_env
-        return env
+        return None if env is None else layers(env)[0]
 
     @property
     def generator(self) -> torch.Generator:

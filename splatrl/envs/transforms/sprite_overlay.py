@@ -71,7 +71,7 @@ class SpriteOverlay(Transform):
         return td.set("pixels", pixels).set("sprite_share", share)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return transform_reset_rows(self._call, self.in_keys, self.out_keys, tensordict, tensordict_reset)
+        return transform_reset_rows(self, self._call, tensordict, tensordict_reset)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Draw over images that are not an env's."""

@@ -1,0 +1,234 @@
+"""A step, and a reset of those whose episode ended, without the host waiting for the device."""
+
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import EnvBase
+
+from splatrl.configuration import World, build_world, load_config
+from splatrl.curriculum import Curriculum
+from splatrl.envs import SplatEnv
+from splatrl.envs.restart import restart
+from splatrl.envs.transforms import billboard
+from splatrl.faults import FaultFlag
+from tests.envs.contract import EnvContract, assert_same, base_env
+from tests.envs.devices import (
+    HostReadError,
+    NoHostReads,
+    NoTransfers,
+    Painter,
+    SquareChecker,
+    pretend_device,
+)
+from tests.envs.transforms import test_contract
+from tests.envs.transforms.views import transformed
+from tests.tiny import tiny_env, tiny_overrides
+
+SHAKEN = ["transforms/pose_noise=unsteady", "transforms/appearance=varied"]
+WORLDS = {
+    "grid": ["grid"],
+    "fps": ["fps"],
+    "drive": ["drive"],
+    "circle": ["circle"],
+    "hemisphere": ["hemisphere"],
+    "apple": ["apple"],
+    "snake": ["snake"],
+    "poster": ["poster"],
+    "shaken sim2real": ["sim2real", *SHAKEN],
+    "remembering fps": ["fps", "memory=gru"],
+    "stacking grid": ["grid", "memory=stack"],
+}
+
+
+@cache
+def world(name: str) -> World:
+    """The tiny room, with another task each."""
+    task, *more = WORLDS[name]
+    with TemporaryDirectory() as folder:
+        return build_world(load_config([*tiny_overrides(Path(folder), task), *more, "task.max_steps=6"]))
+
+
+def made(name: str, batch: int = 5, device: str = "cpu") -> EnvBase:
+    """An env of a world that resets by mask, and whose renderer and checker ask the host nothing."""
+    env = world(name).env(batch, Curriculum(world(name).plan, 2, threshold=0.01, window=10**6), 1, device)
+    base = base_env(env)
+    base.renderer, base.checker, base.reset_by_mask = Painter(), SquareChecker(), True
+    return env
+
+
+@pytest.fixture
+def whole_overlay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the sprite be drawn on a CPU as it is anywhere else."""
+    monkeypatch.setattr(billboard, "_points", lambda inside: torch.arange(len(inside), device=inside.device))
+
+
+def steps(env: EnvBase, count: int, seed: int = 0) -> Iterator[TensorDictBase]:
+    """Random steps with automatic resets: what each of them was given and gave."""
+    torch.manual_seed(seed)
+    now = env.reset()
+    for _ in range(count):
+        stepped = env.step(env.rand_action(now))
+        yield stepped
+        now = restart(env, stepped["next"])
+
+
+@pytest.mark.usefixtures("whole_overlay")
+@pytest.mark.parametrize("name", WORLDS)
+def test_nothing_is_read_in_a_step_or_in_an_automatic_reset(name: str) -> None:
+    env = made(name)
+    now = env.reset()
+    actions = [env.rand_action(now.clone())["action"] for _ in range(8)]
+    ended = torch.zeros((), dtype=torch.int64)
+    with NoHostReads():
+        for action in actions:
+            stepped = env.step(now.set("action", action))
+            ended = ended + stepped["next", "done"].sum()
+            now = restart(env, stepped["next"])
+    assert ended > 0  # else nothing began anew
+    assert base_env(env).curriculum.progress[1] == ended
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_nothing_is_left_on_the_cpu_or_fetched_from_there(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    pretend_device(monkeypatch)
+    env = made(name, device="meta")
+    assert base_env(env).resets_by_mask
+    now = env._reset(set_state=False)  # TorchRL's reset asks the host whether anything is done
+    action = env.action_spec.zero()
+    for watch in (False, True):  # what is copied once is copied in the first step
+        with NoTransfers() if watch else torch.no_grad():
+            stepped = env.step(now.clone().set("action", action))
+            again = restart(env, stepped["next"])
+        assert {value.device.type for value in stepped.values(True, True)} == {"meta"}
+        assert {value.device.type for value in again.values()} == {"meta"}
+
+
+@pytest.mark.usefixtures("whole_overlay")
+@pytest.mark.parametrize("name", WORLDS)
+def test_an_automatic_reset_gives_what_torchrls_gives_and_keeps_the_last_observation(name: str) -> None:
+    mine, theirs = made(name), made(name)
+    torch.manual_seed(0)
+    now, expected = mine.reset(), theirs.reset()
+    any_ended = False
+    for _ in range(9):
+        action = mine.rand_action(now)["action"]
+        stepped, other = mine.step(now.set("action", action)), theirs.step(expected.set("action", action.clone()))
+        assert_same(stepped["next"], other["next"])
+        before = stepped["next"].clone()
+        now = restart(mine, stepped["next"])
+        assert_same(stepped["next"], before)
+        expected = theirs.step_mdp(other)
+        expected = theirs.reset(expected.set("_reset", expected["done"].clone()), select_reset_only=True)
+        assert_same(now, expected.select(*now.keys()))
+        ended = before["done"].squeeze(1)
+        assert (now["step_count"][ended] == 0).all() and not now["done"].any()
+        any_ended |= bool(ended.any())
+    assert any_ended
+    assert torch.equal(base_env(mine).generator.get_state(), base_env(theirs).generator.get_state())
+
+
+class TestContractByMask(EnvContract):
+    """Every promise of an env, where resets go by mask."""
+
+    def make(self, batch_size: tuple[int], seed: int = 0) -> SplatEnv:
+        env = tiny_env(batch_size, seed, max_steps=15, first=3, threshold=0.01, window=5)
+        env.reset_by_mask = True
+        return env
+
+
+class TestContractOfTransformsByMask(test_contract.TestAllTransforms):
+    def make(self, batch_size: tuple[int], seed: int = 0) -> EnvBase:
+        env = transformed(batch_size, seed)
+        base_env(env).reset_by_mask = True
+        return env
+
+    def test_an_automatic_reset_draws_only_what_ended(self) -> None:
+        env = self.make((4,))
+        now = env.reset()
+        stepped = env.step(env.rand_action(now))
+        stepped["next", "done"][1] = stepped["next", "terminated"][1] = True
+        begun = env._reset(TensorDict({"_reset": stepped["next", "done"]}, [4]), set_state=False)
+        assert [bool(row.any()) for row in begun["depth"]] == stepped["next", "done"].flatten().tolist()
+
+
+@pytest.mark.parametrize("device", ["cpu", "meta"])
+def test_an_env_moves_with_all_that_it_holds(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    pretend_device(monkeypatch)
+
+    class Movable(Painter, SquareChecker):
+        device = "cpu"
+
+        def to(self, device: torch.device) -> "Movable":
+            self.device = device.type
+            return self
+
+    env = made("shaken sim2real")
+    base = base_env(env)
+    base.renderer, base.checker = Movable(), Movable()
+    moved = env.to(device)
+    assert base_env(moved) is base and moved.device.type == device
+    assert {value.device.type for value in moved._reset(set_state=False).values()} == {device}
+    assert base.renderer.device == base.checker.device == device
+    assert {value.device.type for value in (*base.buffers(), *env.transform.buffers())} == {device}
+
+
+def test_an_env_that_moves_back_draws_from_its_seed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    pretend_device(monkeypatch)
+    env = tiny_env((4,), seed=3)
+    first = env.generator.get_state().clone()
+    env.reset()
+    assert not torch.equal(env.generator.get_state(), first)
+    assert torch.equal(env.to("meta").generator.get_state(), first)
+
+
+class Refusing(Painter):
+    """Notes one row on its flag, as a kernel does."""
+
+    def __init__(self) -> None:
+        self.fault = FaultFlag("cpu")
+
+    def raise_faults(self) -> None:
+        row = self.fault.take()
+        if row is not None:
+            raise ValueError(f"camera_to_world[{row}]: expected finite values")
+
+
+def test_what_a_device_noted_is_raised_when_asked_for_and_only_once() -> None:
+    env = tiny_env((3,), renderer=Refusing())
+    env.raise_faults()
+    env.renderer.fault.flag.fill_(2)
+    with pytest.raises(ValueError, match=r"camera_to_world\[2\]: expected finite values"):
+        env.raise_faults()
+    env.raise_faults()
+    tiny_env((3,)).raise_faults()  # others note nothing
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda x: bool(x.any()),
+        lambda x: x[x > 1],
+        lambda x: x[torch.tensor(1)],
+        lambda x: x.index_put((x > 1,), torch.tensor(0.0)),
+        lambda x: x.nonzero(),
+        lambda x: x.multinomial(1),
+        lambda x: x.unique(),
+        lambda x: torch.equal(x, x),
+    ],
+)
+def test_a_read_is_found(read: object) -> None:
+    with pytest.raises(HostReadError), NoHostReads():
+        read(torch.arange(3.0))
+
+
+@pytest.mark.parametrize(
+    "fetch", [lambda x: x + torch.ones(3).to("meta"), lambda x: x[torch.zeros(3).long()], lambda x: x + torch.tensor(2)]
+)
+def test_a_tensor_of_the_cpu_is_found(fetch: object) -> None:
+    with pytest.raises(HostReadError), NoTransfers():
+        fetch(torch.zeros(3, device="meta"))
