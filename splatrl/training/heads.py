@@ -8,10 +8,11 @@ from tensordict.nn import (
     TensorDictModule,
 )
 from torch import Tensor, nn
-from torch.distributions import Categorical as CategoricalDistribution
 from torch.distributions import Distribution
 from torchrl.data import Bounded, Categorical, TensorSpec
 from torchrl.modules import TanhNormal
+
+from splatrl.training.distributions import Choice, Squashed
 
 FIRST_GAIN = 0.01
 """Of the last layer's first weights: the first policy hardly looks at the image."""
@@ -42,14 +43,16 @@ def policy_head(action_spec: TensorSpec, features: int) -> ProbabilisticTensorDi
         ValueError: for any other spec.
     """
     layer: nn.Module
+    kind: type[Distribution]
+    options: dict[str, Tensor]
     if isinstance(action_spec, Categorical):
         layer = orthogonal(nn.Linear(features, action_spec.space.n), FIRST_GAIN)
-        parameters, kind, options = ["logits"], CategoricalDistribution, {"validate_args": False}
+        parameters, kind, options = ["logits"], Choice, {}
     elif isinstance(action_spec, Bounded) and action_spec.dtype.is_floating_point and action_spec.ndim:
         linear = orthogonal(nn.Linear(features, 2 * action_spec.shape[-1]), FIRST_GAIN)
         layer = nn.Sequential(linear, NormalParamExtractor(f"biased_softplus_{FIRST_SCALE}", LEAST_SCALE))
         limits = {"low": action_spec.space.low, "high": action_spec.space.high}
-        parameters, kind = ["loc", "scale"], TanhNormal
+        parameters, kind = ["loc", "scale"], Squashed
         options = {name: limit.reshape(-1, limit.shape[-1])[0] for name, limit in limits.items()}
     else:
         raise ValueError(f"action_spec: expected Categorical or Bounded floats, got {action_spec}")

@@ -33,6 +33,7 @@ READS = {
     aten.histc,
     aten.repeat_interleave,
     aten.multinomial,  # asks whether its probabilities are valid
+    aten.normal,  # and this whether its deviations are
 }
 """Operations for which the host waits."""
 INDEXED = {aten.index, aten.index_put, aten.index_put_, aten._index_put_impl_}

@@ -1,0 +1,54 @@
+"""Distributions of actions that ask the host nothing: PyTorch's and TorchRL's own check what they are given.
+
+Both draw the same numbers as those, from the same generator.
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.distributions import Categorical, Independent, Normal
+from torchrl.modules import TanhNormal
+from torchrl.modules.distributions.continuous import (
+    FasterTransformedDistribution,
+    SafeTanhTransform,
+    _PatchedAffineTransform,
+    _PatchedComposeTransform,
+)
+
+
+class Choice(Categorical):
+    """One of N actions. ``torch.multinomial`` waits for the answer whether its probabilities are valid.
+
+    Args:
+        logits: [..., N].
+    """
+
+    def __init__(self, logits: Tensor):
+        super().__init__(logits=logits, validate_args=False)
+
+    def sample(self, sample_shape: Any = torch.Size()) -> Tensor:  # noqa: B008, an empty size is a constant
+        """Draw from each distribution: the first to arrive in a race of exponential clocks."""
+        if len(sample_shape):
+            return super().sample(sample_shape)
+        return (self.probs / torch.empty_like(self.probs).exponential_()).argmax(-1)
+
+
+class Squashed(TanhNormal):
+    """A normal distribution squashed by a tanh to limits. TorchRL's waits for the answers to five questions.
+
+    Args:
+        loc: [..., D], before the tanh.
+        scale: [..., D], positive.
+        low: [D], lowest action.
+        high: [D], highest action.
+    """
+
+    def __init__(self, loc: Tensor, scale: Tensor, low: Tensor, high: Tensor):
+        self.loc, self.scale, self.low, self.high, self.device = loc, scale, low, high, loc.device
+        self.tanh_loc, self._event_dims = False, 1
+        self.non_trivial_min = self.non_trivial_max = True
+        affine = _PatchedAffineTransform(loc=(high + low) / 2, scale=(high - low) / 2)
+        self._t = _PatchedComposeTransform([SafeTanhTransform(), affine])
+        base = Independent(Normal(loc, scale, validate_args=False), 1, validate_args=False)
+        FasterTransformedDistribution.__init__(self, base, self._t, validate_args=False)
