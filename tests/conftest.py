@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+import torch
 
 from splatrl.scenes import Gaussians, read_gaussians, similarity
 
@@ -21,3 +22,22 @@ def shared_scenes() -> Path:
 def kitchen(shared_scenes: Path) -> Gaussians:
     """A captured kitchen, z up, metres."""
     return read_gaussians(shared_scenes / "kitchen" / "kitchen.spz").transformed(similarity(["x", "-z", "y"]))
+
+
+NO_GPU = "no CUDA device" if not torch.cuda.is_available() else ""
+
+
+@pytest.fixture(scope="session")
+def cuda_device() -> torch.device:
+    """The GPU; tests that need it are marked ``gpu``, and are skipped where there is none."""
+    if NO_GPU:
+        pytest.skip(NO_GPU)
+    pytest.importorskip("cuda.bindings", reason="needs the extra cuda")
+    return torch.device("cuda", torch.cuda.current_device())
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Say where the tests of ``-m gpu`` ran, or that they did not."""
+    if "gpu" in (config.option.markexpr or "").replace("not gpu", ""):
+        where = NO_GPU and f"{NO_GPU}: nothing that needs one was tested"
+        terminalreporter.write_line(where or f"tested on {torch.cuda.get_device_name()}")

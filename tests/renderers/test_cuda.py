@@ -1,0 +1,200 @@
+"""The renderer for GPUs: its kernels' own source, emulated on the CPU, and where there is a GPU on that."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from splatrl import load_scene
+from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.renderers import NativeRenderer, RenderOutput
+from splatrl.renderers.cuda import CudaRenderer, kernel_defines
+from splatrl.scenes import Gaussians, Scene
+from tests.emulator import emulated
+from tests.renderers.cases import LIKENESS, ahead, gaussians, psnr, random_cameras, random_gaussians
+
+Make = Callable[..., CudaRenderer]
+
+
+@pytest.fixture(params=["emulated", pytest.param("gpu", marks=pytest.mark.gpu)])
+def make(request: pytest.FixtureRequest) -> Make:
+    """Makes renderers on either machine."""
+    if request.param == "gpu":
+        device = request.getfixturevalue("cuda_device")
+        return lambda scene, *args, **options: CudaRenderer(scene, *args, device=device, **options)
+    return emulated_renderer
+
+
+def emulated_renderer(
+    scene: Scene | Gaussians, antialiased: bool = True, *args: object, **options: object
+) -> CudaRenderer:
+    """A renderer whose kernels the CPU runs."""
+    kernels = emulated("render", kernel_defines(antialiased))
+    return CudaRenderer(scene, antialiased, *args, kernels=kernels, **options)  # type: ignore[arg-type]
+
+
+def on(renderer: CudaRenderer, cameras: Cameras) -> Cameras:
+    """The cameras on the renderer's device."""
+    return Cameras(
+        cameras.camera_to_world.to(renderer.device), cameras.K.to(renderer.device), cameras.width, cameras.height
+    )
+
+
+def assert_like_native(renderer: CudaRenderer, native: NativeRenderer, cameras: Cameras) -> None:
+    """The agreement that is promised: 999 of 1000 bytes within one grey level, 60 dB."""
+    views = on(renderer, cameras)
+    pixels, expected = renderer.pixels(views).cpu(), native.pixels(cameras)
+    assert float(((pixels.int() - expected.int()).abs() <= 1).float().mean()) >= 0.999
+    image, truth = RenderOutput(*(part.cpu() for part in renderer.render(views))), native.render(cameras)
+    assert psnr(image.rgb, truth.rgb) >= LIKENESS
+    assert psnr(image.alpha, truth.alpha) >= LIKENESS
+    covered = truth.alpha > 0.05
+    errors = ((image.depth - truth.depth).abs() / truth.depth)[covered]
+    assert errors.numel() == 0 or errors.mean() < 1e-4
+    assert torch.equal(pixels, (255 * image.rgb + 0.5).floor().to(torch.uint8))
+
+
+@pytest.mark.parametrize("antialiased", [True, False])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_any_scene_and_camera_look_as_on_the_cpu(make: Make, antialiased: bool, degree: int) -> None:
+    for seed, size in ((degree, (37, 22)), (10 + degree, (31, 65)), (20 + degree, (1, 3))):
+        scene, cameras = random_gaussians(seed, 700, degree), random_cameras(seed + 1, 2, *size)
+        background = (0.2, 0.5, 0.9)
+        assert_like_native(
+            make(scene, antialiased, background), NativeRenderer(scene, antialiased, background), cameras
+        )
+
+
+@pytest.mark.parametrize("antialiased", [True, False])
+@pytest.mark.parametrize("tolerance", [0.0, 0.5, 2.0])
+def test_a_yard_looks_as_on_the_cpu_at_every_level_of_detail(make: Make, antialiased: bool, tolerance: float) -> None:
+    scene = load_scene()
+    cameras = Cameras(
+        look_at([[0.3, -1.0, 0.5], [-1.8, 1.2, 0.6]], [[1.0, 0.4, 0.3], [2.0, -2.0, 0.4]]),
+        intrinsics(1.5, 48, 40),
+        48,
+        40,
+    )
+    native = NativeRenderer(scene, antialiased, tolerance=tolerance)
+    assert_like_native(make(scene, antialiased, tolerance=tolerance), native, cameras)
+
+
+def test_a_captured_room_looks_as_on_the_cpu(make: Make, kitchen: Gaussians) -> None:
+    cameras = Cameras(look_at([0.2, -0.1, 1.05], [1.0, 0.6, 1.0])[None], intrinsics(1.57, 64, 64), 64, 64)
+    assert_like_native(make(kitchen), NativeRenderer(kitchen), cameras)
+
+
+def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order(make: Make) -> None:
+    scene = random_gaussians(3, 1500, 1)
+    renderer = make(scene, memory=1)  # one block draws all
+    cameras = on(renderer, random_cameras(4, 5, 50, 33))
+    together, views = renderer.pixels(cameras), renderer.render(cameras)
+    order = torch.tensor([3, 0, 4, 2, 1], device=renderer.device)
+    others = make(scene)
+    assert torch.equal(others.pixels(cameras[order]), together[order])
+    assert all(torch.equal(a, b[order]) for a, b in zip(others.render(cameras[order]), views, strict=True))
+    for row in range(5):
+        assert torch.equal(renderer.pixels(cameras[row : row + 1]), together[row : row + 1])
+
+
+@pytest.mark.gpu
+def test_thousands_of_frames_have_the_bytes_of_each_alone(cuda_device: torch.device) -> None:
+    renderer = CudaRenderer(load_scene(), tolerance=1.0, device=cuda_device)
+    cameras = on(renderer, random_cameras(4, 64, 64, 64))
+    rows = torch.randint(64, (4096,), generator=torch.Generator().manual_seed(0)).to(cuda_device)
+    assert torch.equal(renderer.pixels(cameras[rows]), renderer.pixels(cameras)[rows])
+    again = [renderer.pixels(cameras[row : row + 1]) for row in range(64)]
+    assert torch.equal(torch.cat(again), renderer.pixels(cameras))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_order_of_threads_between_barriers_changes_nothing(seed: int) -> None:
+    scene, cameras = wall_of_equal_depths(1400), ahead()
+    renderer = emulated_renderer(scene)
+    expected = renderer.pixels(cameras)
+    renderer._kernels.seed = seed  # type: ignore[attr-defined]
+    assert torch.equal(renderer.pixels(cameras), expected)
+
+
+def wall_of_equal_depths(count: int, degree: int = 0) -> Gaussians:
+    """Gaussians at one depth from a camera at the origin, in the order of no coordinate, and some before and behind."""
+    scene = random_gaussians(6, count, degree)
+    scene.means[:, 0] = 2.0
+    scene.means[: count // 50, 0] = torch.linspace(0.5, 900.0, count // 50)
+    return scene
+
+
+@pytest.mark.parametrize("count", [500, 512, 513, 1500, 4000])
+def test_what_lies_at_one_depth_is_in_the_order_of_the_scene(make: Make, count: int) -> None:
+    scene = wall_of_equal_depths(count)
+    assert_like_native(make(scene), NativeRenderer(scene), ahead())
+
+
+def test_depths_far_apart_and_close_together_are_in_order(make: Make) -> None:
+    scene = random_gaussians(7, 3000)
+    scene.means[:, 0] = 2.0 + 1e-9 * torch.randperm(3000, generator=torch.Generator().manual_seed(0))
+    scene.means[:40, 0] = torch.logspace(-1.5, 6, 40)
+    assert_like_native(make(scene), NativeRenderer(scene), ahead())
+
+
+def test_large_images_are_drawn_by_tiles(make: Make) -> None:
+    scene, cameras = random_gaussians(3, 300, 1), random_cameras(8, 1, 150, 101)
+    assert_like_native(make(scene), NativeRenderer(scene), cameras)
+
+
+def test_only_the_rows_that_are_asked_for_are_drawn(make: Make) -> None:
+    renderer = make(random_gaussians(3, 300), background=(1.0, 1.0, 1.0))
+    cameras, only = on(renderer, random_cameras(4, 4)), torch.tensor([True, False, False, True]).to(renderer.device)
+    pixels, whole = renderer.pixels(cameras, only), renderer.pixels(cameras)
+    assert torch.equal(pixels[only], whole[only]) and not pixels[~only].any()
+    image, whole_image = renderer.render(cameras, only), renderer.render(cameras)
+    for part, whole_part in zip(image, whole_image, strict=True):
+        assert torch.equal(part[only], whole_part[only]) and not part[~only].any()
+    with pytest.raises(ValueError, match=r"only: expected \[4\] torch.bool, got \[4\] torch.int64"):
+        renderer.pixels(cameras, only.long())
+
+
+@pytest.mark.parametrize("fault", ["pose", "K", "focal"])
+def test_a_camera_that_cannot_be_drawn_is_black_and_told_of_later(make: Make, fault: str) -> None:
+    renderer = make(random_gaussians(3, 300), background=(1.0, 1.0, 1.0))
+    cameras = random_cameras(4, 4)
+    {"pose": cameras.camera_to_world, "K": cameras.K, "focal": cameras.K}[fault][2, 0, 0] = (
+        -1.0 if fault == "focal" else torch.nan
+    )
+    pixels = renderer.pixels(on(renderer, cameras))
+    assert not pixels[2].any() and pixels[[0, 1, 3]].flatten(1).any(1).all()
+    with pytest.raises(
+        ValueError, match=r"cameras\[2\]: expected finite camera_to_world and K with positive focal lengths"
+    ):
+        renderer.raise_faults()
+    renderer.raise_faults()  # it was told once
+
+
+def test_nothing_at_all_is_drawn(make: Make) -> None:
+    renderer = make(gaussians([[-5.0, 0.0, 0.0]]), background=(0.0, 1.0, 0.0))
+    empty = renderer.pixels(on(renderer, random_cameras(1, 0)))
+    assert empty.shape == (0, 22, 37, 3)
+    unseen = renderer.pixels(on(renderer, ahead()))  # it is behind the camera
+    assert (
+        unseen.unique(dim=-2).tolist() == [[[[0, 255, 0]]] * 31]
+        or (unseen == torch.tensor([0, 255, 0]).to(unseen)).all()
+    )
+
+
+def test_efforts_count_what_was_done(make: Make) -> None:
+    renderer = make(gaussians([[2.0, 0.0, 0.0], [3.0, 0.3, 0.0], [-2.0, 0.0, 0.0]], scale=0.01))
+    projected, visible, blended = renderer.efforts(on(renderer, ahead()))[0].tolist()
+    assert 2 <= visible <= projected <= 8  # each on up to four tiles
+    assert visible <= blended <= 4 * visible
+
+
+def test_a_scene_without_level_of_detail_is_refused_a_wrong_one() -> None:
+    with pytest.raises(ValueError, match="tolerance: expected pixels, at least 0 and finite, got -1"):
+        emulated_renderer(random_gaussians(0, 10), tolerance=-1)
+
+
+def test_gaussians_that_are_not_finite_are_refused() -> None:
+    scene = random_gaussians(0, 10)
+    scene.means[3, 1] = torch.nan
+    with pytest.raises(ValueError, match="gaussians.means: expected finite values"):
+        emulated_renderer(scene)
