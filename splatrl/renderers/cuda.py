@@ -28,6 +28,16 @@ MOST_GAUSSIANS = 2**24
 """That a key has room for, merged ones counted."""
 
 
+def kernel_defines(antialiased: bool) -> dict[str, int]:
+    """What ``cuda/render.cu`` is compiled with."""
+    return {
+        "ANTIALIASED_IMAGES": int(antialiased),
+        "BLOCK_THREADS": BLOCK_THREADS,
+        "BLOCKS_A_MULTIPROCESSOR": BLOCKS_A_MULTIPROCESSOR,
+        "SHARED_BYTES": SHARED_BYTES,
+    }
+
+
 class _SceneArrays(ctypes.Structure):
     """``SceneArrays`` of cuda/tile.h, where all of these are described."""
 
@@ -102,13 +112,7 @@ class CudaRenderer:
         memory: int = 8 * 2**30,
         kernels: Kernels | None = None,
     ) -> None:
-        defines = {
-            "ANTIALIASED_IMAGES": int(antialiased),
-            "BLOCK_THREADS": BLOCK_THREADS,
-            "BLOCKS_A_MULTIPROCESSOR": BLOCKS_A_MULTIPROCESSOR,
-            "SHARED_BYTES": SHARED_BYTES,
-        }
-        self._kernels = kernels or CudaKernels("render", device, defines)
+        self._kernels = kernels or CudaKernels("render", device, kernel_defines(antialiased))
         self.device = self._kernels.device
         gaussians, colour = gaussians_of(scene), checked_background(background)
         arrays = gaussian_arrays(gaussians)

@@ -70,7 +70,11 @@ def translated(source: str, arch: str, defines: Mapping[str, int]) -> tuple[byte
     except RuntimeError as error:  # of cuda-core, where the NVRTC library is not found
         raise ImportError(_MISSING) from error
     log = _Log()
-    code = program.compile("cubin", logs=log).code
+    try:
+        code = program.compile("cubin", logs=log).code
+    except Exception as error:  # cuda-core has no public class for it
+        said = f"{log.text}\n{error}".replace("\0", "").strip()
+        raise RuntimeError(f"{source}.cu for {arch}: expected a source that compiles\n{said}") from error
     return bytes(code), log.text
 
 

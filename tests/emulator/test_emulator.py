@@ -1,0 +1,77 @@
+"""That the emulator finds what it is there to find."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.emulator import emulated
+
+SUMS = """
+#include "platform.h"
+extern "C" __global__ void sums(const int* values, int* out) {
+    __shared__ int total;
+    if (threadIdx.x == 0) total = 0;
+    __syncthreads();
+    int sum = values[blockIdx.x * blockDim.x + threadIdx.x];
+    for (int by = 16; by > 0; by /= 2) sum += __shfl_xor_sync(ALL_LANES, sum, by);
+    if (threadIdx.x % WARP == 0) atomicAdd(&total, sum);
+    __syncthreads();
+    if (threadIdx.x == 0) out[blockIdx.x] = total;
+}
+"""
+RACE = """
+#include "platform.h"
+extern "C" __global__ void race(int* out) {
+    __shared__ int last;
+    last = threadIdx.x;
+    __syncthreads();
+    if (threadIdx.x == 0) *out = last;
+}
+"""
+HALF_A_WARP = """
+#include "platform.h"
+extern "C" __global__ void half(int* out) {
+    if (threadIdx.x < 16) *out = __any_sync(ALL_LANES, 1);
+}
+"""
+HALF_A_MASK = HALF_A_WARP.replace("ALL_LANES, 1", "0xffffu, 1")
+
+
+def source(folder: Path, text: str) -> Path:
+    """A kernel's file."""
+    path = folder / "kernel.cu"
+    path.write_text(text)
+    return path
+
+
+def test_threads_of_blocks_and_warps_work_together(tmp_path: Path) -> None:
+    values, out = torch.arange(3 * 128, dtype=torch.int32), torch.zeros(3, dtype=torch.int32)
+    emulated(source(tmp_path, SUMS)).launch("sums", 3, 128, values, out)
+    assert torch.equal(out, values.view(3, 128).sum(1, dtype=torch.int32))
+
+
+def test_what_depends_on_the_order_of_threads_depends_on_the_seed(tmp_path: Path) -> None:
+    kernels, seen = emulated(source(tmp_path, RACE)), set()
+    for seed in range(8):
+        kernels.seed, out = seed, torch.zeros(1, dtype=torch.int32)
+        kernels.launch("race", 1, 64, out)
+        seen.add(int(out))
+    assert len(seen) > 1
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [(HALF_A_WARP, "threads wait for others that never come"), (HALF_A_MASK, "expected a collective")]
+)
+def test_threads_that_never_come_end_the_program(tmp_path: Path, text: str, said: str) -> None:
+    program = f"""
+import torch
+from tests.emulator import emulated
+emulated({str(source(tmp_path, text))!r}).launch("half", 1, 32, torch.zeros(1, dtype=torch.int32))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False, cwd=Path(__file__).parents[2]
+    )
+    assert done.returncode != 0 and said in done.stderr

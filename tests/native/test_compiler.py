@@ -1,0 +1,95 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from splatrl.native.cuda import compiler
+from splatrl.native.cuda.compiler import FOLDERS, compiled, translated
+from splatrl.renderers.cuda import kernel_defines
+
+SOURCES: dict[str, list[dict[str, int]]] = {
+    "collide": [{}],
+    "render": [kernel_defines(antialiased) for antialiased in (True, False)],
+}
+"""Every kernel, with all that it is compiled with."""
+ARCHITECTURES = ("sm_80", "sm_90", "sm_120")
+
+pytest.importorskip("cuda.core", reason="needs the extra cuda")
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache."""
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with one kernel and one header in place of the package's."""
+    folder = tmp_path / "sources"
+    folder.mkdir()
+    (folder / "double.cu").write_text('#include "factor.h"\nextern "C" __global__ void f(float* x) { *x *= FACTOR; }\n')
+    (folder / "factor.h").write_text("#define FACTOR 2.0f\n")
+    monkeypatch.setattr(compiler, "FOLDERS", (folder,))
+    return folder
+
+
+def test_every_kernel_is_listed_here() -> None:
+    assert set(SOURCES) == {path.stem for path in FOLDERS[0].glob("*.cu")}
+
+
+@pytest.mark.parametrize("arch", ARCHITECTURES)
+@pytest.mark.parametrize(("source", "defines"), [(name, one) for name, many in SOURCES.items() for one in many])
+def test_every_kernel_compiles_for_every_architecture(source: str, defines: dict[str, int], arch: str) -> None:
+    code, log = translated(source, arch, defines)
+    assert code[:4] == b"\x7fELF"
+    assert f"for '{arch}" in log and "registers" in log
+
+
+def test_a_kernel_is_compiled_once_and_says_so(cache: Path, sources: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first = compiled("double", "sm_90")
+    assert "compiling double.cu for sm_90, once" in capsys.readouterr().err
+    assert [path.suffix for path in cache.iterdir()] == [".cubin"]
+    assert compiled("double", "sm_90") == first
+    assert capsys.readouterr().err == ""
+
+
+def test_another_header_architecture_or_macro_is_another_kernel(cache: Path, sources: Path) -> None:
+    compiled("double", "sm_90")
+    (sources / "factor.h").write_text("#define FACTOR 3.0f\n")
+    compiled("double", "sm_90")
+    compiled("double", "sm_80")
+    compiled("double", "sm_80", {"UNUSED": 1})
+    assert len(list(cache.iterdir())) == 4
+
+
+def test_a_source_that_is_wrong_is_refused_with_the_compilers_words(cache: Path, sources: Path) -> None:
+    (sources / "factor.h").write_text("#define FACTOR nonsense\n")
+    with pytest.raises(RuntimeError, match=r'double.cu for sm_90(.|\n)*"nonsense" is undefined'):
+        compiled("double", "sm_90")
+    assert not cache.exists() or not list(cache.iterdir())
+
+
+def test_where_nothing_can_be_kept_it_is_compiled_every_time(
+    tmp_path: Path, sources: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path / "file" / "cache"))
+    assert compiled("double", "sm_90") == compiled("double", "sm_90")
+    assert capsys.readouterr().err.count("set SPLATRL_CACHE") == 2
+
+
+def test_without_the_extra_the_message_says_what_to_install() -> None:
+    program = """
+import sys
+sys.modules["cuda.core"] = None
+from splatrl.native.cuda.compiler import compiled
+try:
+    compiled("render", "sm_90")
+except ImportError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert "pip install 'splatrl[cuda]'" in done.stdout
