@@ -1,0 +1,148 @@
+"""gsplat behind our interface: what it is handed, without a GPU; what it draws, on one."""
+
+import sys
+from types import ModuleType
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from splatrl.cameras import Cameras
+from splatrl.geometry import invert_rigid
+from splatrl.renderers import ReferenceRenderer
+from splatrl.renderers.gsplat import GsplatRenderer
+from splatrl.scenes import Gaussians
+from tests.renderers.cases import double, gaussians, psnr, random_cameras, random_gaussians
+
+BACKGROUND = (0.2, 0.5, 0.9)
+
+
+def rasterization(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+    width: int,
+    height: int,
+    near_plane: float = 0.01,
+    far_plane: float = 1e10,
+    radius_clip: float = 0.0,
+    eps2d: float = 0.3,
+    sh_degree: int | None = None,
+    packed: bool = True,
+    tile_size: int = 16,
+    backgrounds: Tensor | None = None,
+    render_mode: str = "RGB",
+    rasterize_mode: str = "classic",
+) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """What gsplat 1.5.3 promises for these arguments, checked and drawn by the reference."""
+    count, batch = len(means), len(viewmats)
+    assert (means.shape, quats.shape, scales.shape) == ((count, 3), (count, 4), (count, 3))
+    assert opacities.shape == (count,) and viewmats.shape == (batch, 4, 4) and Ks.shape == (batch, 3, 3)
+    assert sh_degree is not None and colors.shape == (count, (sh_degree + 1) ** 2, 3)
+    assert backgrounds is not None and backgrounds.shape == (batch, 3) and batch > 0
+    given = (means, quats, scales, opacities, colors, viewmats, Ks, backgrounds)
+    assert all(value.dtype == torch.float32 and value.is_contiguous() and not value.requires_grad for value in given)
+    assert (near_plane, radius_clip, eps2d, far_plane) == (0.01, 0.0, 0.3, 1e10)
+    scene = Gaussians(means, quats, scales, opacities, colors, batch_size=[count])
+    reference = ReferenceRenderer(scene, rasterize_mode == "antialiased", backgrounds[0].tolist())
+    rgb, depth, alpha = reference.render(Cameras(invert_rigid(viewmats), Ks, width, height))
+    assert render_mode in ("RGB", "RGB+ED") and rasterize_mode in ("classic", "antialiased")
+    colors_out = rgb if render_mode == "RGB" else torch.cat([rgb, depth.unsqueeze(-1)], -1)
+    return colors_out, alpha.unsqueeze(-1), {}
+
+
+@pytest.fixture
+def parts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """A gsplat that is the reference; how many cameras each of its calls got."""
+    calls: list[int] = []
+
+    def noted(**arguments: Any) -> Any:
+        calls.append(len(arguments["viewmats"]))
+        return rasterization(**arguments)
+
+    pretend(monkeypatch, rasterization=noted)
+    return calls
+
+
+def pretend(monkeypatch: pytest.MonkeyPatch, extension: object = "compiled", **contents: Any) -> None:
+    """Install a gsplat of these contents."""
+    package, cuda, backend = (ModuleType(name) for name in ("gsplat", "gsplat.cuda", "gsplat.cuda._backend"))
+    package.__version__, backend._C, cuda._backend = "1.5.3", extension, backend  # type: ignore[attr-defined]
+    for name, value in contents.items():
+        setattr(package, name, value)
+    for module in (package, cuda, backend):
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+
+
+@pytest.mark.usefixtures("parts")
+@pytest.mark.parametrize("antialiased", [True, False])
+@pytest.mark.parametrize("degree", [0, 2])
+def test_it_is_handed_scene_and_cameras_in_its_own_conventions(antialiased: bool, degree: int) -> None:
+    scene, cameras = random_gaussians(1, 80, degree), random_cameras(2)
+    renderer = GsplatRenderer(double(scene), antialiased, BACKGROUND, device="cpu")
+    reference = ReferenceRenderer(scene, antialiased, BACKGROUND)
+    image, expected = renderer.render(cameras), reference.render(cameras)
+    assert all(part.dtype == torch.float32 for part in image)
+    for part, truth in zip(image, expected, strict=True):
+        torch.testing.assert_close(part, truth, atol=1e-4, rtol=1e-4)  # a pose that was inverted twice
+    assert (renderer.pixels(cameras).int() - reference.pixels(cameras).int()).abs().max() <= 1
+
+
+def test_large_batches_are_drawn_in_parts_that_memory_holds(parts: list[int]) -> None:
+    scene, cameras = random_gaussians(1, 80), random_cameras(2, 5)
+    whole = GsplatRenderer(scene, device="cpu").pixels(cameras)
+    renderer = GsplatRenderer(scene, device="cpu", memory=2 * 80 * 140)
+    assert torch.equal(renderer.pixels(cameras), whole)
+    assert parts == [5, 2, 2, 1]
+    assert GsplatRenderer(scene, device="cpu", memory=0).at_once == 1
+
+
+def test_only_the_rows_that_are_asked_for_are_drawn(parts: list[int]) -> None:
+    renderer, cameras = GsplatRenderer(random_gaussians(1, 80), True, BACKGROUND, device="cpu"), random_cameras(2, 4)
+    whole, only = renderer.pixels(cameras), torch.tensor([True, False, False, True])
+    assert torch.equal(renderer.pixels(cameras, only), whole * only.view(-1, 1, 1, 1))
+    assert parts == [4, 2]
+    nothing = torch.zeros(4, dtype=torch.bool)
+    assert not renderer.pixels(cameras, nothing).any() and not renderer.render(cameras, nothing).rgb.any()
+    assert renderer.render(cameras[:0]).rgb.shape == (0, 22, 37, 3) and parts == [4, 2]
+
+
+@pytest.mark.usefixtures("parts")
+def test_a_camera_that_is_not_finite_is_refused() -> None:
+    cameras = random_cameras(2, 4)
+    cameras.camera_to_world[2, 0, 0] = torch.nan
+    with pytest.raises(ValueError, match=r"camera_to_world\[2\]: expected finite values"):
+        GsplatRenderer(random_gaussians(1, 80), device="cpu").pixels(cameras)
+
+
+def test_a_missing_gsplat_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gsplat", None)
+    with pytest.raises(ImportError, match=r"pip install 'splatrl\[gsplat\]'"):
+        GsplatRenderer(gaussians([[1.0, 0.0, 0.0]]), device="cpu")
+
+
+def test_a_gsplat_without_a_compiler_says_what_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    pretend(monkeypatch, extension=None)
+    with pytest.raises(ImportError, match=r"gsplat 1.5.3 is installed, but nvcc was not found"):
+        GsplatRenderer(gaussians([[1.0, 0.0, 0.0]]), device="cpu")
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("degree", [0, 3])
+def test_classic_images_are_those_of_the_reference(cuda_device: torch.device, degree: int) -> None:
+    pytest.importorskip("gsplat")
+    scene, cameras = random_gaussians(3, 300, degree), random_cameras(4)
+    try:
+        renderer = GsplatRenderer(scene, False, BACKGROUND, device=cuda_device)
+    except ImportError as error:
+        pytest.skip(str(error))
+    image, truth = renderer.render(cameras), ReferenceRenderer(double(scene), False, BACKGROUND).render(cameras)
+    assert psnr(image.rgb, truth.rgb) >= 50.0  # a Gaussian at the limit of 1/255 falls on either side of it
+    assert psnr(image.alpha, truth.alpha) >= 50.0
+    covered = truth.alpha > 0.05
+    assert ((image.depth - truth.depth).abs() / truth.depth)[covered].mean() < 1e-3
