@@ -17,14 +17,19 @@ _MISSING = (
 )
 
 
-def compiled(source: str, arch: str, defines: Mapping[str, int] | None = None) -> bytes:
+def source_path(source: str | Path) -> Path:
+    """The file of a source: a name, without its ending, in ``splatrl/native/cuda``; or a path."""
+    return Path(source) if Path(source).suffix else FOLDERS[0] / f"{source}.cu"
+
+
+def compiled(source: str | Path, arch: str, defines: Mapping[str, int] | None = None) -> bytes:
     """Machine code (cubin) of a source, from the cache where it is there.
 
     The first time a line on standard error says what is compiled, as it takes seconds. Where the cache cannot be
     written to, it is compiled every time.
 
     Args:
-        source: name of a file in ``splatrl/native/cuda``, without its ending.
+        source: as for ``source_path``.
         arch: ``"sm_90"`` and so on.
         defines: macros, by name.
 
@@ -32,11 +37,12 @@ def compiled(source: str, arch: str, defines: Mapping[str, int] | None = None) -
         ImportError: where cuda-core or NVRTC is not installed; says how to get them.
         RuntimeError: where the source does not compile; NVRTC's log.
     """
-    path = cache_dir() / f"{source}-{arch}-{_digest(source, arch, defines or {})}.cubin"
+    name = source_path(source).stem
+    path = cache_dir() / f"{name}-{arch}-{_digest(source, arch, defines or {})}.cubin"
     if path.is_file():
         return path.read_bytes()
     start = time.monotonic()
-    print(f"splatrl: compiling {source}.cu for {arch}, once ...", end="", file=sys.stderr, flush=True)
+    print(f"splatrl: compiling {name}.cu for {arch}, once ...", end="", file=sys.stderr, flush=True)
     code, _ = translated(source, arch, defines or {})
     print(f" {time.monotonic() - start:.1f} s", file=sys.stderr)
     try:
@@ -48,14 +54,15 @@ def compiled(source: str, arch: str, defines: Mapping[str, int] | None = None) -
     return code
 
 
-def translated(source: str, arch: str, defines: Mapping[str, int]) -> tuple[bytes, str]:
+def translated(source: str | Path, arch: str, defines: Mapping[str, int]) -> tuple[bytes, str]:
     """Compile a source: machine code, and what the assembler says of registers and memory. See ``compiled``."""
     try:
         from cuda.core import Program, ProgramOptions
     except ImportError as error:
         raise ImportError(_MISSING) from error
+    path = source_path(source)
     options = ProgramOptions(
-        name=f"{source}.cu",
+        name=path.name,
         arch=arch,
         std="c++17",
         include_path=[str(folder) for folder in FOLDERS],
@@ -64,9 +71,8 @@ def translated(source: str, arch: str, defines: Mapping[str, int]) -> tuple[byte
         ptxas_options=["-v"],
         lineinfo=True,
     )
-    text = (FOLDERS[0] / f"{source}.cu").read_text()
     try:
-        program = Program(text, "c++", options)
+        program = Program(path.read_text(), "c++", options)
     except RuntimeError as error:  # of cuda-core, where the NVRTC library is not found
         raise ImportError(_MISSING) from error
     log = _Log()
@@ -74,7 +80,7 @@ def translated(source: str, arch: str, defines: Mapping[str, int]) -> tuple[byte
         code = program.compile("cubin", logs=log).code
     except Exception as error:  # cuda-core has no public class for it
         said = f"{log.text}\n{error}".replace("\0", "").strip()
-        raise RuntimeError(f"{source}.cu for {arch}: expected a source that compiles\n{said}") from error
+        raise RuntimeError(f"{path.name} for {arch}: expected a source that compiles\n{said}") from error
     return bytes(code), log.text
 
 
@@ -88,16 +94,16 @@ class _Log:
         self.text += text
 
 
-def _digest(source: str, arch: str, defines: Mapping[str, int]) -> str:
+def _digest(source: str | Path, arch: str, defines: Mapping[str, int]) -> str:
     """Of all that machine code is made from: every header counts, whether the source includes it or not."""
     digest = hashlib.sha256()
     files = [path for folder in FOLDERS for path in sorted(folder.iterdir()) if path.suffix in (".h", ".cu", "")]
-    for path in files:
+    for path in (*files, source_path(source)):
         if path.is_file():
             digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     try:
         version = importlib.metadata.version("nvidia-cuda-nvrtc")
     except importlib.metadata.PackageNotFoundError:
         version = ""
-    digest.update(repr((source, arch, sorted(defines.items()), version)).encode())
+    digest.update(repr((source_path(source).name, arch, sorted(defines.items()), version)).encode())
     return digest.hexdigest()[:24]

@@ -2,6 +2,7 @@
 
 import ctypes
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Protocol
 
 import torch
@@ -64,7 +65,7 @@ class CudaKernels:
     """Kernels on a CUDA device, by the driver's own interface: see ``Kernels``.
 
     Args:
-        source: name of the file in ``splatrl/native/cuda``.
+        source: name of a file in ``splatrl/native/cuda``, or a path.
         device: a CUDA device.
         defines: macros.
 
@@ -73,7 +74,9 @@ class CudaKernels:
         RuntimeError: where the driver refuses the code.
     """
 
-    def __init__(self, source: str, device: torch.device | str, defines: Mapping[str, int] | None = None) -> None:
+    def __init__(
+        self, source: str | Path, device: torch.device | str, defines: Mapping[str, int] | None = None
+    ) -> None:
         self.device = torch.empty(0, device=device).device  # with its index; and PyTorch's context is there from now on
         major, minor = torch.cuda.get_device_capability(self.device)
         self.multiprocessors = torch.cuda.get_device_properties(self.device).multi_processor_count
