@@ -68,6 +68,15 @@ class Collider:
         half_length: float,  # of a capsule's cylinder, metres
         radius: float,  # of a sphere or capsule, metres; 0 for a box
     ) -> None: ...
+    @property
+    def bits(self) -> NDArray[np.uint64]:
+        """[X, Y, words]: bit z of a column is the voxel (x, y, z). Read only, as the next one."""
+    @property
+    def distance(self) -> NDArray[np.uint16]:
+        """[X, Y, Z]: from each voxel to the nearest solid one, in 1/256 of a voxel."""
+    @property
+    def shape(self) -> tuple[float, float, float, float, float, float, float]:
+        """The body, grown by what counts as a touch: half extents, half length, radius, inner and outer radius, voxels."""
     def collides(self, poses: int, out: int, count: int, threads: int, /) -> int: ...  # [B, 4, 4] float32 -> bool
     def touched_fraction(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...  # -> float32
     def sweeps(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...  # -> bool

@@ -1,97 +1,120 @@
-// A box, at rest or on a straight way, against voxels.
+// A box, at rest or on a straight way, against voxels. Two convex bodies are apart where their shadows on some normal
+// are: of the box, the voxel, and each pair of an edge of one and an edge of the other; while the box moves, the way is
+// an edge too.
 #pragma once
 
-#include <algorithm>
-#include <cmath>
-
+#include "collision_pose.h"
+#include "collision_shape.h"
 #include "columns.h"
-#include "contact.h"
 
 namespace splatrl {
 
-// A box on a straight way, against voxels. Two convex bodies are apart where their shadows on some normal are: of the
-// box, the voxel, and each pair of an edge of one and an edge of the other; while the box moves, the way is an edge too.
-class BoxSweep {
-public:
-    BoxSweep(const Shape& shape, const Pose& pose, const Vec3& way) : start_(pose.position), way_(way) {
-        Mat3 edges;  // of the box, unit
-        for (int i = 0; i < 3; ++i) edges[i] = {pose.rotation[0][i], pose.rotation[1][i], pose.rotation[2][i]};
-        for (int i = 0; i < 3; ++i) middle_[i] = start_[i] + 0.5 * way[i];
-        const double length = norm(way);
-        const Mat3 world{Vec3{1.0, 0.0, 0.0}, Vec3{0.0, 1.0, 0.0}, Vec3{0.0, 0.0, 1.0}};
-        for (const Vec3& edge : edges) add(shape, edges, edge, true);
-        for (const Vec3& axis : world)
-            for (const Vec3& edge : edges) add(shape, edges, cross(axis, edge), true);
-        if (length == 0.0) return;  // the columns are within the box around the body: no need for its own normals
-        const Vec3 direction{way[0] / length, way[1] / length, way[2] / length};
-        for (const Vec3& axis : world) {
-            add(shape, edges, axis, true);
-            add(shape, edges, cross(axis, direction), false);
-        }
-        for (const Vec3& edge : edges) add(shape, edges, cross(edge, direction), false);
-    }
+struct Normal {
+    Vec3 axis;
+    double inverse_z;  // 0 where the axis has no z
+    double reach;      // of box and voxel together, at rest
+    double swept;      // and with half the way
+    double speed;      // of the box along the axis
+    bool still;        // whether it belongs to the bodies, not to the way
+};
 
-    // The voxels of a column that are touched on the way.
-    Range column(int x, int y, Range zs) const {
-        double low = zs.first - middle_[2] + 0.5, high = zs.last - middle_[2] + 0.5;  // of the voxels' centres
-        const double dx = x + 0.5 - middle_[0], dy = y + 0.5 - middle_[1];
-        for (int i = 0; i < count_; ++i) {
-            const Normal& n = normals_[i];
+// What the normals are made of.
+struct BoxWay {
+    Vec3 half, way, direction;
+    Mat3 edges;   // rows: the box's, unit
+    int normals;  // how many, at most
+};
+
+constexpr int NORMALS = 21, NORMALS_AT_REST = 12;  // columns are within the box around the body: no need for the
+                                                   // voxel's own normals where that does not move
+
+SPLAT_INLINE BoxWay box_way(const Shape& shape, const Pose& pose, const Vec3& way) {
+    const double length = norm(way);
+    BoxWay out{shape.half, way, {}, {}, length == 0.0 ? NORMALS_AT_REST : NORMALS};
+    for (int i = 0; i < 3; ++i) {
+        out.edges[i] = column_of(pose.rotation, i);
+        out.direction[i] = length == 0.0 ? 0.0 : way[i] / length;
+    }
+    return out;
+}
+
+SPLAT_INLINE Vec3 row_of(const Mat3& matrix, int i) { return i == 0 ? matrix[0] : i == 1 ? matrix[1] : matrix[2]; }
+SPLAT_INLINE Vec3 unit(int axis) { return {double(axis == 0), double(axis == 1), double(axis == 2)}; }
+
+SPLAT_INLINE Vec3 normal_axis(const BoxWay& box, int i) {
+    const int kind = i / 3, which = i % 3;
+    if (kind == 0) return row_of(box.edges, which);
+    if (kind < 4) return cross(unit(kind - 1), row_of(box.edges, which));
+    if (kind == 4) return unit(which);
+    return cross(kind == 5 ? unit(which) : row_of(box.edges, which), box.direction);
+}
+
+// The i-th normal. Edges that are parallel have none: then another normal decides.
+SPLAT_INLINE bool make_normal(const BoxWay& box, int i, Normal& out) {
+    const Vec3 axis = normal_axis(box, i);
+    double reach = SLACK;
+    for (int k = 0; k < 3; ++k) reach += 0.5 * fabs(axis[k]) + box.half[k] * fabs(dot(box.edges[k], axis));
+    const double speed = dot(box.way, axis);
+    const double inverse_z = fabs(axis[2]) > 1e-9 ? 1.0 / axis[2] : 0.0;
+    out = {axis, inverse_z, reach, reach + 0.5 * fabs(speed), speed, i < 15};
+    return norm(axis) >= 1e-6;
+}
+
+struct BoxSweep {
+    Vec3 start, middle;
+    const Normal* normals;
+    int count;
+
+    // The heights in a column at which voxels are touched on the way.
+    HOST_DEVICE Range touched_in(const Column& column) const {
+        const Range& zs = column.zs;
+        double low = zs.first - middle[2] + 0.5, high = zs.last - middle[2] + 0.5;  // of the voxels' centres
+        const double dx = column.x + 0.5 - middle[0], dy = column.y + 0.5 - middle[1];
+        for (int i = 0; i < count; ++i) {
+            const Normal& n = normals[i];
             const double base = n.axis[0] * dx + n.axis[1] * dy;
             if (n.inverse_z == 0.0) {
-                if (std::fabs(base) > n.swept) return {0, -1};
+                if (fabs(base) > n.swept) return {0, -1};
                 continue;
             }
-            const double center = -base * n.inverse_z, half = n.swept * std::fabs(n.inverse_z);
-            low = std::max(low, center - half);
-            high = std::min(high, center + half);
+            const double center = -base * n.inverse_z, half = n.swept * fabs(n.inverse_z);
+            low = max(low, center - half);
+            high = min(high, center + half);
             if (low > high + 2.0 * SLACK) return {0, -1};
         }
-        return {ceil_of(low + middle_[2] - 0.5 - SLACK), floor_of(high + middle_[2] - 0.5 + SLACK)};
+        const int first = ceil_of(low + middle[2] - 0.5 - SLACK), last = floor_of(high + middle[2] - 0.5 + SLACK);
+        return {max(first, zs.first), min(last, zs.last)};
     }
 
     // The first t in [0, 1] at which a voxel is touched, or NEVER.
-    double contact(int x, int y, int z) const {
-        const Vec3 apart{x + 0.5 - start_[0], y + 0.5 - start_[1], z + 0.5 - start_[2]};
+    HOST_DEVICE double contact_with(int x, int y, int z) const {
+        const Vec3 apart{x + 0.5 - start[0], y + 0.5 - start[1], z + 0.5 - start[2]};
         double enter = 0.0, leave = 1.0;
-        for (int i = 0; i < count_; ++i) {
-            const Normal& n = normals_[i];
+        for (int i = 0; i < count; ++i) {
+            const Normal& n = normals[i];
             if (!n.still) continue;
             const double from = dot(apart, n.axis), speed = n.speed;
-            if (std::fabs(speed) < 1e-12) {
-                if (std::fabs(from) > n.reach) return NEVER;
+            if (fabs(speed) < 1e-12) {
+                if (fabs(from) > n.reach) return NEVER;
                 continue;
             }
             const double a = (from - n.reach) / speed, b = (from + n.reach) / speed;
-            enter = std::max(enter, std::min(a, b));
-            leave = std::min(leave, std::max(a, b));
+            enter = max(enter, min(a, b));
+            leave = min(leave, max(a, b));
         }
         return enter <= leave ? enter : NEVER;
     }
 
-private:
-    struct Normal {
-        Vec3 axis;
-        double inverse_z;  // 0 where the axis has no z
-        double reach;      // of box and voxel together, at rest
-        double swept;      // and with half the way
-        double speed;      // of the box along the axis
-        bool still;        // whether it belongs to the bodies, not to the way
-    };
-
-    void add(const Shape& shape, const Mat3& edges, const Vec3& axis, bool still) {
-        const double length = norm(axis);
-        if (length < 1e-6) return;  // parallel edges: another normal decides
-        double reach = SLACK;
-        for (int i = 0; i < 3; ++i) reach += 0.5 * std::fabs(axis[i]) + shape.half[i] * std::fabs(dot(edges[i], axis));
-        const double speed = dot(way_, axis);
-        const double inverse_z = std::fabs(axis[2]) > 1e-9 ? 1.0 / axis[2] : 0.0;
-        normals_[count_++] = {axis, inverse_z, reach, reach + 0.5 * std::fabs(speed), speed, still};
+    // The first with any voxel of a column; with `any`, only whether there is one: 0 or NEVER.
+    HOST_DEVICE double contact(Column column, bool any) const {
+        column.zs = touched_in(column);
+        double first = NEVER;
+        any_solid(column, [&](int z) {
+            first = any ? 0.0 : min(first, contact_with(column.x, column.y, z));
+            return first == 0.0;
+        });
+        return first;
     }
-
-    Vec3 start_, way_, middle_;
-    Normal normals_[21];
-    int count_ = 0;
 };
 
 }  // namespace splatrl

@@ -1,79 +1,87 @@
 // Bodies against a grid of solid voxels: at a pose, and on the way between two.
 //
-// Lengths are in voxels and positions count from the corner of the grid; the voxel (x, y, z) is the closed box from there
-// to (x + 1, y + 1, z + 1). A touch is a hit. What lies outside the grid is free. Arithmetic is in double precision.
+// Lengths are in voxels and positions count from the corner of the grid. A touch is a hit. What lies outside the grid
+// is free. Arithmetic is in double precision. CPU and CUDA share all of this but `contact(shape, pose, way, any)`, the
+// search for the first contact: a CPU takes one column after the other, a GPU many at a time. It returns the first t in
+// [0, 1], or NEVER; with `any`, what is returned below that says only that something is touched.
 #pragma once
 
-#include <array>
-#include <cstddef>
-#include <cstdint>
-#include <vector>
-
-#include "buffer.h"
+#include "collision_pose.h"
+#include "collision_shape.h"
 
 namespace splatrl {
 
-using Vec3 = std::array<double, 3>;
-using Mat3 = std::array<Vec3, 3>;  // rows
-
-struct Grid {
-    int size[3];
-    double resolution, inverse;   // metres, 1 / metres
-    Vec3 corner;                  // of the grid in the world, metres
-    size_t solid;                 // voxels
-    int words;                    // of a column
-    std::vector<uint64_t> bits;  // [x, y, words]: bit z of a column is the voxel (x, y, z)
-    // [x, y, z] from the centre of each voxel to that of the nearest solid one, in DISTANCE_STEPS a voxel, rounded down;
-    // what is further than FARTHEST is that.
-    Buffer<uint16_t> distance;
-};
-
-constexpr double DISTANCE_STEPS = 256.0;
-constexpr uint16_t FARTHEST = 0xffff;
-
-// A box (half extents), a sphere, or a capsule along its z (half length of the cylinder).
-struct Shape {
-    enum Kind { BOX, SPHERE, CAPSULE } kind;
-    Vec3 half;
-    double half_length, radius;
-    double inner, outer;  // radii of the largest ball about the origin within, and of the smallest around
-
-    Shape(Kind kind, const Vec3& half, double half_length, double radius);
-    Shape grown(double by) const;
-};
-
-struct Pose {
-    Mat3 rotation;  // body_to_world
-    Vec3 position;  // voxels
-};
-
-// Whether a row-major 4×4 matrix is a pose: finite, a rotation, rigid.
-bool is_pose(const float* matrix);
-
-// From such a matrix in metres.
-Vec3 position_of(const float* matrix, const Grid& grid);
-Pose pose_of(const float* matrix, const Grid& grid);
+constexpr double MARGIN = 1e-4;      // voxels: beyond single precision of the distance field
+constexpr double TURN_SLACK = 0.1;   // voxels
+constexpr double NEARLY_ALL = 1.0 - 1e-7;
 
 // What the distance field alone says of a pose; MAYBE is for `touches` to decide.
 enum class Verdict { FREE, HIT, MAYBE };
-Verdict judge(const Grid& grid, const Shape& shape, const Vec3& position);
-bool touches(const Grid& grid, const Shape& shape, const Pose& pose);
 
-// Whether the distance field alone says that a move touches nothing.
-bool passes(const Grid& grid, const Shape& shape, const Vec3& start, const Vec3& end);
+SPLAT_INLINE Verdict judge(const Grid& grid, const Shape& shape, const Vec3& position) {
+    if (grid.empty) return Verdict::FREE;
+    const Nearby near = nearby(grid, position);
+    const bool free = near.at_least > shape.outer + MARGIN, hit = near.at_most <= shape.inner - MARGIN;
+    return Verdict(2 - 2 * int(free) - int(hit));  // never both
+}
+
+template <class Contact>
+SPLAT_INLINE bool touches(const Shape& shape, const Pose& pose, const Contact& contact) {
+    return contact(shape, pose, Vec3{0.0, 0.0, 0.0}, true) == 0.0;
+}
+
+template <class Contact>
+SPLAT_INLINE bool collides(const Grid& grid, const Shape& shape, const Pose& pose, const Contact& contact) {
+    const Verdict verdict = judge(grid, shape, pose.position);
+    return verdict == Verdict::HIT || (verdict == Verdict::MAYBE && touches(shape, pose, contact));
+}
+
+// Whether the distance field alone says that a straight move touches nothing.
+SPLAT_INLINE bool passes(const Grid& grid, const Shape& shape, const Vec3& start, const Vec3& way) {
+    return clearance(grid, along(start, way, 0.5)) > shape.outer + 0.5 * norm(way) + MARGIN;
+}
+
+// A turn about one axis, cut into parts; in each the orientation is that of its middle.
+struct Turn {
+    Vec3 axis;
+    double angle;
+    int parts;
+};
+
+SPLAT_INLINE Turn turn_of(const Shape& shape, const Mat3& from, const Mat3& to) {
+    Turn out{{0.0, 0.0, 0.0}, 0.0, 1};
+    if (shape.kind == Shape::SPHERE || same(from, to)) return out;
+    out.angle = turn_between(from, to, out.axis);
+    // A point that turns by φ / 2 to either side of the middle is off by at most 2 R sin(φ / 4).
+    out.parts = max(1, int(ceil(0.5 * shape.outer * out.angle / TURN_SLACK)));
+    return out;
+}
 
 // The share of a straight move, turning evenly about one axis, that is free: 1 where nothing is touched, ends included.
-// Exact at a fixed orientation (a capsule within 1e-6 voxels). A turn is cut into parts; in each the orientation is that
-// of its middle and the body is grown by what its points may be off, at most TURN_SLACK: never too far.
+// Exact at a fixed orientation (a capsule within 1e-6 voxels). In each part of a turn the body is grown by what its
+// points may be off, at most TURN_SLACK: never too far.
 // With `any`, what is returned below 1 says only that something is touched.
-double touched_fraction(const Grid& grid, const Shape& shape, const Pose& start, const Pose& end, bool any);
-
-constexpr double TURN_SLACK = 0.1;  // voxels
-
-// Have the distance at a point fetched: grids are larger than caches, and poses come in no order.
-void fetch(const Grid& grid, const Vec3& point);
-
-// A lower bound of the distance from a point to the nearest solid voxel, voxels.
-double clearance(const Grid& grid, const Vec3& point);
+template <class Contact>
+HOST_DEVICE inline double touched_fraction(const Grid& grid, const Shape& shape, const Pose& start, const Pose& end,
+                                           bool any, const Contact& contact) {
+    const Vec3 way = between(start.position, end.position);
+    if (passes(grid, shape, start.position, way)) return 1.0;
+    const Turn turn = turn_of(shape, start.rotation, end.rotation);
+    if (turn.angle == 0.0) {
+        const double first = contact(shape, start, way, any);
+        return first <= 1.0 ? min(first, NEARLY_ALL) : 1.0;
+    }
+    if (collides(grid, shape, start, contact)) return 0.0;
+    const Shape larger = grown(shape, 2.0 * shape.outer * sin(0.25 * turn.angle / turn.parts));
+    const Vec3 part_way = along(Vec3{0.0, 0.0, 0.0}, way, 1.0 / turn.parts);
+    for (int part = 0; part < turn.parts; ++part) {
+        const Vec3 position = along(start.position, way, double(part) / turn.parts);
+        if (passes(grid, larger, position, part_way)) continue;
+        const Pose pose{turned(turn.axis, turn.angle * (part + 0.5) / turn.parts, start.rotation), position};
+        const double first = contact(larger, pose, part_way, any);
+        if (first <= 1.0) return min((part + first) / turn.parts, NEARLY_ALL);
+    }
+    return collides(grid, shape, end, contact) ? NEARLY_ALL : 1.0;
+}
 
 }  // namespace splatrl

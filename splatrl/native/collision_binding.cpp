@@ -7,6 +7,9 @@
 #include "arrays.h"
 #include "bindings.h"
 #include "collision.h"
+#include "first_contact.h"
+#include "packed_grid.h"
+#include "rigid.h"
 #include "threads.h"
 
 namespace nb = nanobind;
@@ -22,36 +25,40 @@ constexpr size_t AT_ONCE = 32;  // queries that are prepared before they are ans
 using Solid = Tensor<const bool, -1, -1, -1>;
 using Distances = Tensor<const float, -1, -1, -1>;
 
-Grid grid_of(const Solid& solid, const Distances& distance, const Vec3& corner, double resolution) {
-    Grid grid{};
+PackedGrid packed(const Solid& solid, const Distances& distance, const Vec3& corner, double resolution) {
+    int size[3];
     for (int i = 0; i < 3; ++i) {
-        grid.size[i] = int(solid.shape(i));
+        size[i] = int(solid.shape(i));
         if (solid.shape(i) != distance.shape(i)) throw std::invalid_argument("distance: expected the shape of solid");
     }
-    grid.resolution = resolution;
-    grid.inverse = 1.0 / resolution;
-    grid.corner = corner;
-    grid.words = (grid.size[2] + 63) / 64;
-    const size_t columns = solid.shape(0) * solid.shape(1), height = solid.shape(2);
-    grid.bits.assign(columns * grid.words, 0);
-    for (size_t column = 0; column < columns; ++column)
-        for (size_t z = 0; z < height; ++z) {
-            const bool filled = solid.data()[column * height + z];
-            grid.bits[column * grid.words + z / 64] |= uint64_t(filled) << z % 64;
-            grid.solid += filled;
-        }
-    grid.distance = make_buffer<uint16_t>(columns * height);
-    for (size_t i = 0; i < columns * height; ++i) {
-        const double steps = distance.data()[i] / resolution * (1.0 - 1e-6) * DISTANCE_STEPS;  // single precision
-        grid.distance[i] = uint16_t(std::min(steps, double(FARTHEST)));
-    }
-    return grid;
+    return PackedGrid(solid.data(), distance.data(), size, corner, resolution);
 }
+
+Vec3 quotient(const std::array<double, 3>& numbers, double divisor) {
+    return {numbers[0] / divisor, numbers[1] / divisor, numbers[2] / divisor};
+}
+
+// Have the distance at a point fetched: grids are larger than caches, and poses come in no order.
+void fetch(const Grid& grid, const Vec3& point) {
+    if (!grid.empty) __builtin_prefetch(&grid.distance[nearest_place(grid, point).voxel]);
+}
+
+// Calls, on purpose: inlined, their answers become branches that nobody can foretell.
+__attribute__((noinline)) Verdict judged(const Grid& grid, const Shape& shape, const Vec3& position) {
+    return judge(grid, shape, position);
+}
+
+__attribute__((noinline)) bool passed(const Grid& grid, const Shape& shape, const Vec3& start, const Vec3& way) {
+    return passes(grid, shape, start, way);
+}
+
+__attribute__((noinline)) bool rigid(const float* matrix) { return is_pose_by_fours(matrix); }
 
 // A body in a grid. Queries take addresses, which cost less than arrays; Python sees to types, sizes and lifetimes.
 class Collider {
 public:
-    Collider(Grid grid, Shape shape) : grid_(std::move(grid)), shape_(shape) {}
+    Collider(PackedGrid packed, const Shape& shape)
+        : packed_(std::move(packed)), grid_(packed_.view()), shape_(shape) {}
 
     // Call prepare(i, query), which may refuse, for some queries at a time, so that what they need is fetched meanwhile,
     // and then answer(first, count, queries), for all of a batch. Returns -1, or the first i that was refused.
@@ -88,8 +95,8 @@ public:
         return each<Vec3>(
             count, threads,
             [&](size_t i, Vec3& position) {
-                position = position_of(matrices + 16 * i, grid_);
-                if (!is_pose(matrices + 16 * i)) return false;
+                position = position_of(grid_, matrices + 16 * i);
+                if (!rigid(matrices + 16 * i)) return false;
                 fetch(grid_, position);
                 return true;
             },
@@ -97,20 +104,20 @@ public:
                 // Judged without a branch, then those that are left: what comes next cannot be foretold.
                 size_t left[AT_ONCE], open = 0;
                 for (size_t i = 0; i < some; ++i) {
-                    const Verdict verdict = judge(grid_, shape_, positions[i]);
+                    const Verdict verdict = judged(grid_, shape_, positions[i]);
                     hits[first + i] = verdict == Verdict::HIT;
                     left[open] = i;
                     open += verdict == Verdict::MAYBE;
                 }
                 for (size_t i = 0; i < open; ++i) {
                     const size_t row = first + left[i];
-                    hits[row] = touches(grid_, shape_, pose_of(matrices + 16 * row, grid_));
+                    hits[row] = touches(shape_, pose_of(grid_, matrices + 16 * row), FirstContact{grid_});
                 }
             });
     }
 
     struct Move {
-        Vec3 start, end;
+        Vec3 start, way;
     };
 
     template <class Answer>
@@ -119,25 +126,24 @@ public:
         return each<Move>(
             count, threads,
             [&](size_t i, Move& move) {
-                if (!is_pose(from + 16 * i) || !is_pose(to + 16 * i)) return false;
-                move = {position_of(from + 16 * i, grid_), position_of(to + 16 * i, grid_)};
-                Vec3 middle;
-                for (int k = 0; k < 3; ++k) middle[k] = 0.5 * (move.start[k] + move.end[k]);
-                fetch(grid_, middle);
+                if (!rigid(from + 16 * i) || !rigid(to + 16 * i)) return false;
+                move.start = position_of(grid_, from + 16 * i);
+                move.way = between(move.start, position_of(grid_, to + 16 * i));
+                fetch(grid_, along(move.start, move.way, 0.5));
                 return true;
             },
             [&](size_t first, size_t some, const Move* moves) {
                 size_t left[AT_ONCE], open = 0;
                 for (size_t i = 0; i < some; ++i) {
-                    const bool free = passes(grid_, shape_, moves[i].start, moves[i].end);
+                    const bool free = passed(grid_, shape_, moves[i].start, moves[i].way);
                     if (free) answer(first + i, 1.0);
                     left[open] = i;
                     open += !free;
                 }
                 for (size_t i = 0; i < open; ++i) {
                     const size_t row = first + left[i];
-                    answer(row, splatrl::touched_fraction(grid_, shape_, pose_of(from + 16 * row, grid_),
-                                                          pose_of(to + 16 * row, grid_), any));
+                    answer(row, splatrl::touched_fraction(grid_, shape_, pose_of(grid_, from + 16 * row),
+                                                          pose_of(grid_, to + 16 * row), any, FirstContact{grid_}));
                 }
             });
     }
@@ -163,10 +169,9 @@ public:
         return each<Vec3>(
             count, threads,
             [&](size_t i, Vec3& point) {
-                for (int axis = 0; axis < 3; ++axis) {
-                    if (!std::isfinite(from[3 * i + axis])) return false;
-                    point[axis] = (from[3 * i + axis] - grid_.corner[axis]) * grid_.inverse;
-                }
+                const float* place = from + 3 * i;
+                if (!std::isfinite(place[0]) || !std::isfinite(place[1]) || !std::isfinite(place[2])) return false;
+                point = place_of(grid_, place[0], place[1], place[2]);
                 fetch(grid_, point);
                 return true;
             },
@@ -176,10 +181,23 @@ public:
             });
     }
 
+    const Grid& grid() const { return grid_; }
+    const Shape& shape() const { return shape_; }
+
 private:
+    PackedGrid packed_;
     Grid grid_;
     Shape shape_;
 };
+
+const Grid& grid_in(nb::handle collider) { return nb::cast<const Collider&>(collider).grid(); }
+
+// What a collider keeps [x, y, along z], in place.
+template <class T>
+nb::ndarray<nb::numpy, const T> array_of(nb::handle collider, const T* Grid::*values, int along_z) {
+    const Grid& grid = grid_in(collider);
+    return {grid.*values, {size_t(grid.size[0]), size_t(grid.size[1]), size_t(along_z)}, collider};
+}
 
 }  // namespace
 
@@ -187,15 +205,25 @@ void bind_collision(nb::module_& m) {
     nb::class_<Collider>(m, "Collider")
         .def(
             "__init__",
-            [](Collider* self, Solid solid, Distances distance, Vec3 corner, double resolution, Vec3 half,
-               double half_length, double radius) {
+            [](Collider* self, Solid solid, Distances distance, std::array<double, 3> corner, double resolution,
+               std::array<double, 3> half, double half_length, double radius) {
                 const auto kind = radius == 0.0 ? Shape::BOX : half_length > 0.0 ? Shape::CAPSULE : Shape::SPHERE;
-                for (double& extent : half) extent /= resolution;
-                const Shape shape(kind, half, half_length / resolution, radius / resolution);
-                new (self) Collider(grid_of(solid, distance, corner, resolution), shape.grown(TOUCH / resolution));
+                const Shape shape =
+                    shape_of(kind, quotient(half, resolution), half_length / resolution, radius / resolution);
+                new (self) Collider(packed(solid, distance, quotient(corner, 1.0), resolution),
+                                    grown(shape, TOUCH / resolution));
             },
             nb::arg("solid"), nb::arg("distance"), nb::arg("corner"), nb::arg("resolution"), nb::arg("half"),
             nb::arg("half_length"), nb::arg("radius"))
+        .def_prop_ro("bits", [](nb::handle self) { return array_of(self, &Grid::bits, grid_in(self).words); })
+        .def_prop_ro("distance", [](nb::handle self) { return array_of(self, &Grid::distance, grid_in(self).size[2]); })
+        .def_prop_ro("shape",
+                     [](const Collider& self) {
+                         const Shape& shape = self.shape();
+                         const Vec3& half = shape.half;
+                         return nb::make_tuple(half[0], half[1], half[2], shape.half_length, shape.radius, shape.inner,
+                                               shape.outer);
+                     })
         .def("collides", &Collider::collides)
         .def("touched_fraction", &Collider::touched_fraction)
         .def("sweeps", &Collider::sweeps)

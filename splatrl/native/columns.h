@@ -1,72 +1,86 @@
-// Solid voxels within a range of a grid, column by column.
+// Solid voxels within a box of a grid, column by column.
 #pragma once
 
-#include <algorithm>
-#include <cstdint>
-
-#include "collision.h"
+#include "collision_grid.h"
 
 namespace splatrl {
 
 constexpr double SLACK = 1e-9;  // voxels: rounding of what is computed here
-
-// Of numbers that an int holds; the library's are calls where the processor's are not assumed.
-inline int floor_of(double value) {
-    const int whole = int(value);
-    return whole - (value < whole);
-}
-
-inline int ceil_of(double value) { return -floor_of(-value); }
 
 struct Range {
     int first, last;
 };
 
 // The voxels that [low, high] touches along an axis.
-inline Range touched(double low, double high, int size) {
-    const double first = std::min(std::max(low - SLACK, 0.0), size + 1.0);
-    const double last = std::min(std::max(high + SLACK, -1.0), size - 0.5);
-    return {std::max(ceil_of(first) - 1, 0), floor_of(last)};
+SPLAT_INLINE Range touched(double low, double high, int size) {
+    const double first = min(max(low - SLACK, 0.0), size + 1.0);
+    const double last = min(max(high + SLACK, -1.0), size - 0.5);
+    return {max(ceil_of(first) - 1, 0), floor_of(last)};
 }
 
 // Bits [first, last] of a word, both in [0, 63].
-inline uint64_t mask_of(int first, int last) { return ~0ull << first & ~0ull >> (63 - last); }
+SPLAT_INLINE uint64_t mask_of(int first, int last) { return ~uint64_t(0) << first & ~uint64_t(0) >> (63 - last); }
 
-// Call visit(z) for each solid voxel of a column from `first` to `last`, until it returns true.
+SPLAT_INLINE int lowest_bit(uint64_t bits) {
+#ifdef __CUDA_ARCH__
+    return __ffsll(bits) - 1;
+#else
+    return __builtin_ctzll(bits);
+#endif
+}
+
+// The voxels of a grid with one x and one y, between two heights.
+struct Column {
+    int x, y;
+    Range zs;
+    const uint64_t* bits;
+};
+
+// Call visit(z) for each solid voxel of a column, until it returns true.
 template <class Visit>
-bool any_solid(const uint64_t* column, int first, int last, const Visit& visit) {
-    for (int word = first / 64; first <= last && word <= last / 64; ++word) {
-        const int low = std::max(first - 64 * word, 0), high = std::min(last - 64 * word, 63);
-        for (uint64_t bits = column[word] & mask_of(low, high); bits != 0; bits &= bits - 1)
-            if (visit(64 * word + __builtin_ctzll(bits))) return true;
+SPLAT_INLINE bool any_solid(const Column& column, const Visit& visit) {
+    const Range& zs = column.zs;
+    for (int word = zs.first / 64; zs.first <= zs.last && word <= zs.last / 64; ++word) {
+        const int low = max(zs.first - 64 * word, 0), high = min(zs.last - 64 * word, 63);
+        for (uint64_t bits = column.bits[word] & mask_of(low, high); bits != 0; bits &= bits - 1)
+            if (visit(64 * word + lowest_bit(bits))) return true;
     }
     return false;
 }
 
-// The numbers of a range, from the middle outwards: what overlaps a body is found early.
-struct FromMiddle {
-    Range range;
-    int middle = (range.first + range.last) / 2;
+// The i-th number of a range, from the middle outwards: what overlaps a body is found early.
+SPLAT_INLINE int from_middle(Range range, int i) {
+    const int middle = (range.first + range.last) / 2, half = (i + 1) / 2;
+    return i % 2 == 0 ? middle - half : middle + half;
+}
 
-    int count() const { return range.last - range.first + 1; }
-    int operator[](int i) const {
-        const int half = (i + 1) / 2;
-        return i % 2 == 0 ? middle - half : middle + half;
+// The columns of a grid within a box.
+struct Columns {
+    const Grid& grid;
+    Range xs, ys, zs;
+
+    HOST_DEVICE Columns(const Grid& grid, const Vec3& low, const Vec3& high)
+        : grid(grid),
+          xs(touched(low[0], high[0], grid.size[0])),
+          ys(touched(low[1], high[1], grid.size[1])),
+          zs(touched(low[2], high[2], grid.size[2])) {}
+
+    // How many along an axis: none where nothing of them is within the box.
+    HOST_DEVICE int along_x() const { return zs.first <= zs.last ? max(xs.last - xs.first + 1, 0) : 0; }
+    HOST_DEVICE int along_y() const { return max(ys.last - ys.first + 1, 0); }
+
+    HOST_DEVICE Column column(int x, int y) const {
+        return {x, y, zs, grid.bits + (size_t(x) * grid.size[1] + y) * grid.words};
+    }
+
+    HOST_DEVICE bool any_solid_in(const Column& column) const {
+        const int first = zs.first / 64, last = zs.last / 64;
+        const uint64_t from = ~uint64_t(0) << zs.first % 64, to = ~uint64_t(0) >> (63 - zs.last % 64);
+        if (first == last) return (column.bits[first] & from & to) != 0;
+        uint64_t found = (column.bits[first] & from) | (column.bits[last] & to);
+        for (int word = first + 1; word < last; ++word) found |= column.bits[word];
+        return found != 0;
     }
 };
-
-// Call visit(x, y, column, z range) for each column with something solid within a box, until it returns true.
-template <class Visit>
-void each_column(const Grid& grid, const Vec3& low, const Vec3& high, const Visit& visit) {
-    const FromMiddle xs{touched(low[0], high[0], grid.size[0])}, ys{touched(low[1], high[1], grid.size[1])};
-    const Range zs = touched(low[2], high[2], grid.size[2]);
-    const auto found = [](int) { return true; };
-    for (int i = 0; i < xs.count(); ++i)
-        for (int k = 0; k < ys.count(); ++k) {
-            const int x = xs[i], y = ys[k];
-            const uint64_t* column = &grid.bits[(size_t(x) * grid.size[1] + y) * grid.words];
-            if (any_solid(column, zs.first, zs.last, found) && visit(x, y, column, zs)) return;
-        }
-}
 
 }  // namespace splatrl

@@ -1,0 +1,57 @@
+// When a shape on a straight way, without turning, first touches something solid: one column after the other.
+#pragma once
+
+#include "box_sweep.h"
+#include "round_sweep.h"
+
+namespace splatrl {
+
+// The columns that the box around a shape on its way touches.
+SPLAT_INLINE Columns columns_on_way(const Grid& grid, const Shape& shape, const Pose& pose, const Vec3& way) {
+    const Vec3 half = half_extents(shape, pose.rotation);
+    Vec3 low, high;
+    for (int i = 0; i < 3; ++i) {
+        low[i] = pose.position[i] + min(way[i], 0.0) - half[i];
+        high[i] = pose.position[i] + max(way[i], 0.0) + half[i];
+    }
+    return Columns(grid, low, high);
+}
+
+// Call contact(column) for the columns with something solid until it returns 0; the smallest of what it returns.
+template <class Contact>
+inline double first_of_columns(const Columns& columns, const Contact& contact) {
+    double first = NEVER;
+    const int along_x = columns.along_x(), along_y = columns.along_y();
+    for (int i = 0; i < along_x; ++i)
+        for (int k = 0; k < along_y; ++k) {
+            const Column column = columns.column(from_middle(columns.xs, i), from_middle(columns.ys, k));
+            if (!columns.any_solid_in(column)) continue;
+            first = min(first, contact(column));
+            if (first == 0.0) return first;
+        }
+    return first;
+}
+
+// The `contact` of collision.h.
+struct FirstContact {
+    const Grid& grid;
+
+    double operator()(const Shape& shape, const Pose& pose, const Vec3& way, bool any) const {
+        const Columns columns = columns_on_way(grid, shape, pose, way);
+        if (shape.kind != Shape::BOX) {
+            const RoundSweep sweep = round_sweep(shape, pose, way);
+            return first_of_columns(columns, [&](const Column& column) { return sweep.contact(column, any); });
+        }
+        Normal normals[NORMALS];
+        BoxSweep sweep{pose.position, along(pose.position, way, 0.5), normals, 0};
+        return first_of_columns(columns, [&](const Column& column) {
+            if (sweep.count == 0) {  // not before something is solid
+                const BoxWay box = box_way(shape, pose, way);
+                for (int i = 0; i < box.normals; ++i) sweep.count += make_normal(box, i, normals[sweep.count]);
+            }
+            return sweep.contact(column, any);
+        });
+    }
+};
+
+}  // namespace splatrl
