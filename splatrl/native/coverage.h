@@ -15,7 +15,7 @@ static_assert(PATCHES_ACROSS * PATCH_WIDTH == SMALL_TILE && PATCHES_DOWN * PATCH
 
 // Bits come in quads: the four of 2×2 patches follow each other, so that a quad is one warp's.
 SPLAT_INLINE int patch_bit(int column, int row) {
-    return ((row / 2 * (PATCHES_ACROSS / 2) + column / 2) * 4) + (row % 2) * 2 + column % 2;
+    return row / 2 * (PATCHES_ACROSS / 2) * 4 + column / 2 * 4 + row % 2 * 2 + column % 2;
 }
 
 // The ellipse in which a splat is visible, by its right edge: dx = center ± half where dy is known.
@@ -26,10 +26,10 @@ struct Ellipse {
 
     INLINE_MEMBER void of(const Footprint<float>& print, float log2_invisible) {
         squared_reach = max(print.log2_opacity - log2_invisible, 0.0f) * 1.0002f + 1e-6f;
-        l12 = print.l12, l22 = print.l22, inverse_l11 = 1.0f / print.l11;
-        const float reach = square_root(squared_reach), slope = l12 / l22;
-        height = reach / l22;
-        tip = -height * slope / square_root(1.0f + slope * slope);
+        l12 = print.l12, l22 = print.l22, inverse_l11 = reciprocal(print.l11);
+        const float inverse_l22 = reciprocal(l22), slope = l12 * inverse_l22;
+        height = square_root(squared_reach) * inverse_l22;
+        tip = -height * slope * reciprocal_sqrt(1.0f + slope * slope);
     }
 
     // The largest dx for dy in [low, high], which meets [-height, height]; the boundary is concave.
@@ -56,18 +56,22 @@ SPLAT_INLINE uint32_t covered_patches(const Footprint<float>& print, const Tile&
     const float above = print.y - print.extent_y, below = print.y + print.extent_y;
     if (!(first <= last && above <= float(tile.bottom) && below >= float(tile.top))) return 0;
     uint32_t mask = 0;
-    for (int row = 0; row < PATCHES_DOWN; ++row) {
+    const int top_row = int(max(above - float(tile.top), 0.0f)) / PATCH_HEIGHT;
+    const int bottom_row = int(min(below - float(tile.top), float(SMALL_TILE - 1))) / PATCH_HEIGHT;
+    for (int row = top_row; row <= bottom_row; ++row) {
         const float top = float(tile.top + row * PATCH_HEIGHT) + 0.5f - SLACK;  // centres of the first and the last line
         const float bottom = min(top + float(PATCH_HEIGHT - 1), float(tile.bottom) - 0.5f) + 2.0f * SLACK;
         const float low = max(top - print.y, -ellipse.height), high = min(bottom - print.y, ellipse.height);
         if (!(low <= high)) continue;
         const float reach_left = max(print.x + ellipse.left(low, high), first) - SLACK;
         const float reach_right = min(print.x + ellipse.right(low, high), last) + SLACK;
+        uint32_t columns = 0;
         for (int column = 0; column < PATCHES_ACROSS; ++column) {
             const float west = float(tile.left + column * PATCH_WIDTH) + 0.5f;  // centres of the first and the last column
             const float east = min(west + float(PATCH_WIDTH - 1), float(tile.right) - 0.5f);
-            if (reach_left <= east && reach_right >= west) mask |= 1u << patch_bit(column, row);
+            if (reach_left <= east && reach_right >= west) columns |= 1u << patch_bit(column, 0);
         }
+        mask |= columns << patch_bit(0, row);
     }
     return mask;
 }

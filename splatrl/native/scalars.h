@@ -10,15 +10,15 @@
 
 namespace splatrl {
 
-SPLAT_INLINE float min(float a, float b) { return a < b ? a : b; }
-SPLAT_INLINE float max(float a, float b) { return a > b ? a : b; }
-
 SPLAT_INLINE float select_if_at_least(float tested, float bound, float value) { return tested >= bound ? value : 0.0f; }
 
 // Whether `members` are those of a merged Gaussian.
 SPLAT_INLINE bool stand_for_many(float members) { return members > 0.0f; }
 
 #ifdef __CUDA_ARCH__
+
+SPLAT_INLINE float min(float a, float b) { return fminf(a, b); }
+SPLAT_INLINE float max(float a, float b) { return fmaxf(a, b); }
 
 SPLAT_INLINE float reciprocal(float a) {
     float out;
@@ -32,7 +32,11 @@ SPLAT_INLINE float reciprocal_sqrt(float a) {
     return out;
 }
 
-SPLAT_INLINE float square_root(float a) { return __fsqrt_rn(a); }
+SPLAT_INLINE float square_root(float a) {
+    float out;
+    asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(out) : "f"(a));
+    return out;
+}
 
 SPLAT_INLINE float log2(float a) {
     float out;
@@ -48,6 +52,8 @@ SPLAT_INLINE float exp2(float a) {
 
 #else
 
+SPLAT_INLINE float min(float a, float b) { return a < b ? a : b; }
+SPLAT_INLINE float max(float a, float b) { return a > b ? a : b; }
 SPLAT_INLINE float reciprocal(float a) { return 1.0f / a; }
 SPLAT_INLINE float reciprocal_sqrt(float a) { return 1.0f / std::sqrt(a); }
 SPLAT_INLINE float square_root(float a) { return std::sqrt(a); }

@@ -41,7 +41,7 @@ SPLAT_INLINE Color color_of(const SceneArrays& scene, uint32_t slot, const Vecto
 
 // Project the Gaussians of a sorted slab and colour those that show.
 template <bool ANTIALIASED_IMAGE>
-SPLAT_INLINE void load_slab(const SceneArrays& scene, Shared& shared, uint32_t count, uint32_t& visible) {
+SPLAT_INLINE void load_slab(const SceneArrays& scene, Shared& shared, uint32_t count) {
     for (uint32_t i = thread(); i < count; i += THREADS) {
         const uint32_t slot = scene.slots[uint32_t(shared.sorted[i]) & ((1u << INDEX_BITS) - 1)];
         const float4 sphere = scene.spheres[slot];
@@ -55,14 +55,21 @@ SPLAT_INLINE void load_slab(const SceneArrays& scene, Shared& shared, uint32_t c
         const uint32_t patches = covered_patches<ANTIALIASED_IMAGE>(print, shared.tile);
         shared.patches[i] = patches;
         if (patches == 0) continue;
-        ++visible;
-        const Color color = color_of(scene, slot, offset);
         Record& record = shared.records[i];
         record.place = make_float4(print.x, print.y, print.l11, print.l12);
         record.fall = make_float4(print.l22, print.log2_opacity, rounded_to_half(print.peak), print.depth);
+        const Color color = color_of(scene, slot, offset);
         record.color = make_float4(color.red, color.green, color.blue, 0.0f);
     }
     __syncthreads();
+}
+
+// How many splats of a slab show: in the first lane of each warp, its share.
+SPLAT_INLINE uint32_t count_visible(const Shared& shared, uint32_t count) {
+    uint32_t visible = 0;
+    for (uint32_t i = warp() * WARP; i < count; i += THREADS)
+        visible += __popc(__ballot_sync(ALL_LANES, i + lane() < count && shared.patches[i + lane()] != 0));
+    return visible;
 }
 
 // What a lane accumulates: a pixel of each of its warp's patches.
@@ -102,7 +109,7 @@ struct Pixels {
 #pragma unroll
         for (int i = 0; i < QUAD; ++i) {
             if ((patches >> i & 1) == 0) continue;
-            const float dx = x + float(i % 2 * PATCH_WIDTH) - place.x, dy = y + float(i / 2 * PATCH_HEIGHT) - place.y;
+            const float dx = (i % 2 == 0 ? x : x + PATCH_WIDTH) - place.x, dy = (i / 2 == 0 ? y : y + PATCH_HEIGHT) - place.y;
             const float share = transmittance[i] * alpha_at<ANTIALIASED_IMAGE>(dx, dy, place.z, place.w, fall.x, fall.y, fall.z);
             transmittance[i] -= share;
             const float counted = transmittance[i] > MIN_TRANSMITTANCE ? share : 0.0f;

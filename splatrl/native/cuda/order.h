@@ -35,6 +35,34 @@ SPLAT_INLINE void sort_slab(Shared& shared) {
     __syncthreads();
 }
 
+// A range of keys, cut evenly into buckets.
+struct Cut {
+    Key low, high;  // both in the range
+    int shift;
+
+    INLINE_MEMBER Cut(Key low, Key high) : low(low), high(high), shift(0) {
+        constexpr int BUCKET_BITS = 10;
+        static_assert(1 << BUCKET_BITS == BUCKETS, "a bucket for each value of these bits");
+        const int bits = 64 - __clzll(high - low);
+        shift = bits > BUCKET_BITS ? bits - BUCKET_BITS : 0;
+    }
+    INLINE_MEMBER int bucket(Key key) const { return int((key - low) >> shift); }
+    INLINE_MEMBER Key begin(int bucket) const { return low + (Key(bucket) << shift); }
+};
+
+// Sort a slab of keys that lie in the order of their buckets: each finds its place among those of its own.
+SPLAT_INLINE void sort_within_buckets(Shared& shared, const Cut& cut, uint32_t begin, uint32_t count) {
+    for (uint32_t i = thread(); i < count; i += THREADS) {
+        const Key key = shared.dealt[i];
+        const int bucket = cut.bucket(key);
+        const uint32_t first = bucket == 0 ? 0 : shared.ends[bucket - 1], end = shared.ends[bucket];
+        uint32_t place = first - begin;
+        for (uint32_t other = first - begin; other < end - begin; ++other) place += shared.dealt[other] < key;
+        shared.sorted[place] = key;
+    }
+    __syncthreads();
+}
+
 // Replace counts by the sums of all before each. Returns the sum of all.
 SPLAT_INLINE uint32_t sum_up(Shared& shared, uint32_t* counts) {
     constexpr int OWN = BUCKETS / THREADS;
@@ -59,21 +87,6 @@ SPLAT_INLINE uint32_t sum_up(Shared& shared, uint32_t* counts) {
     __syncthreads();
     return all;
 }
-
-// A range of keys, cut evenly into buckets.
-struct Cut {
-    Key low, high;  // both in the range
-    int shift;
-
-    INLINE_MEMBER Cut(Key low, Key high) : low(low), high(high), shift(0) {
-        constexpr int BUCKET_BITS = 10;
-        static_assert(1 << BUCKET_BITS == BUCKETS, "a bucket for each value of these bits");
-        const int bits = 64 - __clzll(high - low);
-        shift = bits > BUCKET_BITS ? bits - BUCKET_BITS : 0;
-    }
-    INLINE_MEMBER int bucket(Key key) const { return int((key - low) >> shift); }
-    INLINE_MEMBER Key begin(int bucket) const { return low + (Key(bucket) << shift); }
-};
 
 // Count the keys of a range into counts [BUCKETS].
 SPLAT_INLINE void count_keys(uint32_t* counts, const Key* keys, uint32_t count, const Cut& cut) {
@@ -109,7 +122,7 @@ SPLAT_INLINE int behind_last(const uint32_t* numbers, int first, int end, uint32
     return first;
 }
 
-// Of keys too many for a slab, all at least `from` and at most `last`: where to cut so that those before fit into one.
+// Of keys that are all at least `from` and at most `last`: where to cut so that those before fit into a slab.
 SPLAT_INLINE Key fitting_cut(Shared& shared, const Key* keys, uint32_t count, Key from, Key last) {
     for (;;) {
         const Cut cut(from, last);
@@ -123,58 +136,70 @@ SPLAT_INLINE Key fitting_cut(Shared& shared, const Key* keys, uint32_t count, Ke
     }
 }
 
-// Copy the keys in [from, until) to shared.sorted, at most SLAB of them, in any order. Returns how many.
+// Copy the keys in [from, until), at most SLAB of them, in order to shared.sorted. Returns how many.
 SPLAT_INLINE uint32_t gather(Shared& shared, const Key* keys, uint32_t count, Key from, Key until) {
-    if (thread() == 0) shared.count = 0;
+    if (thread() == 0) shared.gathered = 0;
     __syncthreads();
     for (uint32_t i = thread(); i < count; i += THREADS) {
         const Key key = keys[i];
-        if (key >= from && key < until) shared.sorted[atomicAdd(&shared.count, 1u)] = key;
+        if (key >= from && key < until) shared.sorted[atomicAdd(&shared.gathered, 1u)] = key;
     }
     __syncthreads();
-    return shared.count;
+    const uint32_t some = shared.gathered;
+    for (uint32_t i = some + thread(); i < SLAB; i += THREADS) shared.sorted[i] = NO_KEY;
+    sort_slab(shared);
+    return some;
 }
 
-// Call draw(n) for slab after slab of at most SLAB keys, nearest first, in shared.sorted, until it returns false.
-// `keys` [2, capacity] holds the candidates in its first part.
-template <class Draw>
-SPLAT_INLINE void each_slab(Shared& shared, Key* keys, int capacity, const Draw& draw) {
+// Begin with the candidates of a tile; `both` [2, capacity] holds them in its first part.
+SPLAT_INLINE void begin_slabs(Shared& shared, Key* both, int capacity) {
     const uint32_t count = shared.count;
-    if (count == 0) return;
-    const Cut cut(shared.low, shared.high);
-    const Key* dealt = keys;
+    const Key low = shared.low, high = shared.high;
+    Slabs slabs{both, count, 0, count, 0, low, high, low, high};
     if (count > SLAB) {
-        deal_to_buckets(shared, keys, keys + capacity, count, cut);
-        dealt = keys + capacity;
+        deal_to_buckets(shared, both, both + capacity, count, Cut(low, high));
+        slabs.keys = both + capacity, slabs.end = 0, slabs.from = 1, slabs.last = 0;
     }
-    int bucket = 0;
-    for (uint32_t begin = 0; begin < count;) {
-        uint32_t end = count;
-        if (count > SLAB) {
-            const int behind = behind_last(shared.ends, bucket, BUCKETS, begin + SLAB);
-            const bool fits = behind > bucket;
-            end = shared.ends[fits ? behind - 1 : bucket];
-            bucket = fits ? behind : bucket + 1;
+    if (thread() == 0) shared.slabs = slabs;
+    __syncthreads();
+}
+
+// Go on to as many buckets as fit into a slab, at least one. One that is so full that its keys are sorted faster as a
+// whole is left to be.
+SPLAT_INLINE void take_buckets(const Shared& shared, Slabs& slabs, const Cut& cut) {
+    constexpr uint32_t CROWD = 64;
+    const int first = slabs.bucket, behind = behind_last(shared.ends, first, BUCKETS, slabs.end + SLAB);
+    slabs.bucket = behind > first ? behind : first + 1;
+    slabs.begin = slabs.end, slabs.end = shared.ends[slabs.bucket - 1];
+    int crowded = 0;
+    for (int i = first + thread(); i < slabs.bucket; i += THREADS)
+        crowded |= shared.ends[i] - (i == 0 ? 0 : shared.ends[i - 1]) > CROWD;
+    if (__syncthreads_or(crowded)) slabs.from = cut.begin(first), slabs.last = cut.begin(slabs.bucket) - 1;
+}
+
+// Bring the next slab, nearest first, to shared.sorted. Returns how many there are in it, 0 behind the last. Where it has
+// got to is kept in shared memory: blending needs the registers.
+SPLAT_INLINE uint32_t next_slab(Shared& shared) {
+    Slabs slabs = shared.slabs;
+    const Cut cut(slabs.low, slabs.high);
+    uint32_t some = 0;
+    while (some == 0 && (slabs.from <= slabs.last || slabs.end < slabs.count)) {
+        if (slabs.from > slabs.last) take_buckets(shared, slabs, cut);
+        const Key* keys = slabs.keys + slabs.begin;
+        const uint32_t count = slabs.end - slabs.begin;
+        if (slabs.from <= slabs.last) {
+            const Key until = fitting_cut(shared, keys, count, slabs.from, slabs.last);
+            some = gather(shared, keys, count, slabs.from, until);
+            slabs.from = until;
+        } else {
+            for (uint32_t i = thread(); i < count; i += THREADS) shared.dealt[i] = keys[i];
+            __syncthreads();
+            sort_within_buckets(shared, cut, slabs.begin, count);
+            some = count;
         }
-        if (end - begin <= SLAB) {
-            for (uint32_t i = thread(); i < SLAB; i += THREADS)
-                shared.sorted[i] = i < end - begin ? dealt[begin + i] : NO_KEY;
-            sort_slab(shared);
-            if (end > begin && !draw(end - begin)) return;
-        } else {  // one bucket of more than a slab
-            const Key last = cut.begin(bucket) - 1;
-            for (Key from = cut.begin(bucket - 1); from <= last;) {
-                const Key until = fitting_cut(shared, dealt + begin, end - begin, from, last);
-                const uint32_t some = gather(shared, dealt + begin, end - begin, from, until);
-                from = until;
-                if (some == 0) continue;
-                for (uint32_t i = some + thread(); i < SLAB; i += THREADS) shared.sorted[i] = NO_KEY;
-                sort_slab(shared);
-                if (!draw(some)) return;
-            }
-        }
-        begin = end;
     }
+    if (thread() == 0) shared.slabs = slabs;
+    return some;
 }
 
 }  // namespace splatrl

@@ -45,6 +45,11 @@ SPLAT_INLINE bool next_tile(const Views& views, const Workspace& workspace, Shar
     return shared.row < views.batch;
 }
 
+// Add what a warp counted to the efforts of the frame.
+SPLAT_INLINE void note(const Workspace& workspace, const Shared& shared, Efforts what, uint32_t count) {
+    if (lane() == 0) atomicAdd(workspace.efforts + size_t(shared.row) * EFFORTS + what, count);
+}
+
 template <bool WITH_DEPTH>
 SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const Workspace& workspace, const Images& images) {
     DYNAMIC_SHARED(Shared, shared);
@@ -54,22 +59,18 @@ SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const
         if (!shared.drawn) continue;
         cull(scene, shared, nodes, workspace.node_capacity);
         find_candidates(scene, shared, nodes, workspace.node_capacity, keys);
-        const uint32_t projected = shared.count;
-        uint32_t visible = 0;
+        if (workspace.efforts != nullptr) note(workspace, shared, PROJECTED, warp() == 0 ? shared.count : 0);
         Pixels<WITH_DEPTH> pixels;
         pixels.begin(scene, shared.tile);
-        each_slab(shared, keys, workspace.key_capacity, [&](uint32_t count) {
-            load_slab<ANTIALIASED_IMAGE>(scene, shared, count, visible);
+        begin_slabs(shared, keys, workspace.key_capacity);
+        while (const uint32_t count = next_slab(shared)) {
+            load_slab<ANTIALIASED_IMAGE>(scene, shared, count);
+            if (workspace.efforts != nullptr) note(workspace, shared, VISIBLE, count_visible(shared, count));
             pixels.template blend_slab<ANTIALIASED_IMAGE>(shared, count);
-            return __syncthreads_or(pixels.active != 0) != 0;
-        });
-        pixels.write(shared.tile, images, shared.row, views.width, views.height);
-        if (workspace.efforts != nullptr) {
-            uint32_t* efforts = workspace.efforts + size_t(shared.row) * EFFORTS;
-            if (thread() == 0) atomicAdd(efforts + PROJECTED, projected);
-            atomicAdd(efforts + VISIBLE, visible);
-            if (lane() == 0) atomicAdd(efforts + BLENDED, pixels.blended);
+            if (!__syncthreads_or(pixels.active != 0)) break;
         }
+        pixels.write(shared.tile, images, shared.row, views.width, views.height);
+        if (workspace.efforts != nullptr) note(workspace, shared, BLENDED, pixels.blended);
     }
 }
 

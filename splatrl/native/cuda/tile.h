@@ -67,28 +67,40 @@ struct Record {
     float4 color;   // red, green, blue, relative to the background
 };
 
+// How far the candidates of a tile have been put in order; see order.h.
+struct Slabs {
+    const Key* keys;                  // in the order of their buckets, unless one slab takes them all
+    uint32_t count;
+    uint32_t begin, end;              // of the keys at hand
+    int bucket;                       // behind those at hand
+    Key from, last;                   // of the keys at hand, those to be sorted as a whole; none where last < from
+    Key low, high;                    // of all keys
+};
+
 // The shared memory of a block, which draws one tile at a time.
 struct Shared {
     Camera camera;
     Frustum frustum;
     Tile tile;
     int item, row, drawn;             // drawn: whether the tile is drawn at all
-    uint32_t count, accepted, frontier[2];
+    uint32_t count, gathered, accepted, frontier[2];
     Key low, high;                    // of the keys that were found
+    Slabs slabs;
     uint32_t sums[WARPS];
     uint32_t ends[BUCKETS];           // where each bucket of keys ends
     Key sorted[SLAB];                 // the keys of a slab, nearest first
     uint32_t patches[SLAB];           // that its splats show on, by bits
-    union {
+    union {                           // what is needed one after another
+        uint32_t histogram[BUCKETS];
+        Key dealt[SLAB];              // the keys of a slab in the order of their buckets
         Record records[SLAB];
-        uint32_t histogram[BUCKETS + 1];
     };
 };
 
 static_assert(sizeof(Shared) <= SHARED_BYTES, "the launch asks for enough shared memory");
 
 SPLAT_INLINE int thread() { return int(threadIdx.x); }
-SPLAT_INLINE int lane() { return int(threadIdx.x) % WARP; }
-SPLAT_INLINE int warp() { return int(threadIdx.x) / WARP; }
+SPLAT_INLINE int lane() { return int(threadIdx.x % WARP); }
+SPLAT_INLINE int warp() { return int(threadIdx.x / WARP); }
 
 }  // namespace splatrl
