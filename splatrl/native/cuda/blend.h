@@ -128,7 +128,7 @@ struct Pixels {
             const uint32_t patches = at < count ? shared.patches[at] >> (warp() * QUAD) & active : 0;
             for (uint32_t left = __ballot_sync(ALL_LANES, patches != 0); left != 0; left &= left - 1) {
                 const int next = __ffs(left) - 1;
-                const uint32_t touched = shared.patches[first + next] >> (warp() * QUAD) & active;
+                const uint32_t touched = __shfl_sync(ALL_LANES, patches, next);
                 blend<ANTIALIASED_IMAGE>(shared.records[first + next], touched);
                 blended += __popc(touched);
             }

@@ -85,8 +85,9 @@ class CudaKernels:
 
         self._driver = driver
         self._kernels: dict[tuple[str, int], Any] = {}
+        image = ctypes.create_string_buffer(code, len(code))
         with torch.cuda.device(self.device):
-            self._module = self._answer(driver.cuModuleLoadData(code))
+            self._module = self._answer(driver.cuModuleLoadData(ctypes.addressof(image)))
 
     def resident(self, name: str, threads: int, shared: int = 0) -> int:
         """See ``Kernels.resident``."""
