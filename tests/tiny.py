@@ -132,7 +132,8 @@ class RememberingRenderer:
         return draw_only(self._views, cameras, only)
 
     def _views(self, cameras: Cameras) -> Tensor:
-        return torch.stack([self._view(cameras[row : row + 1]) for row in range(len(cameras))])
+        views = [self._view(cameras[row : row + 1]) for row in range(len(cameras))]
+        return torch.stack(views) if views else torch.empty(0, cameras.height, cameras.width, 3, dtype=torch.uint8)
 
     def _view(self, camera: Cameras) -> Tensor:
         key = camera.camera_to_world.numpy().tobytes() + camera.K.numpy().tobytes()

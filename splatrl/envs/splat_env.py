@@ -10,6 +10,7 @@ from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
 from splatrl.collision.base import Checker
+from splatrl.collision.nothing import NoChecker
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.robot import Robot
 from splatrl.envs.tasks.base import Outcome, SeenGoal, Task
@@ -96,6 +97,11 @@ class SplatEnv(EnvBase):
     def resets_by_mask(self) -> bool:
         """Whether resets of some rows go by mask."""
         return self.device.type != "cpu" if self.reset_by_mask is None else self.reset_by_mask
+
+    @property
+    def capturable(self) -> bool:
+        """Whether a step can be captured in a CUDA graph: what notes its faults on the device asks the host nothing."""
+        return isinstance(self.renderer, Faulty) and isinstance(self.checker, (Faulty, NoChecker))
 
     def to(self, device: torch.device | str) -> "SplatEnv":
         """Move to a device: task, curriculum, and renderer and checker where they have ``to``.

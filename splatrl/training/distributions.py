@@ -27,6 +27,11 @@ class Choice(Categorical):
     def __init__(self, logits: Tensor):
         super().__init__(logits=logits, validate_args=False)
 
+    @property
+    def deterministic_sample(self) -> Tensor:
+        """The most probable action, [...] int64."""
+        return self.mode
+
     def sample(self, sample_shape: Any = torch.Size()) -> Tensor:  # noqa: B008, an empty size is a constant
         """Draw from each distribution: the first to arrive in a race of exponential clocks."""
         if len(sample_shape):

@@ -32,8 +32,9 @@ class Learner:
         self.entropy_coeff = loss.entropy_coeff
         self.parameters = list(model.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, lr=optim.lr, eps=optim.eps, fused=True)
-        _, trunk, *memory = model.module[0].module
-        self._trunk, self._memory = trunk.module, memory
+        shrink, trunk, *memory = model.module[0].module
+        self._shrink, self._trunk, self._memory = shrink.module, trunk.module, memory
+        self._measured = torch.compile(self._losses) if optim.compile else self._losses
         self._policy, self._value = model.get_policy_head(), model.get_value_head().module
 
     def anneal(self, left: float) -> None:
@@ -55,14 +56,13 @@ class Learner:
         """Generalised advantages and value targets, [B, T, 1] each.
 
         The value of the next observation is the next column's own; only where the rollout ends, or was truncated and
-        so goes on from a new start, the critic is asked again, with what it remembers after that step.
+        so goes on from a new start, the critic is asked again, with what it remembers after that step. A batch that has
+        a ``next_value`` is asked nothing.
         """
         value, after = batch["state_value"], batch["next"]
-        next_value = torch.cat([value[:, 1:], value[:, -1:]], 1)
-        asked = after["truncated"].squeeze(-1).clone()
-        asked[:, -1] = True
-        seen = after.select("pixels", STATE, "is_init", strict=False)[asked]
-        next_value[asked] = self.model.get_value_operator()(seen)["state_value"]
+        next_value = batch.get("next_value", None)
+        if next_value is None:
+            next_value = self._next_values(value, after)
         return vec_generalized_advantage_estimate(
             self.loss.gamma,
             self.loss.gae_lambda,
@@ -73,9 +73,22 @@ class Learner:
             after["terminated"],
         )
 
+    def _next_values(self, value: Tensor, after: TensorDictBase) -> Tensor:
+        """What the critic says of the observations after each step, [B, T, 1]."""
+        next_value = torch.cat([value[:, 1:], value[:, -1:]], 1)
+        asked = after["truncated"].squeeze(-1).clone()
+        asked[:, -1] = True
+        seen = after.select("pixels", STATE, "is_init", strict=False)[asked]
+        next_value[asked] = self.model.get_value_operator()(seen)["state_value"]
+        return next_value
+
     def minibatches(self, batch: TensorDictBase) -> Iterator[dict[str, Tensor]]:
-        """Every frame once, in random order: [N, ...] each, or with memory whole rows of the batch, [N, T, ...]."""
-        frames: dict[str, Any] = {key: batch[key] for key in ("image", "action", "action_log_prob")}
+        """Every frame once, in random order: [N, ...] each, or with memory whole rows of the batch, [N, T, ...].
+
+        A batch without ``image`` has its pixels pooled here.
+        """
+        view = "image" if "image" in batch.keys() else "pixels"  # noqa: SIM118, a TensorDict is no dict
+        frames: dict[str, Any] = {key: batch[key] for key in (view, "action", "action_log_prob")}
         frames |= {key: batch[key].squeeze(-1) for key in ("advantage", "value_target")}
         size = self.loss.mini_batch_size
         if self._memory:
@@ -85,18 +98,29 @@ class Learner:
             frames = {key: value.flatten(0, 1) for key, value in frames.items()}
         count, device = len(frames["action"]), frames["action"].device
         for rows in torch.randperm(count, device=device).split(size):
-            yield {key: value.index_select(0, rows) for key, value in frames.items()}
+            some = {key: value.index_select(0, rows) for key, value in frames.items()}
+            if view == "pixels":
+                some["image"] = self._shrink(some.pop("pixels"))
+            yield some
 
     def step(self, frames: dict[str, Tensor]) -> Tensor:
         """One gradient step on a minibatch; returns ``STATISTICS``."""
-        hidden = self._hidden(frames)
-        policy, value = distribution(self._policy, hidden), self._value(hidden).squeeze(-1)
-        loss, statistics = clipped_loss(policy, value, frames, self.loss, self.entropy_coeff)
+        loss, statistics = self._measured(frames, self._bonus(frames["action"].device))
         self.optimizer.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(self.parameters, self.optim.max_grad_norm)
         self.optimizer.step()
         return statistics
+
+    def _losses(self, frames: dict[str, Tensor], entropy_coeff: float | Tensor) -> tuple[Tensor, Tensor]:
+        """The loss of a minibatch and ``STATISTICS``."""
+        hidden = self._hidden(frames)
+        policy, value = distribution(self._policy, hidden), self._value(hidden).squeeze(-1)
+        return clipped_loss(policy, value, frames, self.loss, entropy_coeff)
+
+    def _bonus(self, device: torch.device) -> float | Tensor:
+        """Weight of the entropy bonus: a tensor for compiled code, which would be compiled anew for each number."""
+        return torch.full((), self.entropy_coeff, device=device) if self.optim.compile else self.entropy_coeff
 
     def _hidden(self, frames: dict[str, Tensor]) -> Tensor:
         hidden = self._trunk(frames["image"])

@@ -15,7 +15,11 @@ STATISTICS = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fra
 
 
 def clipped_loss(
-    policy: Distribution, value: Tensor, frames: Mapping[str, Tensor], settings: LossSettings, entropy_coeff: float
+    policy: Distribution,
+    value: Tensor,
+    frames: Mapping[str, Tensor],
+    settings: LossSettings,
+    entropy_coeff: float | Tensor,
 ) -> tuple[Tensor, Tensor]:
     """Loss of a minibatch: its value and gradient are those of TorchRL's ``ClipPPOLoss``, at a fraction of the time.
 

@@ -4,10 +4,13 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 
+from splatrl.envs.layers import layers
 from splatrl.envs.tasks import Outcome
+from splatrl.faults import Faulty
+from splatrl.training.collectors import Collector, HostCollector, device_collector
 from splatrl.training.learner import Learner
 from splatrl.training.settings import LossSettings, OptimSettings
 
@@ -23,9 +26,12 @@ class PPO:
         optim: settings of the optimiser.
         frames_per_batch: frames between updates, a multiple of the env's batch.
         total_frames: frames that the whole training may use; the last batch ends at or before them.
+        cuda_graph: whether the steps of a rollout on a GPU are captured in a CUDA graph; None does so where renderer
+            and checker can be.
+        on_device: whether rollouts stay on the device (``DeviceCollector``); None lets them anywhere but on a CPU.
 
     Raises:
-        ValueError: for batch sizes that do not divide, or a total below one batch.
+        ValueError: for batch sizes that do not divide, a total below one batch, or a graph that cannot be.
     """
 
     def __init__(
@@ -36,6 +42,8 @@ class PPO:
         optim: OptimSettings,
         frames_per_batch: int,
         total_frames: int,
+        cuda_graph: bool | None = None,
+        on_device: bool | None = None,
     ):
         if frames_per_batch % env.numel():
             raise ValueError(
@@ -49,7 +57,13 @@ class PPO:
         self.env, self.model, self.learner = env, model, Learner(model, loss, optim)
         self.frames_per_batch, self.total_frames = frames_per_batch, total_frames
         self.frames = 0
-        self.carried = env.reset()  # what the next batch starts from
+        self.device = env.device or torch.device("cpu")
+        steps = frames_per_batch // env.numel()
+        self.collector: Collector
+        if self.device.type != "cpu" if on_device is None else on_device:
+            self.collector = device_collector(env, model, steps, cuda_graph)
+        else:
+            self.collector = HostCollector(env, model, steps)
 
     @property
     def finished(self) -> bool:
@@ -71,51 +85,52 @@ class PPO:
         return report
 
     def collect(self) -> TensorDictBase:
-        """The next frames, [B, T]: what each robot saw, did and met."""
-        with torch.no_grad():
-            batch = self.env.rollout(
-                self.frames_per_batch // self.env.numel(),
-                self.model,
-                auto_reset=False,
-                tensordict=self.carried,
-                break_when_any_done=False,
-            )
-            self.carried = self.env.step_mdp(batch[:, -1].clone())  # the next rollout resets what is done
+        """The next frames, [B, T]: what each robot saw, did and met.
+
+        Raises:
+            ValueError: what renderer or checker refused on the way and noted on their device.
+        """
+        batch = self.collector.collect()
+        base = layers(self.env)[0]
+        if isinstance(base, Faulty):
+            base.raise_faults()
         return batch
 
     def state_dict(self) -> dict[str, Any]:
         """All that the rest of the training depends on, as tensors and plain values."""
-        base, transformed = _layers(self.env)
+        base, transformed = layers(self.env)
         return {
+            "device": self.device.type,
             "frames": self.frames,
             "model": self.model.state_dict(),
             "optimizer": self.learner.optimizer.state_dict(),
             "env": base.state_dict(),
             "transforms": [env.transform.state_dict() for env in transformed],
-            "carried": self.carried.to_dict(),
+            "carried": self.collector.carried.to_dict(),
             "torch_rng": torch.get_rng_state(),
+            "device_rng": torch.cuda.get_rng_state(self.device) if self.device.type == "cuda" else None,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a ``state_dict()`` of the same configuration."""
-        base, transformed = _layers(self.env)
+        """Go on from a ``state_dict()`` of the same configuration.
+
+        Raises:
+            ValueError: for one that was made on another kind of device, whose random numbers do not go on here.
+        """
+        base, transformed = layers(self.env)
+        made_on = state.get("device", "cpu")
+        if made_on != self.device.type:
+            raise ValueError(f"device: expected {made_on}, on which the checkpoint was made, got {self.device.type}")
         self.frames = state["frames"]
         self.model.load_state_dict(state["model"])
         self.learner.optimizer.load_state_dict(state["optimizer"])
         base.load_state_dict(state["env"])
         for env, saved in zip(transformed, state["transforms"], strict=True):
             env.transform.load_state_dict(saved)
-        self.carried = self.env.fake_tensordict().empty().update(state["carried"])
+        self.collector.carried = self.env.fake_tensordict().empty().update(state["carried"])
         torch.set_rng_state(state["torch_rng"].cpu())
-
-
-def _layers(env: EnvBase) -> tuple[EnvBase, list[TransformedEnv]]:
-    """The env at the bottom, and those around it from the outermost."""
-    transformed = []
-    while isinstance(env, TransformedEnv):
-        transformed.append(env)
-        env = env.base_env
-    return env, transformed
+        if self.device.type == "cuda":
+            torch.cuda.set_rng_state(state["device_rng"].cpu(), self.device)
 
 
 def _episodes(batch: TensorDictBase) -> dict[str, float]:

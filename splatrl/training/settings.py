@@ -59,6 +59,7 @@ class OptimSettings:
         eps: Adam's epsilon.
         max_grad_norm: gradients are clipped to it.
         anneal_lr: whether the rate falls linearly to zero at the end of training.
+        compile: whether the loss of a minibatch is compiled (``torch.compile``), which takes a minute at first.
 
     Raises:
         ValueError: names the value that is out of range.
@@ -68,6 +69,7 @@ class OptimSettings:
     eps: float
     max_grad_norm: float
     anneal_lr: bool
+    compile: bool = False
 
     def __post_init__(self) -> None:
         for name in ("lr", "eps", "max_grad_norm"):

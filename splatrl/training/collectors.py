@@ -1,0 +1,159 @@
+"""Where frames come from: a rollout that the host drives, and one for which it never waits."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs import EnvBase
+from torchrl.modules import ActorValueOperator
+
+from splatrl.envs.layers import layers
+from splatrl.envs.restart import restart
+from splatrl.training.captured import Captured
+from splatrl.training.memory import STATE
+
+SEEN = ("pixels", STATE, "is_init")
+"""What the model reads of an observation, where it is there."""
+CHOSEN = ("action", "action_log_prob", "state_value")
+"""What it makes of that."""
+ENDS = ("reward", "done", "terminated", "truncated", "outcome", "episode_return", "step_count")
+"""What learning and reports read of what a step gave."""
+
+
+class Collector(Protocol):
+    """Collects batches that begin where the last one stopped.
+
+    Attributes:
+        carried: what the next batch begins with, and all that a checkpoint needs to know of it.
+    """
+
+    @property
+    def carried(self) -> TensorDictBase:
+        """What the next batch begins with."""
+        ...
+
+    @carried.setter
+    def carried(self, value: TensorDictBase) -> None: ...
+
+    def collect(self) -> TensorDictBase:
+        """The next frames, [B, T]: what each robot saw, did and met."""
+        ...
+
+
+class HostCollector:
+    """TorchRL's rollout, which looks after each step who is done, and stacks what it was given.
+
+    Args:
+        env: batched.
+        model: actor and critic.
+        steps: T, of each batch.
+    """
+
+    def __init__(self, env: EnvBase, model: ActorValueOperator, steps: int):
+        self.env, self.model, self.steps = env, model, steps
+        self.carried = env.reset()
+
+    @torch.no_grad()
+    def collect(self) -> TensorDictBase:
+        """The next frames, [B, T]."""
+        options = {"auto_reset": False, "tensordict": self.carried, "break_when_any_done": False}
+        batch = self.env.rollout(self.steps, self.model, **options)
+        self.carried = self.env.step_mdp(batch[:, -1].clone())  # the next rollout resets what is done
+        return batch
+
+
+class DeviceCollector:
+    """A rollout that stays on the device: policy, step and automatic reset write in place, and nothing is asked.
+
+    Episodes go as in ``HostCollector`` where that resets in every step, whether any episode ended or not. The batch
+    holds what learning and reports read, in tensors that the next batch overwrites: ``SEEN`` (with pixels as uint8),
+    ``CHOSEN``, under ``"next"`` ``ENDS``, and ``next_value``, what the critic says of what was seen after the step,
+    before the reset.
+
+    Args:
+        env: a ``SplatEnv`` that resets by mask, bare or under transforms.
+        model: actor and critic.
+        steps: T, of each batch.
+        capture: makes the call that does a step from the function that does it; None takes the function itself.
+        begin: what the first batch begins with; None resets the env.
+    """
+
+    def __init__(
+        self,
+        env: EnvBase,
+        model: ActorValueOperator,
+        steps: int,
+        capture: Callable[[Callable[[], None]], Callable[[], None]] | None = None,
+        begin: TensorDictBase | None = None,
+    ):
+        self.env, self.model, self.critic, self.steps = env, model, model.get_value_operator(), steps
+        self._now = (env.reset() if begin is None else begin).clone()
+        self._batch = TensorDict(batch_size=[*env.batch_size, steps], device=env.device)
+        self._column = torch.zeros(1, dtype=torch.int64, device=env.device)
+        self._advance = self._step if capture is None else capture(self._step)
+
+    @property
+    def carried(self) -> TensorDictBase:
+        """What the next batch begins with."""
+        return self._now.clone()
+
+    @carried.setter
+    def carried(self, value: TensorDictBase) -> None:
+        for key, tensor in self._now.items():
+            tensor.copy_(value[key])
+
+    @torch.no_grad()
+    def collect(self) -> TensorDictBase:
+        """The next frames, [B, T]; they hold until the next call."""
+        self._column.zero_()
+        for _ in range(self.steps):
+            self._advance()
+        return self._batch.copy()
+
+    def _step(self) -> None:
+        """One column of the batch, and what the next begins with."""
+        acted = self.env.step(self.model(self._now.copy()))
+        after = acted["next"]
+        seen = after.select(*SEEN, strict=False)
+        acted["next_value"] = self.critic(seen)["state_value"]
+        for key in (*SEEN, *CHOSEN, "next_value"):
+            if acted.get(key, None) is not None:
+                self._note(key, acted[key])
+        for key in ENDS:
+            self._note(("next", key), after[key])
+        begun = restart(self.env, after)
+        for key, tensor in self._now.items():
+            tensor.copy_(begun[key])
+        self._column.add_(1)
+
+    def _note(self, key: str | tuple[str, str], value: Tensor) -> None:
+        """Write values [B, ...] into the present column, whose number the host does not know."""
+        if self._batch.get(key, None) is None:
+            self._batch.set(key, value.new_zeros(*self._batch.batch_size, *value.shape[1:]))
+        self._batch.get(key).index_copy_(1, self._column, value.unsqueeze(1))
+
+
+def device_collector(env: EnvBase, model: ActorValueOperator, steps: int, cuda_graph: bool | None) -> DeviceCollector:
+    """A collector on the env's device, whose steps are captured in a CUDA graph.
+
+    Args:
+        env: a ``SplatEnv``, bare or under transforms.
+        model: actor and critic.
+        steps: T, of each batch.
+        cuda_graph: whether to capture; None does so where renderer and checker can be.
+
+    Raises:
+        ValueError: where a graph is asked for that cannot be.
+    """
+    base = layers(env)[0]
+    possible = env.device.type == "cuda" and base.capturable
+    if cuda_graph and not possible:
+        raise ValueError(
+            "collector.cuda_graph: expected an env on a CUDA device with CudaRenderer and CudaChecker (or no checker), "
+            f"got {type(base.renderer).__name__} and {type(base.checker).__name__} on {env.device}"
+        )
+    if cuda_graph is False or not possible:
+        return DeviceCollector(env, model, steps)
+    return DeviceCollector(env, model, steps, lambda step: Captured(step, [base.generator]))

@@ -1,0 +1,243 @@
+"""A rollout that stays on the device is the rollout of TorchRL, asks nothing, and can be replayed."""
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase
+from torchrl.modules import ActorValueOperator
+
+from splatrl.envs.restart import restart
+from splatrl.faults import FaultFlag
+from splatrl.training import PPO, actor_critic, load_checkpoint, save_checkpoint
+from splatrl.training.captured import Captured
+from splatrl.training.collectors import CHOSEN, ENDS, SEEN, DeviceCollector, HostCollector, device_collector
+from splatrl.training.memory import Memory
+from tests.envs.contract import base_env
+from tests.envs.devices import NoHostReads, NoTransfers, Painter, pretend_device
+from tests.envs.test_device import WORLDS, made, whole_overlay
+from tests.tiny import tiny_env
+from tests.training.tape import Taped
+from tests.training.test_ppo import LOSS, OPTIM, parameters
+
+__all__ = ["whole_overlay"]
+
+FEATURES = 8
+ROBOTS = 7
+
+
+def network(env: EnvBase, remembers: bool) -> ActorValueOperator:
+    """A small model that goes through its memory as on a GPU."""
+    torch.manual_seed(1)
+    shape = env.observation_spec["pixels"].shape[1:]
+    model = actor_critic(shape, env.action_spec, 1, (4, 4), FEATURES, FEATURES if remembers else 0)
+    for part in model.modules():
+        if isinstance(part, Memory):
+            part.stepwise = True
+    return model
+
+
+def pair(name: str) -> tuple[EnvBase, ActorValueOperator]:
+    """An env of a world, and a model for it."""
+    if name == "remembering fps":  # the world's own memory is larger than a test needs
+        env = made("remembering fps", ROBOTS)
+        memory = env.observation_spec["recurrent_state"].shape[-1]
+        torch.manual_seed(1)
+        shape = env.observation_spec["pixels"].shape[1:]
+        model = actor_critic(shape, env.action_spec, 1, (4, 4), FEATURES, memory)
+        next(part for part in model.modules() if isinstance(part, Memory)).stepwise = True
+        return env, model
+    env = made(name, ROBOTS)
+    return env, network(env, False)
+
+
+def reset_in_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let TorchRL's rollout reset in every step, as a device's does, and not only where it finds that any is done."""
+
+    def always(env: EnvBase, td: TensorDictBase) -> bool:
+        td.set("_reset", td["done"].clone())
+        return True
+
+    monkeypatch.setattr(EnvBase, "any_done", always)
+
+
+def assert_same_frames(batch: TensorDictBase, expected: TensorDictBase) -> None:
+    """All that a device's batch holds is in a batch of TorchRL's rollout, and the same."""
+    keys = [key for key in (*SEEN, *CHOSEN) if key in set(batch.keys())] + [("next", key) for key in ENDS]
+    assert {"pixels", "action"} <= set(keys)
+    for key in keys:
+        assert torch.equal(batch[key], expected[key]), key
+
+
+@pytest.mark.usefixtures("whole_overlay")
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_rollout_is_that_of_torchrl_row_for_row(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    reset_in_every_step(monkeypatch)
+    batches = []
+    for kind in (HostCollector, DeviceCollector):
+        env, model = pair(name)
+        torch.manual_seed(3)
+        collector = kind(env, model, 5)
+        if kind is DeviceCollector:  # it resets after each step, the other before
+            collector.carried = restart(env, collector.carried)
+        batches.append([collector.collect().clone() for _ in range(3)])
+    for expected, batch in zip(*batches, strict=True):
+        assert batch.shape == (ROBOTS, 5)
+        assert_same_frames(batch, expected)
+    assert torch.cat(batches[0], 1)["next", "done"].any(0).sum() >= 2
+
+
+@pytest.mark.usefixtures("whole_overlay")
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_rollout_asks_the_host_nothing(name: str) -> None:
+    collector = DeviceCollector(*pair(name), 5)
+    with NoHostReads():
+        collector.collect()
+        batch = collector.collect()
+    assert batch["next", "done"].any()
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_rollout_fetches_nothing_from_the_cpu(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, model = pair(name)
+    pretend_device(monkeypatch)
+    elsewhere = made(name, ROBOTS, "meta")
+    for part in model.modules():  # the limits of actions are no parameters
+        if hasattr(part, "distribution_kwargs"):
+            part.distribution_kwargs = {key: value.to("meta") for key, value in part.distribution_kwargs.items()}
+    collector = DeviceCollector(elsewhere, model.to("meta"), 3, begin=elsewhere._reset(set_state=False))
+    collector.collect()
+    with NoTransfers():
+        batch = collector.collect()
+    assert {value.device.type for value in batch.values(True, True)} == {"meta"}
+
+
+@pytest.mark.usefixtures("whole_overlay")
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_rollout_can_be_replayed(name: str) -> None:
+    runs = []
+    for capture in (None, Taped):
+        env, model = pair(name)
+        torch.manual_seed(3)
+        collector = DeviceCollector(env, model, 6, capture)
+        batches = []
+        for weight in (1.0, 1.1, 0.9):  # learning changes weights in place, and the curriculum goes on
+            for parameter in model.parameters():
+                parameter.data.mul_(weight)
+            batches.append(collector.collect().clone())
+        runs.append((batches, base_env(env).curriculum.progress.clone(), base_env(env).generator.get_state()))
+    for eager, replayed in zip(*(batches for batches, _, _ in runs), strict=True):
+        assert set(eager.keys(True, True)) == set(replayed.keys(True, True))
+        for key in eager.keys(True, True):
+            assert torch.equal(eager[key], replayed[key]), key
+    assert runs[0][1][1] > 0 and torch.equal(runs[0][1], runs[1][1])
+    assert torch.equal(runs[0][2], runs[1][2])
+
+
+def settled(on_device: bool = True, seed: int = 0, **options: object) -> PPO:
+    """PPO on the tiny room; on a CPU, but by the ways of a GPU."""
+    env = tiny_env([6], seed, max_steps=4, first=1, threshold=0.01, window=5)
+    env.reset_by_mask = True
+    torch.manual_seed(seed)
+    model = actor_critic(env.observation_spec["pixels"].shape[1:], env.action_spec, 1, (8, 16), 32)
+    return PPO(env, model, LOSS, OPTIM, 6 * 13, 10**6, on_device=on_device, **options)
+
+
+def test_advantages_are_those_of_torchrls_rollout(monkeypatch: pytest.MonkeyPatch) -> None:
+    reset_in_every_step(monkeypatch)
+    found = []
+    for on_device in (False, True):
+        ppo = settled(on_device)
+        if on_device:
+            ppo.collector.carried = restart(ppo.env, ppo.collector.carried)
+        torch.manual_seed(4)
+        batch = ppo.collect()
+        assert (batch.get("next_value", None) is not None) == on_device
+        assert batch["next", "truncated"][:, :-1].any() and batch["next", "terminated"].any()
+        found.append(ppo.learner.advantages(batch))
+    for expected, got in zip(*found, strict=True):
+        torch.testing.assert_close(got, expected, atol=1e-5, rtol=1e-5)
+
+
+def test_minibatches_hold_images_pooled_as_in_collection() -> None:
+    batch = settled().collect()
+    assert batch.get("image", None) is None and batch["pixels"].dtype == torch.uint8
+    ppo = settled()
+    batch["advantage"], batch["value_target"] = ppo.learner.advantages(batch)
+    torch.manual_seed(0)
+    parts = list(ppo.learner.minibatches(batch))
+    torch.manual_seed(0)
+    batch["image"] = ppo.learner._shrink(batch["pixels"])
+    for part, expected in zip(parts, ppo.learner.minibatches(batch), strict=True):
+        assert part.keys() == expected.keys()
+        assert all(torch.equal(part[key], expected[key]) for key in part)
+
+
+def test_a_gradient_step_asks_the_host_nothing() -> None:
+    ppo = settled()
+    batch = ppo.collect()
+    batch["advantage"], batch["value_target"] = ppo.learner.advantages(batch)
+    with NoHostReads():
+        for frames in ppo.learner.minibatches(batch):
+            ppo.learner.step(frames)
+
+
+def test_a_resumed_training_is_the_same_to_the_byte(tmp_path: object) -> None:
+    whole = settled()
+    reports = [whole.iterate() for _ in range(4)]
+    half = settled()
+    for _ in range(2):
+        half.iterate()
+    save_checkpoint(tmp_path / "last.pt", half.state_dict())
+    resumed = settled(seed=1)
+    resumed.iterate()
+    resumed.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
+    assert str([resumed.iterate() for _ in range(2)]) == str(reports[2:])
+    assert torch.equal(parameters(resumed), parameters(whole))
+
+
+def test_a_checkpoint_of_another_device_is_refused() -> None:
+    state = settled().state_dict() | {"device": "cuda"}
+    with pytest.raises(ValueError, match="device: expected cuda, on which the checkpoint was made, got cpu"):
+        settled().load_state_dict(state)
+
+
+def test_it_learns_on_the_device_as_well() -> None:
+    env = tiny_env([16], max_steps=20, first=2, threshold=1.0, window=10**6)
+    env.reset_by_mask = True
+    torch.manual_seed(0)
+    model = actor_critic(env.observation_spec["pixels"].shape[1:], env.action_spec, 1, (8, 16), 32)
+    loss = LOSS.__class__(**{**vars(LOSS), "ppo_epochs": 6, "mini_batch_size": 128})
+    optim = OPTIM.__class__(**{**vars(OPTIM), "lr": 2e-3, "anneal_lr": True})
+    ppo = PPO(env, model, loss, optim, 512, 512 * 12, on_device=True)
+    success = [ppo.iterate()["success"] for _ in range(12)]
+    assert sum(success[:2]) / 2 < 0.45
+    assert sum(success[-3:]) / 3 > 0.7
+    assert not any(math.isnan(value) for value in success)
+
+
+def test_faults_of_a_rollout_are_raised_after_it() -> None:
+    class Refusing(Painter):
+        fault = FaultFlag("cpu")
+
+        def raise_faults(self) -> None:
+            row = self.fault.take()
+            if row is not None:
+                raise ValueError(f"row {row}")
+
+    ppo = settled()
+    ppo.env.renderer = Refusing()
+    ppo.collect()
+    ppo.env.renderer.fault.flag.fill_(3)
+    with pytest.raises(ValueError, match="row 3"):
+        ppo.collect()
+
+
+def test_a_graph_is_refused_where_there_can_be_none_and_left_out_where_none_is_asked_for() -> None:
+    env = made("grid", 3)
+    with pytest.raises(ValueError, match=r"collector\.cuda_graph: expected an env on a CUDA device .* got Painter and"):
+        device_collector(env, network(env, False), 4, True)
+    for choice in (None, False):
+        collector = device_collector(env, network(env, False), 4, choice)
+        assert not isinstance(collector._advance, Captured)
