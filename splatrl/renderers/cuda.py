@@ -94,7 +94,8 @@ class CudaRenderer:
         background: colour behind the Gaussians, in [0, 1].
         tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
         device: a CUDA device.
-        memory: bytes of working memory at most; more let more tiles be drawn at a time.
+        memory: bytes of working memory at most: with less, fewer tiles are drawn at a time. None takes a quarter of the
+            device's.
         kernels: what runs them, made for ``device`` if not given.
 
     Raises:
@@ -109,7 +110,7 @@ class CudaRenderer:
         background: Sequence[float] = (0.0, 0.0, 0.0),
         tolerance: float = 0.0,
         device: torch.device | str = "cuda",
-        memory: int = 8 * 2**30,
+        memory: int | None = None,
         kernels: Kernels | None = None,
     ) -> None:
         self._kernels = kernels or CudaKernels("render", device, kernel_defines(antialiased))
@@ -134,7 +135,7 @@ class CudaRenderer:
         self._arrays = {name: _bits(value).to(self.device) for name, value in flat.items()}
         self._scene = _SceneArrays(**{name: value.data_ptr() for name, value in self._arrays.items()}, **values)
         self._key_capacity, self._node_capacity = gaussians.numel(), len(flat["clusters"])
-        self._memory = memory
+        self._memory = self._kernels.memory // 4 if memory is None else memory
         self._faults = FaultFlag(self.device)
         self._working: dict[str, tuple[Tensor, Tensor]] = {}
 

@@ -33,7 +33,7 @@ class EmulatedKernels:
     """
 
     device = torch.device("cpu")
-    multiprocessors = 2
+    multiprocessors, memory = 2, 2**30
 
     def __init__(self, source: str | Path, defines: Mapping[str, int]) -> None:
         path = Path(source) if Path(source).suffix else NATIVE / "cuda" / f"{source}.cu"

@@ -20,10 +20,12 @@ class Kernels(Protocol):
     Attributes:
         device: where they run, and where their tensors are.
         multiprocessors: of that device.
+        memory: of that device, bytes.
     """
 
     device: torch.device
     multiprocessors: int
+    memory: int
 
     def resident(self, name: str, threads: int, shared: int = 0) -> int:
         """How many blocks of a kernel a multiprocessor holds at a time, at least 1."""
@@ -79,7 +81,8 @@ class CudaKernels:
     ) -> None:
         self.device = torch.empty(0, device=device).device  # with its index; and PyTorch's context is there from now on
         major, minor = torch.cuda.get_device_capability(self.device)
-        self.multiprocessors = torch.cuda.get_device_properties(self.device).multi_processor_count
+        properties = torch.cuda.get_device_properties(self.device)
+        self.multiprocessors, self.memory = properties.multi_processor_count, properties.total_memory
         code = compiled(source, f"sm_{major}{minor}", defines)
         from cuda.bindings import driver
 
