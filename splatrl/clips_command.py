@@ -131,8 +131,8 @@ def trained_policy(
         cfg: of the run.
         world: built from it.
     """
-    state = load_checkpoint(folder / "checkpoints" / f"{cfg.evaluation.checkpoint}.pt", cfg.device)
-    env = world.env(1, device=cfg.device)
+    state = load_checkpoint(folder / "checkpoints" / f"{cfg.evaluation.checkpoint}.pt")
+    env = world.env(1)
     model = build_model(cfg, env)
     model.load_state_dict(state["ppo"]["model"])
     policy = model.get_policy_operator()

@@ -1,12 +1,14 @@
 """From Hydra configs to objects: the one place that knows which node builds what."""
 
 import difflib
+import inspect
 import sys
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from hydra import compose, initialize_config_dir
@@ -25,6 +27,7 @@ from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Curriculum, Plan, plan
 from splatrl.curriculum.field import PlanarMotion
 from splatrl.curriculum.planner import FiniteMotion
+from splatrl.device import chosen_device, cuda_extra
 from splatrl.envs.robot import Robot
 from splatrl.envs.splat_env import SplatEnv
 from splatrl.envs.tasks import Task
@@ -161,6 +164,7 @@ class World:
         task: goal, motion and rewards.
         plan: free poses and shortest paths.
         make_transforms: makes new transforms for an env, the innermost first.
+        device: of its envs, unless they are given another.
     """
 
     scene: Scene
@@ -171,13 +175,14 @@ class World:
     task: Task
     plan: Plan
     make_transforms: Callable[[], list[Transform]]
+    device: torch.device
 
     def env(
         self,
         num_envs: int,
         curriculum: Curriculum | None = None,
         seed: int | None = 0,
-        device: torch.device | str = "cpu",
+        device: torch.device | str | None = None,
     ) -> EnvBase:
         """A batch of robots in this world, under its transforms.
 
@@ -185,8 +190,9 @@ class World:
             num_envs: number of robots.
             curriculum: where episodes begin; None lets them begin anywhere in the start set.
             seed: of the env's generator.
-            device: of its tensors.
+            device: of its tensors; None takes the world's.
         """
+        device = self.device if device is None else device
         curriculum = curriculum or Curriculum(self.plan, first=None)
         transforms = self.make_transforms()
         env = SplatEnv(
@@ -204,18 +210,22 @@ class World:
 
 
 def build_world(cfg: DictConfig) -> World:
-    """Build scene, robot, task, collision, renderer and plan from a config.
+    """Build scene, robot, task, collision, renderer and plan from a config, for the device that it names.
+
+    Paths are planned on the CPU, with the checker of the CPU where the robots' own is a GPU's.
 
     Raises:
         ValueError: for a value that is still to be given, or that one of them refuses.
     """
     require_values(cfg)
+    device = chosen_device(cfg.device)
     scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
     occupancy = instantiate(cfg.collision.occupancy)(scene, *_start_region(task.motion, task.reached, robot))
-    checker = instantiate(cfg.collision.checker)(occupancy, robot.body)
+    checker, on_gpu = _made(cfg.collision, "checker", device)(occupancy, robot.body)
     solid = NativeChecker(occupancy, robot.body)
-    renderer = instantiate(cfg.renderer.views)(scene)
-    if cfg.renderer.memory is not None:
+    planner = solid if on_gpu else checker
+    renderer, _ = _made(cfg.renderer, "views", device)(scene)
+    if cfg.renderer.memory is not None and _node(cfg.renderer, "views", device) is cfg.renderer.views:
         renderer = instantiate(cfg.renderer.memory)(renderer)
     return World(
         scene,
@@ -224,9 +234,32 @@ def build_world(cfg: DictConfig) -> World:
         renderer,
         robot,
         task,
-        plan(task.motion, checker, task.reached, cfg.starts.farthest, partial(_fits, scene.bounds, solid)),
+        plan(task.motion, planner, task.reached, cfg.starts.farthest, partial(_fits, scene.bounds, solid)),
         partial(_make_transforms, cfg.transforms, robot, cfg.network.get("memory", 0)),
+        device,
     )
+
+
+def _node(group: DictConfig, name: str, device: torch.device) -> DictConfig:
+    """What a config group says for a device: its node ``gpu`` if it has one, where that is a GPU."""
+    return group.get("gpu", group[name]) if device.type == "cuda" else group[name]
+
+
+def _made(group: DictConfig, name: str, device: torch.device) -> Callable[..., tuple[Any, bool]]:
+    """A constructor of what a config group says for a device; it also tells whether that lives on a GPU.
+
+    Raises:
+        ValueError: for a GPU's where the device is none, or the extra that it needs is missing.
+    """
+    target = _node(group, name, device)._target_
+    if ".cuda." in target and not cuda_extra():
+        raise ValueError(f"{target}: expected the extra cuda, which is not installed: pip install 'splatrl[cuda]'")
+    make = instantiate(_node(group, name, device))
+    if "device" not in inspect.signature(make).parameters:
+        return lambda *parts: (make(*parts), False)
+    if device.type != "cuda":
+        raise ValueError(f"{target}: expected device=cuda, got device={device}")
+    return lambda *parts: (make(*parts, device=device), True)
 
 
 def _fits(bounds: Bounds, solid: Checker, body_to_world: Tensor) -> Tensor:
@@ -261,7 +294,7 @@ def _start_region(
 def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
     """Build the actor and critic for an env; its first weights come from PyTorch's global generator."""
     image_shape = env.observation_spec["pixels"].shape[1:]
-    return instantiate(cfg.network)(image_shape, env.action_spec).to(cfg.device)
+    return instantiate(cfg.network)(image_shape, env.action_spec).to(env.device)
 
 
 def make_env(
@@ -279,4 +312,4 @@ def make_env(
     cfg = load_config(overrides)
     world = build_world(cfg)
     curriculum = instantiate(cfg.curriculum)(world.plan)
-    return world.env(batch_size[0] if batch_size else cfg.env.num_envs, curriculum, seed, cfg.device)
+    return world.env(batch_size[0] if batch_size else cfg.env.num_envs, curriculum, seed)

@@ -27,11 +27,11 @@ def evaluate(cfg: DictConfig, folder: Path, world: World) -> dict[str, Any]:
         world: built from ``cfg``.
     """
     settings = cfg.evaluation
-    state = load_checkpoint(folder / "checkpoints" / f"{settings.checkpoint}.pt", cfg.device)
+    state = load_checkpoint(folder / "checkpoints" / f"{settings.checkpoint}.pt")
     rows = spread(world.plan.start_rows, settings.starts)
     starts = world.plan.states[rows]
     repeated = starts.repeat_interleave(settings.repeats, 0)
-    env = world.env(min(settings.batch_size, len(repeated)), device=cfg.device)
+    env = world.env(min(settings.batch_size, len(repeated)))
     model = build_model(cfg, env)
     model.load_state_dict(state["ppo"]["model"])
     policy = model.get_policy_operator()
@@ -57,7 +57,7 @@ def evaluate(cfg: DictConfig, folder: Path, world: World) -> dict[str, Any]:
         pictures.success_map(sampled),
     ]
     if cfg.logger.video:
-        files.append(pictures.video(world.env(EPISODES_IN_VIDEO, device=cfg.device), policy, settings.seed))
+        files.append(pictures.video(world.env(EPISODES_IN_VIDEO), policy, settings.seed))
     print(_words(summary, folder, files))
     return summary
 

@@ -19,6 +19,7 @@ from splatrl.configuration import (
     resumed_config,
     save_config,
 )
+from splatrl.device import AUTO, device_line
 from splatrl.evaluate import evaluate
 from splatrl.evaluation.rollouts import run_episodes, spread
 from splatrl.training import PPO, Trainer
@@ -33,15 +34,13 @@ def make_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
         folder: the run folder.
     """
     curriculum = instantiate(cfg.curriculum)(world.plan)
-    env = world.env(cfg.env.num_envs, curriculum, cfg.seed, cfg.device)
+    env = world.env(cfg.env.num_envs, curriculum, cfg.seed)
     torch.manual_seed(cfg.seed)
     model = build_model(cfg, env)
-    collector = cfg.collector
-    ppo = PPO(
-        env, model, instantiate(cfg.loss), instantiate(cfg.optim), collector.frames_per_batch, collector.total_frames
-    )
+    loss, optim, collector = instantiate(cfg.loss), instantiate(cfg.optim), cfg.collector
+    ppo = PPO(env, model, loss, optim, collector.frames_per_batch, collector.total_frames, _cuda_graph(collector))
     starts = world.plan.states[spread(world.plan.start_rows, cfg.logger.num_test_episodes)]
-    test_env = world.env(min(cfg.env.num_envs, len(starts)), seed=cfg.seed, device=cfg.device)
+    test_env = world.env(min(cfg.env.num_envs, len(starts)), seed=cfg.seed)
 
     def test() -> float:
         return (
@@ -53,6 +52,18 @@ def make_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
 
     logger, checkpoint = cfg.logger, cfg.checkpoint
     return Trainer(ppo, folder, test, logger.test_interval, checkpoint.interval, logger.backend, logger.exp_name)
+
+
+def _cuda_graph(collector: DictConfig) -> bool | None:
+    """Whether to capture steps; None where that is left to what there is, as in runs of before there were graphs.
+
+    Raises:
+        ValueError: for anything but true, false and auto.
+    """
+    choice = collector.get("cuda_graph", AUTO)
+    if choice not in (True, False, AUTO):
+        raise ValueError(f"collector.cuda_graph: expected true, false or auto, got {choice}")
+    return None if choice == AUTO else choice
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="train")
@@ -68,6 +79,7 @@ def run(cfg: DictConfig) -> None:
     save_config(cfg, folder)
     torch.set_num_threads(cfg.threads)
     world = build_world(cfg)
+    print(device_line(world.device))
     trainer = make_trainer(cfg, world, folder)
     if resume:
         trainer.resume()

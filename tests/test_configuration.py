@@ -3,8 +3,10 @@
 from pathlib import Path
 
 import pytest
+import torch
 from omegaconf import OmegaConf
 
+from splatrl import configuration
 from splatrl.configuration import (
     build_world,
     check_overrides,
@@ -15,11 +17,14 @@ from splatrl.configuration import (
     run_config,
     save_config,
 )
+from splatrl.train import make_trainer
+from tests.envs.devices import pretend_device
 from tests.tiny import tiny_overrides
 
 TASKS = sorted((conf_dir() / "task").glob("*.yaml"))
 SCENES = sorted((conf_dir() / "scene").glob("*.yaml"))
 NOT_OF_TRAIN = {"scene", "task", "experiment"}
+OF_GPUS = {Path("renderer/cuda"), Path("renderer/gsplat"), Path("collision/cuda")}
 OPTIONS = sorted(
     path.relative_to(conf_dir()).with_suffix("")
     for path in conf_dir().rglob("*/*.yaml")
@@ -27,11 +32,54 @@ OPTIONS = sorted(
 )
 
 
-@pytest.mark.parametrize("option", OPTIONS, ids=str)
+@pytest.mark.parametrize("option", [option for option in OPTIONS if option not in OF_GPUS], ids=str)
 def test_every_option_of_every_group_builds_an_env_that_steps(option: Path, tmp_path: Path) -> None:
     task = "apple" if option.parent.name == "sprite" else "grid"
     env = make_env([*tiny_overrides(tmp_path, task), f"{option.parent.as_posix()}={option.name}"], batch_size=[2])
     assert env.rollout(2)["next", "reward"].shape[0] == 2
+
+
+@pytest.mark.parametrize("option", sorted(OF_GPUS), ids=str)
+def test_what_runs_on_gpus_alone_says_so(option: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen = [*tiny_overrides(tmp_path), f"{option.parent}={option.name}"]
+    with pytest.raises(ValueError, match=r"splatrl\..*: expected device=cuda, got device=cpu"):
+        build_world(load_config(chosen))
+    if option.name == "cuda":
+        monkeypatch.setattr(configuration, "cuda_extra", lambda: False)
+        with pytest.raises(ValueError, match=r"expected the extra cuda, .* pip install 'splatrl\[cuda\]'"):
+            build_world(load_config(chosen))
+
+
+def test_the_parts_for_a_gpu_are_those_of_its_nodes() -> None:
+    """Those that ``auto`` names, and where a group is chosen by name that alone."""
+    gpu, cpu = torch.device("cuda"), torch.device("cpu")
+    cfg = load_config(["renderer.views.antialiased=false", "renderer.views.tolerance=0.25"])
+    assert configuration._node(cfg.renderer, "views", gpu)._target_ == "splatrl.renderers.cuda.CudaRenderer"
+    assert configuration._node(cfg.collision, "checker", gpu)._target_ == "splatrl.collision.cuda.CudaChecker"
+    assert (cfg.renderer.gpu.antialiased, cfg.renderer.gpu.tolerance) == (False, 0.25)
+    assert configuration._node(cfg.renderer, "views", cpu)._target_ == "splatrl.renderers.NativeRenderer"
+    named = load_config(["renderer=native", "collision=fcl"])
+    assert configuration._node(named.renderer, "views", gpu)._target_ == "splatrl.renderers.NativeRenderer"
+    assert configuration._node(named.collision, "checker", gpu)._target_ == "splatrl.collision.FclChecker"
+
+
+def test_a_config_of_before_there_were_gpus_still_builds(tmp_path: Path) -> None:
+    cfg = load_config([*tiny_overrides(tmp_path), "renderer=native", "collision=native", "memory=stack"])
+    del cfg.collector.cuda_graph, cfg.optim.compile
+    cfg.transforms.stack._target_ = "torchrl.envs.CatFrames"
+    folder = tmp_path / "run"
+    folder.mkdir()
+    save_config(cfg, folder)
+    old = run_config(folder)
+    trainer = make_trainer(old, build_world(old), folder)
+    assert trainer.ppo.collect()["pixels"].shape[-1] == 12
+
+
+def test_a_task_moves_with_its_env_and_the_plan_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pretend_device(monkeypatch)
+    world = build_world(load_config(tiny_overrides(tmp_path)))
+    assert world.env(2, device="meta").task.goal.device.type == "meta"
+    assert world.task.goal.device.type == world.plan.motion.moves.device.type == "cpu"
 
 
 @pytest.mark.parametrize("path", TASKS, ids=lambda path: path.stem)

@@ -22,6 +22,7 @@ ORDER = [
     {"training"},
     {"evaluation"},
     {"reconstruct"},
+    {"device"},
     {"configuration"},
     {"experiments"},
     {"train", "evaluate", "scene_command", "experiment_command", "clips_command"},
@@ -100,8 +101,8 @@ def test_a_module_imports_only_from_rooms_before_its_own(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_only_entry_points_choose_a_device(path: Path) -> None:
-    if room(path) not in ENTRY_POINTS and not path.relative_to(PACKAGE).as_posix().startswith(CUDA_ALONE):
+def test_only_entry_points_and_the_module_they_ask_choose_a_device(path: Path) -> None:
+    if room(path) not in ENTRY_POINTS | {"device"} and not path.relative_to(PACKAGE).as_posix().startswith(CUDA_ALONE):
         assert device_choices(path.read_text()) == []
 
 

@@ -191,6 +191,7 @@ def tiny_overrides(folder: Path, task: str = "grid") -> list[str]:
     write_gaussians(path, tiny_gaussians())
     overrides = [
         f"task={task}",
+        "device=cpu",  # the same everywhere
         "scene=file",
         f"scene.path={path}",
         "landmarks.goal=[0.5,1.0,0.0]",

@@ -13,7 +13,9 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, TensorSpec
 from torchrl.envs import EnvBase
 
+from splatrl.envs.layers import layers
 from splatrl.envs.tasks.base import Outcome
+from splatrl.faults import Faulty
 
 Pixels = npt.NDArray[np.uint8]
 Action = np.int64 | npt.NDArray[np.float32]
@@ -68,6 +70,7 @@ class GymnasiumEnv(gymnasium.Env[Pixels, Action]):
         if self._present is None:
             raise gymnasium.error.ResetNeeded("step: expected reset first")
         step = self.env.step(_act(self.env, self._present, self.action_space, action))
+        _raise_faults(self.env)
         after = step["next"]
         self._present = self.env.step_mdp(step)
         terminated, truncated = bool(after["terminated"]), bool(after["truncated"])
@@ -127,6 +130,7 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
             raise gymnasium.error.ResetNeeded("step: expected reset first")
         acted = _act(self.env, self._present, self.action_space, actions)
         step, self._present = self.env.step_and_maybe_reset(acted)
+        _raise_faults(self.env)
         after = step["next"]
         infos = _masked(_infos(self._present), np.ones(self.num_envs, dtype=bool))
         ended = _column(after, "done")
@@ -186,6 +190,13 @@ def _act(env: EnvBase, present: TensorDictBase, space: gymnasium.Space[Any], act
     if continuous:
         action = torch.lerp(spec.low, spec.high, (action + 1) / 2)
     return present.set("action", action)
+
+
+def _raise_faults(env: EnvBase) -> None:
+    """Raise what renderer or checker refused on their device: what is observed is read at once here anyway."""
+    base = layers(env)[0]
+    if isinstance(base, Faulty):
+        base.raise_faults()
 
 
 def _pixels(td: TensorDictBase) -> Pixels:

@@ -37,8 +37,7 @@ class Pictures:
 
     def __init__(self, gaussians: Gaussians, occupancy: Occupancy, plan: Plan, env: EnvBase, folder: Path):
         self.plan, self.env, self.folder = plan, env, folder
-        motion, robot = env.task.motion, env.robot
-        places = motion.planar(plan.states)[:, :2]
+        robot, places = env.robot, self._planar(plan.states)[:, :2]
         lower, upper = (places.amin(0) - MARGIN).tolist(), (places.amax(0) + MARGIN).tolist()
         half = robot.body.half_height
         self.ground: TopDown = top_down(gaussians, lower, upper, robot.height + half + HEADROOM)
@@ -53,15 +52,15 @@ class Pictures:
     def starts(self, episodes: Episodes) -> Path:
         """Start poses and headings coloured by success."""
         path = self.folder / "starts.png"
-        planar = self.env.task.motion.planar(episodes.start)
-        start_map(planar, episodes.success, self.env.task.goal, self.ground, path, self.solid, self._blocked())
+        planar = self._planar(episodes.start)
+        start_map(planar, episodes.success, self.env.task.goal.cpu(), self.ground, path, self.solid, self._blocked())
         return path
 
     def success_map(self, episodes: Episodes) -> Path:
         """Success rate by start position."""
         path = self.folder / "success_map.png"
-        planar = self.env.task.motion.planar(episodes.start)
-        success_map(planar, episodes.success, self.env.task.goal, self.ground, path, self.solid)
+        planar = self._planar(episodes.start)
+        success_map(planar, episodes.success, self.env.task.goal.cpu(), self.ground, path, self.solid)
         return path
 
     def video(self, env: EnvBase, policy: Callable[[TensorDictBase], TensorDictBase], seed: int) -> Path:
@@ -75,12 +74,17 @@ class Pictures:
         names = getattr(env.task.motion, "action_names", ())
         sprite = sprite_among([env.transform]) if isinstance(env, TransformedEnv) else None
         views = (env.renderer, sprite)
-        rollout_video(recordings, env.robot, env.task.goal, self.ground, path, self.solid, *views, action_names=names)
+        goal = env.task.goal.cpu()
+        rollout_video(recordings, env.robot, goal, self.ground, path, self.solid, *views, action_names=names)
         return path
+
+    def _planar(self, states: Tensor) -> Tensor:
+        """Positions and headings of states, wherever the env is: [N, D] -> [N, 3], on the CPU."""
+        return self.env.task.motion.planar(states.to(self.env.device)).cpu()
 
     def _blocked(self) -> Tensor:
         """Positions where the body fits in no heading: [M, 2] metres."""
-        places = self.env.task.motion.planar(self.plan.states)[:, :2]
+        places = self._planar(self.plan.states)[:, :2]
         distinct, row = places.unique(dim=0, return_inverse=True)
         fits = torch.zeros(len(distinct)).index_add(0, row, self.plan.free.float())
         return distinct[fits == 0]

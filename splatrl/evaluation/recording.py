@@ -57,7 +57,7 @@ def record_episodes(
     if env.numel() != len(starts):
         raise ValueError(f"env: expected as many robots as starts, {len(starts)}, got {env.numel()}")
     steps: list[TensorDictBase] = []
-    with acting(sampled, seed):
+    with acting(sampled, seed, env.device):
         given = TensorDict({"state": starts}, batch_size=env.batch_size, device=env.device)
         now = env.reset(given, set_state=True)
         running = torch.ones(len(starts), dtype=torch.bool)

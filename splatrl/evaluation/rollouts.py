@@ -55,13 +55,14 @@ def spread(rows: Tensor, most: int) -> Tensor:
 
 
 @contextmanager
-def acting(sampled: bool, seed: int) -> Iterator[None]:
+def acting(sampled: bool, seed: int, device: torch.device | None = None) -> Iterator[None]:
     """A block in which policies act, sampled from ``seed`` or by their mode.
 
-    It tracks no gradients, and PyTorch's global generator is afterwards as it was.
+    It tracks no gradients, and PyTorch's global generators, of the CPU and of this device, are afterwards as they were.
     """
+    devices = [device] if device is not None and device.type == "cuda" else []
     kind = ExplorationType.RANDOM if sampled else ExplorationType.DETERMINISTIC
-    with torch.random.fork_rng(devices=[]), set_exploration_type(kind), torch.no_grad():
+    with torch.random.fork_rng(devices=devices), set_exploration_type(kind), torch.no_grad():
         torch.manual_seed(seed)
         yield
 
@@ -90,7 +91,7 @@ def run_episodes(
     result = Episodes(starts, *(torch.zeros(count, dtype=t) for t in (torch.int64, torch.int64, torch.float32)))
     episode = torch.arange(rows)  # which episode each robot is in; from count on it is idle
     waiting = rows
-    with acting(sampled, seed):
+    with acting(sampled, seed, env.device):
         state = starts[episode.clamp_max(count - 1)]
         td = env.reset(TensorDict({"state": state}, batch_size=[rows], device=env.device), set_state=True)
         while (episode < count).any():
@@ -106,7 +107,8 @@ def run_episodes(
             waiting += len(done)
             td = env.step_mdp(td)
             if len(done):
-                td["state"] = td["state"].index_put((done,), starts[episode[done].clamp_max(count - 1)])
+                fresh = starts[episode[done].clamp_max(count - 1)].to(env.device)
+                td["state"] = td["state"].index_put((done.to(env.device),), fresh)
                 td["_reset"] = after["done"].clone()
                 td = env.reset(td, set_state=True)
     return result

@@ -104,9 +104,10 @@ def _views(
             if sprite is None or recording.target is None:
                 views = renderer.pixels(cameras).cpu()
             else:
-                rgb, depth, _ = renderer.render(cameras)
+                rgb, depth, _ = (values.cpu() for values in renderer.render(cameras))
                 view = (to_pixels(rgb), depth, cameras.camera_to_world, large.K)
-                views = overlay(*view, recording.target[rows], sprite.sprite, sprite.size, sprite.near)[0].cpu()
+                picture = sprite.sprite.to(rgb.device)
+                views = overlay(*view, recording.target[rows], picture, sprite.size, sprite.near)[0]
         for own, view in zip(seen.numpy(), views.numpy(), strict=True):
             image = Image.fromarray(view).resize(size, Image.Resampling.NEAREST)
             if renderer is not None:

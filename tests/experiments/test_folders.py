@@ -45,3 +45,14 @@ def test_configs_differ_in_what_changes_results_and_not_in_speed() -> None:
 def test_a_path_and_its_absolute_form_are_the_same() -> None:
     asked, found = compose(["scene=yard.spz"]), compose([f"scene={Path('yard.spz').absolute()}"])
     assert differences(asked, found) == []
+
+
+def test_folders_of_before_there_were_gpus_have_the_settings_of_today() -> None:
+    asked, found = compose(["scene=yard"]), compose(["scene=yard"])
+    asked |= {"transforms": {"stack": {"_target_": "splatrl.envs.transforms.FrameStack"}}}
+    found |= {"transforms": {"stack": {"_target_": "torchrl.envs.CatFrames"}}}
+    asked |= {"renderer": {"gpu": {"_target_": "splatrl.renderers.cuda.CudaRenderer"}}}
+    asked["collector"] = {**asked["collector"], "cuda_graph": "auto"}
+    assert differences(asked, found) == []
+    found["transforms"]["stack"]["_target_"] = "torchrl.envs.Other"
+    assert len(differences(asked, found)) == 1

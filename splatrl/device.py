@@ -1,0 +1,48 @@
+"""Where tensors live: chosen once, where a program begins."""
+
+from importlib.util import find_spec
+
+import torch
+
+AUTO = "auto"
+
+
+def chosen_device(name: str) -> torch.device:
+    """The device of a name; a GPU that is named becomes PyTorch's present one.
+
+    Args:
+        name: ``auto`` takes a CUDA device where there is one and the extra ``cuda`` is installed, and else the CPU; any
+            other name is PyTorch's, such as cpu or cuda:1.
+
+    Raises:
+        ValueError: for a name that PyTorch does not know, or a CUDA device that is not here.
+    """
+    if name == AUTO:
+        return torch.device("cuda" if torch.cuda.is_available() and cuda_extra() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise ValueError(f"device: expected auto, cpu, cuda or cuda:<number>, got {name}") from error
+    if device.type == "cuda":
+        if (device.index or 0) >= torch.cuda.device_count():
+            raise ValueError(
+                f"device: expected one that is here, got {name}: PyTorch {torch.__version__} finds "
+                f"{torch.cuda.device_count()} CUDA devices; device=auto takes what there is"
+            )
+        if device.index is not None:
+            torch.cuda.set_device(device)
+    return device
+
+
+def device_line(device: torch.device) -> str:
+    """What was chosen, in words."""
+    if device.type == "cuda":
+        return f"device: {device} ({torch.cuda.get_device_name(device)})"
+    if torch.cuda.is_available() and not cuda_extra():
+        return f"device: {device}; for {torch.cuda.get_device_name()}: pip install 'splatrl[cuda]'"
+    return f"device: {device}"
+
+
+def cuda_extra() -> bool:
+    """Whether the extra ``cuda`` is installed."""
+    return find_spec("cuda") is not None and find_spec("cuda.core") is not None

@@ -1,0 +1,62 @@
+"""Where tensors live: what is chosen with and without a GPU."""
+
+import pytest
+import torch
+
+from splatrl import device as room
+from splatrl.device import chosen_device, cuda_extra, device_line
+
+
+def gpu(monkeypatch: pytest.MonkeyPatch, extra: bool) -> None:
+    """Let there be one GPU."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda device=None: "H200")
+    monkeypatch.setattr(room, "cuda_extra", lambda: extra)
+
+
+@pytest.mark.parametrize(("extra", "kind"), [(True, "cuda"), (False, "cpu")])
+def test_auto_takes_a_gpu_where_there_is_one_with_the_extra(
+    monkeypatch: pytest.MonkeyPatch, extra: bool, kind: str
+) -> None:
+    gpu(monkeypatch, extra)
+    device = chosen_device("auto")
+    assert device.type == kind
+    line = {"cuda": "device: cuda (H200)", "cpu": "device: cpu; for H200: pip install 'splatrl[cuda]'"}
+    assert device_line(device) == line[kind]
+
+
+def test_auto_takes_the_cpu_where_there_is_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert device_line(chosen_device("auto")) == "device: cpu"
+
+
+@pytest.mark.parametrize("name", ["cuda", "cuda:0", "cuda:3"])
+def test_a_gpu_that_is_not_here_is_refused(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
+    with pytest.raises(ValueError, match=f"device: expected one that is here, got {name}: .* finds 0 CUDA devices"):
+        chosen_device(name)
+
+
+def test_a_gpu_that_is_named_becomes_the_present_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    gpu(monkeypatch, True)
+    chosen = []
+    monkeypatch.setattr(torch.cuda, "set_device", chosen.append)
+    assert chosen_device("cuda") == torch.device("cuda") and chosen == []
+    assert [chosen_device("cuda:0")] == chosen
+
+
+@pytest.mark.parametrize("name", ["gpu", "", "cuda:x"])
+def test_a_name_that_is_no_device_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match="device: expected auto, cpu, cuda or cuda:<number>, got"):
+        chosen_device(name)
+
+
+def test_the_extra_is_missing_where_its_module_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = {"cuda": object(), "cuda.core": None}
+    monkeypatch.setattr(room, "find_spec", found.get)
+    assert not cuda_extra()
+    found["cuda.core"] = object()
+    assert cuda_extra()
+    found.clear()
+    assert not cuda_extra()
