@@ -60,7 +60,9 @@ class PPO:
         self.device = env.device or torch.device("cpu")
         steps = frames_per_batch // env.numel()
         self.collector: Collector
-        if self.device.type != "cpu" if on_device is None else on_device:
+        if on_device is None:
+            on_device = self.device.type != "cpu"
+        if on_device or cuda_graph:
             self.collector = device_collector(env, model, steps, cuda_graph)
         else:
             self.collector = HostCollector(env, model, steps)

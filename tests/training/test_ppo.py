@@ -189,3 +189,19 @@ def test_it_learns_actions_that_are_numbers() -> None:
     success = [ppo.iterate()["success"] for _ in range(8)]
     assert success[0] < 0.3  # other seeds: 0.18 to 0.23
     assert sum(success[-2:]) / 2 > 0.5  # other seeds: 0.64 to 0.90
+
+
+@pytest.mark.slow
+def test_a_compiled_loss_is_the_loss_whatever_the_bonus_and_the_size_of_the_minibatch() -> None:
+    eager, compiled = (
+        learner(tiny_env([4], max_steps=5), frames_per_batch=52, compile=compile) for compile in (False, True)
+    )
+    for ppo in (eager, compiled):
+        torch.manual_seed(1)
+        for bonus in (0.01, 0.005, 0.002):
+            ppo.learner.entropy_coeff = bonus
+            batch = ppo.collect()
+            ppo.learner.learn(batch)
+    torch.testing.assert_close(parameters(compiled), parameters(eager), atol=1e-5, rtol=1e-4)
+    assert sum(torch._dynamo.utils.counters["graph_break"].values()) == 0
+    assert torch._dynamo.utils.counters["stats"]["unique_graphs"] <= 2  # of one size, and of any
