@@ -140,15 +140,17 @@ def trained_policy(
     return policy, env.observation_spec["pixels"].shape[1:], env.reset().select(*others, strict=False)
 
 
-def score_run(folder: Path, clips: Path, checkpoint: str | None = None) -> list[ClipResult]:
+def score_run(folder: Path, clips: Path, checkpoint: str | None = None, device: str | None = None) -> list[ClipResult]:
     """Show clips to the policy of a run folder.
 
     Args:
         folder: of the run.
         clips: folder of clips.
         checkpoint: last or best; None takes the run's own setting.
+        device: of the policy; None takes the run's own setting.
     """
     cfg = run_config(folder)
+    cfg.device = device or cfg.device
     if checkpoint is not None:
         cfg.evaluation.checkpoint = checkpoint
     torch.set_num_threads(cfg.threads)
@@ -212,13 +214,14 @@ def run(cfg: DictConfig) -> None:
         raise ValueError(f"run: expected different run folders, got {', '.join(runs) or 'none'}")
     if cfg.record is not None:
         own = run_config(Path(runs[0]))
+        own.device = cfg.device or own.device
         torch.set_num_threads(own.threads)
         world = build_world(altered(own, cfg.seed))
         settings = (cfg.count, cfg.seed, cfg.height, instantiate(cfg.hand), instantiate(cfg.lens))
         written = record_clips(world, Path(cfg.record), *settings)
         print(f"{len(written)} clips in {cfg.record}")
     if cfg.clips is not None:
-        results = {name: score_run(Path(name), Path(cfg.clips), cfg.checkpoint) for name in runs}
+        results = {name: score_run(Path(name), Path(cfg.clips), cfg.checkpoint, cfg.device) for name in runs}
         folder = Path(cfg.output or cfg.clips)
         print(write_report(results, folder))
         print(f"{folder / REPORT}.md, {folder / REPORT}.json")

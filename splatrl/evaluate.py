@@ -83,6 +83,7 @@ def run(cfg: DictConfig) -> None:
         if cfg[key] is not None:
             OmegaConf.update(own, f"evaluation.{key}", cfg[key])
     own.logger.video = cfg.video
+    own.device = cfg.device or own.device
     torch.set_num_threads(own.threads)
     evaluate(own, folder, build_world(own))
 

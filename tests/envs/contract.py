@@ -70,7 +70,7 @@ class EnvContract(ABC):
     def test_a_partial_reset_leaves_the_other_rows_as_they_are(self, seed: int) -> None:
         env = self.make((6,))
         td = env.rollout(5, break_when_any_done=True)[:, -1]["next"].clone()
-        mask = torch.rand(6, 1, generator=torch.Generator().manual_seed(seed)) < 0.5
+        mask = (torch.rand(6, 1, generator=torch.Generator().manual_seed(seed)) < 0.5).to(env.device)
         mask[0], mask[1] = True, False
         td["done"][1] = td["terminated"][1] = True  # an end that nobody asks to reset stays an end
         before = td.clone()
@@ -87,7 +87,7 @@ class EnvContract(ABC):
         base.renderer = counting = CountingRenderer(base.renderer)
         td = env.reset()
         assert counting.rendered == 6
-        mask = torch.tensor([[True], [False], [False], [True], [False], [False]])
+        mask = torch.tensor([[True], [False], [False], [True], [False], [False]], device=env.device)
         env.reset(td.set("_reset", mask), set_state=False)
         assert counting.rendered == 6 + 2
 
@@ -175,7 +175,7 @@ class EnvContract(ABC):
 
     def test_moving_to_its_own_device_changes_nothing(self) -> None:
         env = self.make((3,))
-        assert env.to("cpu") is env
+        assert env.to(env.device) is env
         assert_same(seeded_rollout(env, 5, 0), seeded_rollout(self.make((3,)), 5, 0))
 
     def test_a_robot_does_not_depend_on_the_others(self) -> None:

@@ -1,0 +1,123 @@
+"""An env over the kernels of a GPU: emulated on the CPU, and where there is a GPU on that."""
+
+from collections.abc import Callable
+from functools import cache
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+
+from splatrl.bodies import Box
+from splatrl.collision import NativeChecker, Occupancy
+from splatrl.collision.cuda import CudaChecker
+from splatrl.collision.cuda import kernel_defines as checker_defines
+from splatrl.curriculum import Curriculum, plan
+from splatrl.envs import ForwardMotion, Robot, SplatEnv
+from splatrl.envs.restart import restart
+from splatrl.envs.tasks import Fps, Grid, Task
+from splatrl.renderers import NativeRenderer
+from splatrl.renderers.cuda import CudaRenderer
+from splatrl.renderers.cuda import kernel_defines as renderer_defines
+from tests.emulator import emulated
+from tests.envs.devices import NoHostReads
+from tests.tiny import BODY, HEIGHT, tiny_gaussians, tiny_motion
+
+ROBOTS = 9
+Make = Callable[[str], SplatEnv]
+
+
+@cache
+def occupancy() -> Occupancy:
+    """What is solid of the room."""
+    return Occupancy.from_gaussians(tiny_gaussians(), resolution=0.1)
+
+
+def task_of(name: str) -> Task:
+    """The two ways to walk: on a lattice, and off it."""
+    if name == "grid":
+        return Grid(tiny_motion(), goal=(0.5, 1.0, 0.0), max_steps=7)
+    motion = ForwardMotion(HEIGHT, 0.25, 30.0, (-1.0, -1.5), (1.0, 1.5))
+    return Fps(motion, goal=(0.5, 1.0, 0.0), max_steps=7)
+
+
+def env_of(name: str, device: torch.device | str, renderer: object, checker: object) -> SplatEnv:
+    """Robots in the room, as both machines have them."""
+    task, box = task_of(name), Box(BODY.size)
+    found = plan(task.motion, NativeChecker(occupancy(), box), task.reached)
+    robot = Robot(box, HEIGHT, image_width=16, image_height=12)
+    curriculum = Curriculum(found, None)
+    return SplatEnv(renderer, checker, robot, task, curriculum, [ROBOTS], 0, device, reset_by_mask=True)
+
+
+def on_cpu(name: str) -> SplatEnv:
+    """With renderer and checker of the CPU."""
+    return env_of(name, "cpu", NativeRenderer(tiny_gaussians()), NativeChecker(occupancy(), Box(BODY.size)))
+
+
+@pytest.fixture(params=["emulated", pytest.param("gpu", marks=pytest.mark.gpu)])
+def make(request: pytest.FixtureRequest) -> Make:
+    """Makes envs whose renderer and checker are the GPU's."""
+    body = Box(BODY.size)
+    if request.param == "gpu":
+        device = request.getfixturevalue("cuda_device")
+        parts = CudaRenderer(tiny_gaussians(), device=device), CudaChecker(occupancy(), body, device)
+        return lambda name: env_of(name, device, *parts)
+    renderer = CudaRenderer(tiny_gaussians(), kernels=emulated("render", renderer_defines(True)))
+    checker = CudaChecker(occupancy(), body, kernels=emulated("collide", checker_defines(body)))
+    return lambda name: env_of(name, "cpu", renderer, checker)
+
+
+def walked(env: SplatEnv, steps: int) -> list[TensorDictBase]:
+    """Steps with automatic resets from given starts, by actions that depend on nothing else."""
+    g = torch.Generator().manual_seed(3)
+    states = env.task.motion.states()
+    first = states[torch.randint(len(states), (ROBOTS,), generator=g).to(states.device)]
+    now = env.reset(env._reset().set("state", first), set_state=True)
+    found = []
+    for _ in range(steps):
+        action = torch.randint(env.action_spec.space.n, (ROBOTS,), generator=g).to(env.device)
+        stepped = env.step(now.set("action", action))
+        found.append(stepped["next"].cpu())
+        now = restart(env, stepped["next"])
+        start = states[torch.randint(len(states), (ROBOTS,), generator=g).to(states.device)]
+        now["state"] = torch.where(stepped["next", "done"], start, now["state"])  # generators differ
+    return found
+
+
+@pytest.mark.parametrize("name", ["grid", "fps"])
+def test_robots_go_where_they_go_on_a_cpu(make: Make, name: str) -> None:
+    env = make(name)
+    here, there = walked(on_cpu(name), 24), walked(env, 24)
+    env.raise_faults()
+    outcomes = torch.stack([step["outcome"] for step in here])
+    assert len(outcomes.unique()) >= 4  # of five
+    for ours, theirs in zip(here, there, strict=True):
+        for key in ("outcome", "reward", "done", "terminated", "truncated", "step_count"):
+            assert torch.equal(ours[key], theirs[key]), key
+        for key in ("state", "touched_fraction", "episode_return"):
+            torch.testing.assert_close(ours[key], theirs[key], atol=1e-5, rtol=1e-5)
+        assert ((ours["pixels"].int() - theirs["pixels"].int()).abs() <= 1).float().mean() > 0.999
+
+
+def test_nothing_is_read_by_the_host(make: Make) -> None:
+    env = make("grid")
+    now = env.reset()
+    action = torch.zeros(ROBOTS, dtype=torch.int64, device=env.device)
+    with NoHostReads():
+        for _ in range(3):
+            stepped = env.step(now.set("action", action))
+            now = restart(env, stepped["next"])
+    assert env.capturable
+    env.raise_faults()
+
+
+def test_a_pose_that_is_not_finite_is_told_of_when_asked_for(make: Make) -> None:
+    env = make("fps")
+    now = env.reset()
+    now["state"][4, 0] = torch.nan
+    env.step(now.set("action", torch.zeros(ROBOTS, dtype=torch.int64, device=env.device)))
+    with pytest.raises(ValueError, match="4"):
+        env.raise_faults()
+    with pytest.raises(ValueError, match="4"):  # the renderer's, and then the checker's
+        env.raise_faults()
+    env.raise_faults()

@@ -1,0 +1,126 @@
+"""Training on a GPU: rollouts that never wait, their graph, checkpoints, and the commands."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from splatrl.configuration import World, build_world, load_config
+from splatrl.curriculum import Curriculum
+from splatrl.train import make_trainer
+from splatrl.training import PPO, actor_critic, load_checkpoint, save_checkpoint
+from splatrl.training.captured import Captured
+from splatrl.training.collectors import DeviceCollector
+from tests.test_train import SETTINGS, command, finish
+from tests.tiny import tiny_overrides
+from tests.training.test_ppo import LOSS, OPTIM, parameters
+
+pytestmark = pytest.mark.gpu
+
+WORLDS = {
+    "grid": ["grid"],
+    "fps": ["fps"],
+    "drive": ["drive"],
+    "remembering fps": ["fps", "memory=gru"],
+    "stacking sim2real": ["sim2real", "memory=stack", "transforms/pose_noise=unsteady", "transforms/appearance=varied"],
+}
+ROBOTS, STEPS = 16, 6
+
+
+def overrides(folder: Path, name: str) -> list[str]:
+    task, *more = WORLDS[name]
+    room = [*tiny_overrides(folder, task), *more, "task.max_steps=7", "collision=auto"]
+    return [*(override for override in room if override != "device=cpu"), "device=cuda"]
+
+
+@pytest.fixture(scope="module")
+def worlds(tmp_path_factory: pytest.TempPathFactory, cuda_device: torch.device) -> dict[str, World]:
+    """All of them, with the GPU's renderer and checker."""
+    folder = tmp_path_factory.mktemp("room")
+    return {name: build_world(load_config(overrides(folder, name))) for name in WORLDS}
+
+
+def learner(world: World, memory: int, seed: int = 0, cuda_graph: bool | None = None) -> PPO:
+    env = world.env(ROBOTS, Curriculum(world.plan, 3, threshold=0.01, window=7), seed)
+    torch.manual_seed(seed)
+    shape = env.observation_spec["pixels"].shape[1:]
+    model = actor_critic(shape, env.action_spec, 1, (8, 16), 32, memory).to(env.device)
+    return PPO(env, model, LOSS, OPTIM, ROBOTS * STEPS, 10**6, cuda_graph)
+
+
+def memory_of(name: str) -> int:
+    return 128 if "memory=gru" in WORLDS[name] else 0
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_rollout_and_its_gradient_steps_never_wait(worlds: dict[str, World], name: str) -> None:
+    ppo = learner(worlds[name], memory_of(name), cuda_graph=False)
+    ppo.iterate()  # what is set up once is set up
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        batch = ppo.collector.collect()
+        batch["advantage"] = batch["value_target"] = batch["state_value"]
+        for frames in ppo.learner.minibatches(batch):
+            ppo.learner.step(frames)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_rollout_by_graph_is_the_rollout_without(worlds: dict[str, World], name: str) -> None:
+    batches = []
+    for cuda_graph in (False, None):
+        ppo = learner(worlds[name], memory_of(name), cuda_graph=cuda_graph)
+        assert isinstance(ppo.collector, DeviceCollector)
+        assert isinstance(ppo.collector._advance, Captured) == (cuda_graph is None)
+        torch.manual_seed(3)
+        batches.append([ppo.collect().clone() for _ in range(4)])
+    for eager, captured in zip(*batches, strict=True):
+        for key in eager.keys(True, True):
+            assert torch.equal(eager[key], captured[key]), key
+    assert batches[0][-1]["next", "done"].any()
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_few_hundred_frames_teach_something(worlds: dict[str, World], name: str) -> None:
+    ppo = learner(worlds[name], memory_of(name))
+    before = parameters(ppo)
+    reports = [ppo.iterate() for _ in range(5)]
+    assert all(math.isfinite(report["loss_critic"]) and math.isfinite(report["entropy"]) for report in reports)
+    assert (parameters(ppo) - before).abs().max() > 1e-4
+    assert sum(report["episodes"] for report in reports) > 10
+    assert ppo.env.curriculum.progress.sum() > 0
+
+
+@pytest.mark.parametrize("name", ["grid", "remembering fps"])
+def test_a_checkpoint_goes_on_with_the_same_frames(worlds: dict[str, World], name: str, tmp_path: Path) -> None:
+    whole = learner(worlds[name], memory_of(name))
+    whole.iterate()
+    save_checkpoint(tmp_path / "last.pt", whole.state_dict())
+    expected = whole.collect().clone()
+    resumed = learner(worlds[name], memory_of(name), seed=1)
+    resumed.iterate()
+    resumed.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
+    got = resumed.collect()
+    for key in expected.keys(True, True):
+        assert torch.equal(got[key], expected[key]), key
+
+
+def test_the_loss_can_be_compiled(worlds: dict[str, World], tmp_path: Path) -> None:
+    small = ["collector.frames_per_batch=96", "env.num_envs=16", "loss.mini_batch_size=64", "loss.ppo_epochs=2"]
+    cfg = load_config([*overrides(tmp_path, "grid"), *small, "collector.total_frames=288", "optim.compile=true"])
+    trainer = make_trainer(cfg, worlds["grid"], tmp_path)
+    assert math.isfinite(trainer.ppo.iterate()["loss_critic"])
+
+
+def test_a_run_of_a_gpu_is_evaluated_there_and_on_a_cpu(cuda_device: torch.device, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    said = finish(command("train", *overrides(tmp_path, "grid"), *SETTINGS, f"hydra.run.dir={folder}"))
+    assert f"device: cuda ({torch.cuda.get_device_name()})" in said
+    here = json.loads((folder / "evaluation.json").read_text())
+    assert here["frames"] == 1280
+    finish(command("evaluate", f"run={folder}", "video=false", "device=cpu"))
+    there = json.loads((folder / "evaluation.json").read_text())
+    assert abs(there["success_rate"] - here["success_rate"]) < 0.2
