@@ -2,13 +2,12 @@
 
 import datetime
 import json
+import shutil
 import subprocess
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-
-from machine import Machine
 
 from splatrl.files import replacing
 
@@ -29,15 +28,34 @@ def print_markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None
     print("\n" + "\n".join(f"| {line} |" for line in lines) + "\n")
 
 
-def write_json(kind: str, machine: Machine, results: Sequence[Any]) -> Path:
-    """Keep results, which are dataclasses, as ``results/<date>-cpu-<kind>.json``."""
-    path = RESULTS / f"{today()}-cpu-{kind}.json"
+def write_json(
+    kind: str,
+    machine: Any,
+    results: Sequence[Any],
+    device: str = "cpu",
+    folder: Path = RESULTS,
+    commit: str | None = None,
+    notes: Sequence[str] = (),
+) -> Path:
+    """Keep results as ``<date>-<device>-<kind>.json``.
+
+    Args:
+        kind: of benchmark.
+        machine: a dataclass.
+        results: dataclasses; those that have ``what`` are told apart by it.
+        device: that was measured.
+        folder: to keep it in.
+        commit: that was measured; None asks git.
+        notes: lines for people.
+    """
+    path = folder / f"{today()}-{device}-{kind}.json"
     record = {
         "date": today(),
-        "commit": _git("rev-parse", "HEAD"),
+        "commit": commit or _git("rev-parse", "HEAD"),
         "changed": bool(_git("status", "--porcelain", "--", "splatrl")),  # so the commit is not all that ran
         "machine": asdict(machine),
-        "results": [asdict(result) for result in results],
+        "results": [_described(result) for result in results],
+        **({"notes": list(notes)} if notes else {}),
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as stream:
@@ -45,5 +63,12 @@ def write_json(kind: str, machine: Machine, results: Sequence[Any]) -> Path:
     return path
 
 
+def _described(result: Any) -> dict[str, Any]:
+    return ({"what": result.what} if hasattr(result, "what") else {}) | asdict(result)
+
+
 def _git(*arguments: str) -> str:
-    return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+    """What git answers; empty where there is none, or no checkout: no result is lost for that."""
+    if shutil.which("git") is None:
+        return ""
+    return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()

@@ -1,59 +1,17 @@
 """gsplat behind our interface: what it is handed, without a GPU; what it draws, on one."""
 
 import sys
-from types import ModuleType
 from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
 
-from splatrl.cameras import Cameras
-from splatrl.geometry import invert_rigid
 from splatrl.renderers import ReferenceRenderer
 from splatrl.renderers.gsplat import GsplatRenderer
-from splatrl.scenes import Gaussians
 from tests.renderers.cases import double, gaussians, psnr, random_cameras, random_gaussians
+from tests.renderers.pretended_gsplat import modules, rasterization
 
 BACKGROUND = (0.2, 0.5, 0.9)
-
-
-def rasterization(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    colors: Tensor,
-    viewmats: Tensor,
-    Ks: Tensor,
-    width: int,
-    height: int,
-    near_plane: float = 0.01,
-    far_plane: float = 1e10,
-    radius_clip: float = 0.0,
-    eps2d: float = 0.3,
-    sh_degree: int | None = None,
-    packed: bool = True,
-    tile_size: int = 16,
-    backgrounds: Tensor | None = None,
-    render_mode: str = "RGB",
-    rasterize_mode: str = "classic",
-) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """What gsplat 1.5.3 promises for these arguments, checked and drawn by the reference."""
-    count, batch = len(means), len(viewmats)
-    assert (means.shape, quats.shape, scales.shape) == ((count, 3), (count, 4), (count, 3))
-    assert opacities.shape == (count,) and viewmats.shape == (batch, 4, 4) and Ks.shape == (batch, 3, 3)
-    assert sh_degree is not None and colors.shape == (count, (sh_degree + 1) ** 2, 3)
-    assert backgrounds is not None and backgrounds.shape == (batch, 3) and batch > 0
-    given = (means, quats, scales, opacities, colors, viewmats, Ks, backgrounds)
-    assert all(value.dtype == torch.float32 and value.is_contiguous() and not value.requires_grad for value in given)
-    assert (near_plane, radius_clip, eps2d, far_plane) == (0.01, 0.0, 0.3, 1e10)
-    scene = Gaussians(means, quats, scales, opacities, colors, batch_size=[count])
-    reference = ReferenceRenderer(scene, rasterize_mode == "antialiased", backgrounds[0].tolist())
-    rgb, depth, alpha = reference.render(Cameras(invert_rigid(viewmats), Ks, width, height))
-    assert render_mode in ("RGB", "RGB+ED") and rasterize_mode in ("classic", "antialiased")
-    colors_out = rgb if render_mode == "RGB" else torch.cat([rgb, depth.unsqueeze(-1)], -1)
-    return colors_out, alpha.unsqueeze(-1), {}
 
 
 @pytest.fixture
@@ -69,14 +27,10 @@ def parts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return calls
 
 
-def pretend(monkeypatch: pytest.MonkeyPatch, extension: object = "compiled", **contents: Any) -> None:
+def pretend(monkeypatch: pytest.MonkeyPatch, **contents: Any) -> None:
     """Install a gsplat of these contents."""
-    package, cuda, backend = (ModuleType(name) for name in ("gsplat", "gsplat.cuda", "gsplat.cuda._backend"))
-    package.__version__, backend._C, cuda._backend = "1.5.3", extension, backend  # type: ignore[attr-defined]
-    for name, value in contents.items():
-        setattr(package, name, value)
-    for module in (package, cuda, backend):
-        monkeypatch.setitem(sys.modules, module.__name__, module)
+    for name, module in modules(**contents).items():
+        monkeypatch.setitem(sys.modules, name, module)
 
 
 @pytest.mark.usefixtures("parts")

@@ -1,0 +1,242 @@
+"""What the sections of gpu.py share: the device, how to make things on it, sizes, time, and where results go."""
+
+import math
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import torch
+from gpu_device import CHAINS, RATE, STEPS, Machine, measured_machine
+from scenes import Room, Subject, chosen
+
+from splatrl.bodies import Body
+from splatrl.cameras import Cameras
+from splatrl.collision import Occupancy
+from splatrl.collision.cuda import CudaChecker
+from splatrl.collision.cuda import kernel_defines as collision_defines
+from splatrl.configuration import World, build_world, load_config
+from splatrl.renderers.cuda import CudaRenderer, kernel_defines
+from splatrl.renderers.gsplat import GsplatRenderer
+from splatrl.scenes import Gaussians, Scene
+
+ROOT = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much of everything is measured.
+
+    Attributes:
+        scenes: names.
+        pixels: of an image, both ways.
+        batches: cameras of a launch, ascending; ``batches[base]`` is the one that qualities and comparisons take.
+        base: see there.
+        frames: that a timed call draws at least, where batches are small.
+        tolerances: of level of detail, pixels.
+        views: that level of detail is compared with exact on.
+        native_views: that the CPU draws as well.
+        voxels: sizes of the yard, by their names in collision.py, ascending.
+        queries: of the checker, a call.
+        compared: queries that the CPU answers as well.
+        robots: of an env.
+        steps: of an env, in a timed call.
+        copied: bytes that are copied to find the bandwidth.
+        training: overrides of splatrl-train.
+        iterations: batches of PPO that are timed.
+    """
+
+    scenes: tuple[str, ...] = ("dense", "kitchen")
+    pixels: int = 64
+    batches: tuple[int, ...] = (1, 64, 1024, 4096)
+    base: int = 2
+    frames: int = 64
+    tolerances: tuple[float, ...] = (0.5, 1.0)
+    views: int = 256
+    native_views: int = 64
+    voxels: tuple[str, ...] = ("10k", "300k")
+    queries: tuple[int, ...] = (65_536, 1_048_576)
+    compared: int = 65_536
+    robots: tuple[int, ...] = (64, 1024, 4096)
+    steps: int = 16
+    copied: int = 2**30
+    training: tuple[str, ...] = (
+        "env.num_envs=4096",
+        "collector.frames_per_batch=65536",
+        "collector.total_frames=100000000",
+        "loss.mini_batch_size=8192",
+    )
+    iterations: int = 8
+
+
+TINY = Sizes(
+    scenes=("tiny",),
+    pixels=16,
+    batches=(1, 3),
+    base=1,
+    frames=2,
+    views=5,
+    native_views=3,
+    voxels=("10k",),
+    queries=(40, 90),
+    compared=60,
+    robots=(2, 4),
+    steps=2,
+    copied=2**20,
+    training=(
+        "env.num_envs=4",
+        "collector.frames_per_batch=16",
+        "collector.total_frames=160",
+        "loss.mini_batch_size=8",
+        "loss.ppo_epochs=2",
+    ),
+    iterations=2,
+)
+"""Of a dry run."""
+
+
+@dataclass
+class Bench:
+    """A GPU, and what was found on it.
+
+    Attributes:
+        device: that is measured.
+        sizes: of everything.
+        results: dataclasses, in the order in which they were found.
+        notes: lines for people, such as what was left out.
+        ends: when the present section must be over, by ``time.monotonic``.
+    """
+
+    device: torch.device
+    sizes: Sizes = field(default_factory=Sizes)
+    results: list[Any] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    ends: float = math.inf
+
+    @property
+    def left(self) -> float:
+        """Seconds of the section that are left for measuring."""
+        return max(0.0, self.ends - time.monotonic())
+
+    def found(self, kind: type, **fields: Any) -> list[Any]:
+        """Results of a kind, by the values of some fields."""
+        mine = (result for result in self.results if isinstance(result, kind))
+        return [one for one in mine if all(getattr(one, name) == value for name, value in fields.items())]
+
+    def note(self, line: str) -> None:
+        """Say something, and keep it."""
+        print(line, flush=True)
+        self.notes.append(line)
+
+    def machine(self) -> Machine:
+        """Measure the device."""
+        return measured_machine(self.device, None, self.sizes.copied)
+
+    def subjects(self) -> dict[str, Subject]:
+        """Scenes, and where they are looked at from."""
+        return chosen(list(self.sizes.scenes))
+
+    def views(self, subject: Subject, count: int) -> Cameras:
+        """Random views, on the device."""
+        cameras = subject.room.views(count, self.sizes.pixels, self.sizes.pixels)
+        return on(cameras, self.device)
+
+    def renderer(self, scene: Scene | Gaussians, tolerance: float = 0.0, antialiased: bool = True) -> CudaRenderer:
+        """What is measured; it leaves most of the memory to others."""
+        most = torch.cuda.get_device_properties(self.device).total_memory // 8
+        return CudaRenderer(scene, antialiased, tolerance=tolerance, device=self.device, memory=most)
+
+    def gsplat(self, scene: Scene, antialiased: bool = True) -> GsplatRenderer:
+        """What it is compared with."""
+        most = torch.cuda.get_device_properties(self.device).total_memory // 5
+        return GsplatRenderer(scene, antialiased, device=self.device, memory=most)
+
+    def checker(self, occupancy: Occupancy, body: Body) -> CudaChecker:
+        """What is measured."""
+        return CudaChecker(occupancy, body, device=self.device)
+
+    def architecture(self) -> str:
+        """That kernels are compiled for."""
+        major, minor = torch.cuda.get_device_capability(self.device)
+        return f"sm_{major}{minor}"
+
+    def overrides(self, folder: Path) -> list[str]:
+        """Of splatrl-train, for the task that is trained."""
+        return ["task=fps", f"device={self.device}"]
+
+    def world(self, folder: Path, overrides: list[str]) -> tuple[World, float]:
+        """What envs of a config share, and the tolerance of its renderer in pixels."""
+        cfg = load_config(overrides)
+        return build_world(cfg), float(cfg.renderer.views.tolerance)
+
+    def free(self) -> None:
+        """Give memory back that nothing holds any more."""
+        if self.device.type == "cuda":
+            torch.cuda.empty_cache()
+
+
+class DryRun(Bench):
+    """The same on a CPU, by the tests' emulator and at tiny sizes: it shows that everything runs, and no speed."""
+
+    def __init__(self) -> None:
+        super().__init__(torch.device("cpu"), TINY)
+        if str(ROOT) not in sys.path:
+            sys.path.insert(0, str(ROOT))  # for the tests' tools
+
+    def machine(self) -> Machine:
+        from tests.emulator import emulated
+
+        return measured_machine(self.device, emulated(RATE, {"CHAINS": CHAINS, "STEPS": STEPS}), self.sizes.copied)
+
+    def subjects(self) -> dict[str, Subject]:
+        from tests.tiny import tiny_gaussians
+
+        scene = Scene("tiny", tiny_gaussians(), ((-1.5, -2.0, 0.0), (1.5, 2.0, 1.2)))
+        return {"tiny": Subject(scene, Room((-1.0, -1.5, 0.4), (1.0, 1.5, 0.6)))}
+
+    def renderer(self, scene: Scene | Gaussians, tolerance: float = 0.0, antialiased: bool = True) -> CudaRenderer:
+        from tests.emulator import emulated
+
+        kernels = emulated("render", kernel_defines(antialiased))
+        return CudaRenderer(scene, antialiased, tolerance=tolerance, kernels=kernels)
+
+    def gsplat(self, scene: Scene, antialiased: bool = True) -> GsplatRenderer:
+        from tests.renderers.pretended_gsplat import modules
+
+        with patch.dict(sys.modules, modules()):
+            return GsplatRenderer(scene, antialiased, device="cpu")
+
+    def checker(self, occupancy: Occupancy, body: Body) -> CudaChecker:
+        from tests.emulator import emulated
+
+        return CudaChecker(occupancy, body, kernels=emulated("collide", collision_defines(body)))
+
+    def architecture(self) -> str:
+        return "sm_90"
+
+    def overrides(self, folder: Path) -> list[str]:
+        from tests.tiny import tiny_overrides
+
+        return [*tiny_overrides(folder, "fps"), "device=cpu"]
+
+    def world(self, folder: Path, overrides: list[str]) -> tuple[World, float]:
+        world, tolerance = super().world(folder, overrides)
+        renderer = self.renderer(world.scene, tolerance)
+        return replace(world, renderer=renderer, checker=self.checker(world.occupancy, world.robot.body)), tolerance
+
+
+def on(cameras: Cameras, device: torch.device) -> Cameras:
+    """The cameras on a device."""
+    return Cameras(cameras.camera_to_world.to(device), cameras.K.to(device), cameras.width, cameras.height)
+
+
+@contextmanager
+def cache_folder(folder: Path) -> Iterator[None]:
+    """Keep caches in this folder for a while."""
+    with patch.dict(os.environ, SPLATRL_CACHE=str(folder)):
+        yield

@@ -1,0 +1,67 @@
+"""What someone waits for the first time: kernels that are compiled, loaded and run; and the time after."""
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from collision import BODIES
+from gpu_bench import Bench, cache_folder
+
+from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.collision import Occupancy
+from splatrl.collision import cuda as collide
+from splatrl.native.cuda.compiler import compiled
+from splatrl.renderers import cuda as render
+from splatrl.scenes import Gaussians
+
+SOURCES = {"render": render.kernel_defines(True), "collide": collide.kernel_defines(BODIES["box"])}
+
+
+@dataclass(frozen=True)
+class FirstUse:
+    """Seconds to the first answer: compiling in an empty cache, and loading and running what is in it."""
+
+    what = "first use"
+    kernels: str
+    compile_seconds: float
+    start_seconds: float
+
+
+def first_use(bench: Bench) -> None:
+    """Renderer and checker, each as if it had never run here."""
+    if bench.device.type == "cuda":
+        torch.zeros(1, device=bench.device)  # PyTorch's own start is not ours
+    answers = {"render": first_frame, "collide": first_query}
+    with tempfile.TemporaryDirectory() as folder, cache_folder(Path(folder)):
+        for name, defines in SOURCES.items():
+            start = time.perf_counter()
+            compiled(name, bench.architecture(), defines)
+            middle = time.perf_counter()
+            answers[name](bench)
+            bench.results.append(FirstUse(name, middle - start, time.perf_counter() - middle))
+        kept = list(Path(folder).glob("*.cubin"))
+    assert len(kept) == len(SOURCES), kept  # nothing else was compiled
+
+
+def first_frame(bench: Bench) -> None:
+    """A small image of one Gaussian, read by the host."""
+    scene = Gaussians(
+        means=torch.tensor([[2.0, 0.0, 0.0]]),
+        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
+        scales=torch.full((1, 3), 0.3),
+        opacities=torch.ones(1),
+        sh=torch.ones(1, 1, 3),
+        batch_size=[1],
+    )
+    size = bench.sizes.pixels
+    pose = look_at([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]).unsqueeze(0)
+    cameras = Cameras(pose.to(bench.device), intrinsics(1.5, size, size).to(bench.device), size, size)
+    assert bool(bench.renderer(scene).pixels(cameras).any())
+
+
+def first_query(bench: Bench) -> None:
+    """One pose in one voxel, read by the host."""
+    occupancy = Occupancy.from_points(torch.zeros(1, 3).numpy(), 0.1, crop=((-1, -1, -1), (1, 1, 1)))
+    assert bool(bench.checker(occupancy, BODIES["box"]).collides(torch.eye(4, device=bench.device).unsqueeze(0)))

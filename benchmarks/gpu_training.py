@@ -1,0 +1,173 @@
+"""Steps a second of envs that see, beside the bare renderer; and frames a second of PPO, end to end."""
+
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import cycle
+from pathlib import Path
+
+import torch
+from gpu_bench import Bench
+from gpu_device import Rate, in_turns, rate
+from torch import Tensor
+from torchrl.envs import EnvBase
+
+from splatrl.cameras import Cameras
+from splatrl.configuration import World, load_config
+from splatrl.curriculum import Curriculum
+from splatrl.envs.layers import layers
+from splatrl.envs.restart import restart
+from splatrl.renderers import Renderer, RenderOutput
+from splatrl.train import make_trainer
+from splatrl.training.captured import Captured
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """A row: steps a second of the FPS task with rewards, collisions and automatic resets, by random actions."""
+
+    what = "stepping"
+    scene: str
+    tolerance: float
+    robots: int
+    cuda_graph: bool
+    steps_per_second: Rate
+    bare_frames_per_second: Rate  # of the renderer, for cameras that the same env asked for
+    share: float
+
+
+@dataclass(frozen=True)
+class Training:
+    """A row: frames a second of PPO, collected and learned from; and collected alone."""
+
+    what = "training"
+    scene: str
+    tolerance: float
+    robots: int
+    frames_per_batch: int
+    mini_batch_size: int
+    epochs: int
+    frames_per_second: Rate
+    collected_per_second: Rate
+
+
+@dataclass
+class Recording:
+    """Passes cameras on and keeps them."""
+
+    renderer: Renderer
+    cameras: list[Cameras] = field(default_factory=list)
+
+    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
+        return self.renderer.render(cameras, only)
+
+    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+        if only is None:  # a step; a reset draws only some
+            pose, K = cameras.camera_to_world.clone(), cameras.K.clone()
+            self.cameras.append(Cameras(pose, K, cameras.width, cameras.height))
+        return self.renderer.pixels(cameras, only)
+
+
+def stepper(env: EnvBase) -> Callable[[], None]:
+    """A step by random actions with an automatic reset, in place, as rollouts on a device do it."""
+    now = env.reset().clone()
+    spec = env.full_action_spec["action"]
+
+    def step() -> None:
+        acted = env.step(now.copy().set("action", spec.rand()))
+        for key, value in restart(env, acted["next"]).items():
+            now[key].copy_(value)
+
+    return step
+
+
+def repeated(call: Callable[[], object], times: int) -> Callable[[], None]:
+    """A call so many times."""
+
+    def calls() -> None:
+        for _ in range(times):
+            call()
+
+    return calls
+
+
+def recorded(env: EnvBase, step: Callable[[], None], steps: int) -> list[Cameras]:
+    """Cameras that an env asks for in some steps."""
+    base = layers(env)[0]
+    recording = Recording(base.renderer)
+    base.renderer = recording
+    repeated(step, steps)()
+    base.renderer = recording.renderer
+    return recording.cameras
+
+
+def redrawing(renderer: Renderer, cameras: list[Cameras]) -> Callable[[], object]:
+    """A call that draws what an env asked for, a step's cameras at a time."""
+    views = cycle(cameras)
+    return lambda: renderer.pixels(next(views))
+
+
+def stepping(bench: Bench) -> None:
+    """Envs of every size, with and without a CUDA graph."""
+    with tempfile.TemporaryDirectory() as folder:
+        world, tolerance = bench.world(Path(folder), bench.overrides(Path(folder)))
+    for number, robots in enumerate(reversed(bench.sizes.robots)):
+        budget = 0.8 * bench.left / (len(bench.sizes.robots) - number)
+        rates = step_rates(bench, world, robots, budget)
+        bare = rates.pop("bare")
+        for name, found in rates.items():
+            share = round(found.typical / bare.typical, 4)
+            bench.results.append(Stepping(world.scene.name, tolerance, robots, name == "graph", found, bare, share))
+        bench.free()
+
+
+def step_rates(bench: Bench, world: World, robots: int, budget: float) -> dict[str, Rate]:
+    """Steps a second of ``plain`` steps, of those of a ``graph``, and what the ``bare`` renderer draws."""
+    steps = bench.sizes.steps
+    calls, envs = {}, {}
+    for name in ("plain", "graph"):
+        env = world.env(robots, Curriculum(world.plan, first=None), 0)
+        base = layers(env)[0]
+        base.reset_by_mask = True  # as on a GPU
+        step = stepper(env)
+        repeated(step, steps)()  # robots come from where they began
+        if name == "plain":
+            calls["bare"] = repeated(redrawing(base.renderer, recorded(env, step, steps)), steps)
+        elif not (base.capturable and bench.device.type == "cuda"):
+            continue
+        calls[name] = repeated(step if name == "plain" else Captured(step, [base.generator]), steps)
+        envs[name] = base
+    times = in_turns(calls, bench.device, budget)
+    for base in envs.values():
+        base.raise_faults()
+    return {name: rate(robots * steps, taken) for name, taken in times.items()}
+
+
+def training(bench: Bench) -> None:
+    """PPO on the FPS task, by what splatrl-train is made of."""
+    with tempfile.TemporaryDirectory() as name:
+        folder, sizes = Path(name), bench.sizes
+        overrides = [*bench.overrides(folder), *sizes.training]
+        cfg = load_config(overrides)
+        world, tolerance = bench.world(folder, overrides)
+        ppo = make_trainer(cfg, world, folder).ppo
+        frames = ppo.frames_per_batch
+        ppo.iterate()  # compiles, captures and takes memory
+        collected = timed(bench, ppo.collect, 0.3 * bench.left)
+        taken = timed(bench, ppo.iterate, 0.8 * bench.left)
+    facts = (world.scene.name, tolerance, cfg.env.num_envs, frames, cfg.loss.mini_batch_size, cfg.loss.ppo_epochs)
+    bench.results.append(Training(*facts, rate(frames, taken), rate(frames, collected)))
+
+
+def timed(bench: Bench, call: Callable[[], object], budget: float) -> list[float]:
+    """Seconds on the wall until a device has done what a call queues, call after call: at least two."""
+    found: list[float] = []
+    ends = time.perf_counter() + budget
+    while len(found) < 2 or (len(found) < bench.sizes.iterations and time.perf_counter() < ends):
+        start = time.perf_counter()
+        call()
+        if bench.device.type == "cuda":
+            torch.cuda.synchronize(bench.device)
+        found.append(time.perf_counter() - start)
+    return found
