@@ -196,5 +196,5 @@ def test_a_scene_without_level_of_detail_is_refused_a_wrong_one() -> None:
 def test_gaussians_that_are_not_finite_are_refused() -> None:
     scene = random_gaussians(0, 10)
     scene.means[3, 1] = torch.nan
-    with pytest.raises(ValueError, match="gaussians.means: expected finite values"):
+    with pytest.raises(ValueError, match=r"gaussians.means: expected finite values"):
         emulated_renderer(scene)

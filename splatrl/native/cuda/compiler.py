@@ -101,9 +101,13 @@ def _digest(source: str | Path, arch: str, defines: Mapping[str, int]) -> str:
     for path in (*files, source_path(source)):
         if path.is_file():
             digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    try:
-        version = importlib.metadata.version("nvidia-cuda-nvrtc")
-    except importlib.metadata.PackageNotFoundError:
-        version = ""
-    digest.update(repr((source_path(source).name, arch, sorted(defines.items()), version)).encode())
+    versions = [_version(name) for name in ("nvidia-cuda-nvrtc", "nvidia-cuda-nvrtc-cu12")]
+    digest.update(repr((source_path(source).name, arch, sorted(defines.items()), versions)).encode())
     return digest.hexdigest()[:24]
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return ""
