@@ -1,6 +1,7 @@
 """What is solid in a scene, and whether a robot's body touches it."""
 
 from splatrl.collision.base import Checker
+from splatrl.collision.cuda import CudaChecker
 from splatrl.collision.distances import DistanceField
 from splatrl.collision.fcl import FclChecker
 from splatrl.collision.native import NativeChecker
@@ -11,6 +12,7 @@ from splatrl.collision.verify import Disagreement, Verification, verify, verify_
 
 __all__ = [
     "Checker",
+    "CudaChecker",
     "Disagreement",
     "DistanceField",
     "FclChecker",

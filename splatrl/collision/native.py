@@ -49,16 +49,7 @@ class NativeChecker:
         self.occupancy = occupancy
         self.body = body
         self.threads = threads or usable_cores()
-        half, half_length, radius = _dimensions(body)
-        self._core = _core.Collider(
-            solid=occupancy.occupied,
-            distance=DistanceField(occupancy).centers,
-            corner=tuple(key * occupancy.resolution for key in occupancy.origin_key),
-            resolution=occupancy.resolution,
-            half=half,
-            half_length=half_length,
-            radius=radius,
-        )
+        self._core = collider(occupancy, body)
 
     def __reduce__(self) -> tuple[type["NativeChecker"], tuple[Occupancy, Body, int]]:
         return NativeChecker, (self.occupancy, self.body, self.threads)
@@ -68,7 +59,7 @@ class NativeChecker:
         poses = _floats("body_to_world", body_to_world, (4, 4))
         hits = torch.empty(len(poses), dtype=torch.bool)
         if self._core.collides(poses.data_ptr(), hits.data_ptr(), len(poses), self.threads) >= 0:
-            _refuse(body_to_world=body_to_world)
+            refuse(body_to_world=body_to_world)
         return _to_device_of(hits, body_to_world)
 
     def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
@@ -90,11 +81,49 @@ class NativeChecker:
 
     def _move(self, query: Callable[..., int], start: Tensor, end: Tensor, out: Tensor) -> Tensor:
         starts, ends = _floats("start", start, (4, 4)), _floats("end", end, (4, 4))
-        if len(starts) != len(ends):
-            raise ValueError(f"end: expected as many poses as start, {len(starts)}, got {len(ends)}")
+        check_pairs(starts, ends)
         if query(starts.data_ptr(), ends.data_ptr(), out.data_ptr(), len(starts), self.threads) >= 0:
-            _refuse(start=start, end=end)
+            refuse(start=start, end=end)
         return _to_device_of(out, start)
+
+
+def collider(occupancy: Occupancy, body: Body) -> _core.Collider:
+    """Pack the grid and compute its distance field."""
+    half, half_length, radius = _dimensions(body)
+    return _core.Collider(
+        solid=occupancy.occupied,
+        distance=DistanceField(occupancy).centers,
+        corner=corner_of(occupancy),
+        resolution=occupancy.resolution,
+        half=half,
+        half_length=half_length,
+        radius=radius,
+    )
+
+
+def corner_of(occupancy: Occupancy) -> tuple[float, float, float]:
+    """Of the grid, metres."""
+    x, y, z = (key * occupancy.resolution for key in occupancy.origin_key)
+    return x, y, z
+
+
+def check_shape(name: str, values: Tensor, shape: tuple[int, ...]) -> None:
+    """Refuse what is not a batch of such tensors."""
+    if values.shape[1:] != shape or values.ndim != len(shape) + 1:
+        raise ValueError(f"{name}: expected shape [B, {', '.join(map(str, shape))}], got {list(values.shape)}")
+
+
+def check_pairs(starts: Tensor, ends: Tensor) -> None:
+    """Refuse moves of which one end is missing."""
+    if len(starts) != len(ends):
+        raise ValueError(f"end: expected as many poses as start, {len(starts)}, got {len(ends)}")
+
+
+def refuse(**poses: Tensor) -> None:
+    """Say which pose is not rigid, and why."""
+    for name, values in poses.items():
+        checked_poses(name, values.float())
+    raise ValueError(f"{', '.join(poses)}: expected rigid poses")
 
 
 def _dimensions(body: Body) -> tuple[tuple[float, float, float], float, float]:
@@ -109,8 +138,7 @@ def _dimensions(body: Body) -> tuple[tuple[float, float, float], float, float]:
 
 def _floats(name: str, values: Tensor, shape: tuple[int, ...]) -> Tensor:
     """The same numbers as float32, in one piece in main memory."""
-    if values.shape[1:] != shape or values.ndim != len(shape) + 1:
-        raise ValueError(f"{name}: expected shape [B, {', '.join(map(str, shape))}], got {list(values.shape)}")
+    check_shape(name, values, shape)
     if values.dtype is torch.float32 and values.device.type == "cpu" and values.is_contiguous():
         return values
     return values.detach().to("cpu", torch.float32).contiguous()
@@ -118,10 +146,3 @@ def _floats(name: str, values: Tensor, shape: tuple[int, ...]) -> Tensor:
 
 def _to_device_of(values: Tensor, like: Tensor) -> Tensor:
     return values if like.device.type == "cpu" else values.to(like.device)
-
-
-def _refuse(**poses: Tensor) -> None:
-    """Say which pose is not rigid, and why."""
-    for name, values in poses.items():
-        checked_poses(name, values.float())
-    raise ValueError(f"{', '.join(poses)}: expected rigid poses")

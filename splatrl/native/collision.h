@@ -30,12 +30,6 @@ SPLAT_INLINE bool touches(const Shape& shape, const Pose& pose, const Contact& c
     return contact(shape, pose, Vec3{0.0, 0.0, 0.0}, true) == 0.0;
 }
 
-template <class Contact>
-SPLAT_INLINE bool collides(const Grid& grid, const Shape& shape, const Pose& pose, const Contact& contact) {
-    const Verdict verdict = judge(grid, shape, pose.position);
-    return verdict == Verdict::HIT || (verdict == Verdict::MAYBE && touches(shape, pose, contact));
-}
-
 // Whether the distance field alone says that a straight move touches nothing.
 SPLAT_INLINE bool passes(const Grid& grid, const Shape& shape, const Vec3& start, const Vec3& way) {
     return clearance(grid, along(start, way, 0.5)) > shape.outer + 0.5 * norm(way) + MARGIN;
@@ -44,7 +38,7 @@ SPLAT_INLINE bool passes(const Grid& grid, const Shape& shape, const Vec3& start
 // A turn about one axis, cut into parts; in each the orientation is that of its middle.
 struct Turn {
     Vec3 axis;
-    double angle;
+    double angle;  // 0 where nothing turns
     int parts;
 };
 
@@ -60,28 +54,32 @@ SPLAT_INLINE Turn turn_of(const Shape& shape, const Mat3& from, const Mat3& to) 
 // The share of a straight move, turning evenly about one axis, that is free: 1 where nothing is touched, ends included.
 // Exact at a fixed orientation (a capsule within 1e-6 voxels). In each part of a turn the body is grown by what its
 // points may be off, at most TURN_SLACK: never too far.
-// With `any`, what is returned below 1 says only that something is touched.
+// With `any`, what is returned below 1 says only that something is touched. Ask first whether the move `passes`: it is
+// not asked here again.
 template <class Contact>
 HOST_DEVICE inline double touched_fraction(const Grid& grid, const Shape& shape, const Pose& start, const Pose& end,
                                            bool any, const Contact& contact) {
     const Vec3 way = between(start.position, end.position);
-    if (passes(grid, shape, start.position, way)) return 1.0;
     const Turn turn = turn_of(shape, start.rotation, end.rotation);
     if (turn.angle == 0.0) {
         const double first = contact(shape, start, way, any);
         return first <= 1.0 ? min(first, NEARLY_ALL) : 1.0;
     }
-    if (collides(grid, shape, start, contact)) return 0.0;
-    const Shape larger = grown(shape, 2.0 * shape.outer * sin(0.25 * turn.angle / turn.parts));
-    const Vec3 part_way = along(Vec3{0.0, 0.0, 0.0}, way, 1.0 / turn.parts);
-    for (int part = 0; part < turn.parts; ++part) {
-        const Vec3 position = along(start.position, way, double(part) / turn.parts);
-        if (passes(grid, larger, position, part_way)) continue;
-        const Pose pose{turned(turn.axis, turn.angle * (part + 0.5) / turn.parts, start.rotation), position};
-        const double first = contact(larger, pose, part_way, any);
-        if (first <= 1.0) return min((part + first) / turn.parts, NEARLY_ALL);
+    const double slack = 2.0 * shape.outer * sin(0.25 * turn.angle / turn.parts);
+    // Also at rest at both ends: before the first part, and after the last.
+    for (int part = -1; part <= turn.parts; ++part) {
+        const bool rests = part < 0 || part == turn.parts;
+        const Shape tested = grown(shape, rests ? 0.0 : slack);
+        const Vec3 goes = along(Vec3{0.0, 0.0, 0.0}, way, rests ? 0.0 : 1.0 / turn.parts);
+        Pose pose = part < turn.parts ? start : end;
+        if (!rests) pose.position = along(start.position, way, double(part) / turn.parts);
+        if (passes(grid, tested, pose.position, goes)) continue;
+        if (!rests) pose.rotation = turned(turn.axis, turn.angle * (part + 0.5) / turn.parts, start.rotation);
+        const bool hit = rests && judge(grid, shape, pose.position) == Verdict::HIT;
+        const double first = hit ? 0.0 : contact(tested, pose, goes, any || rests);
+        if (first <= 1.0) return min(max(part + first, 0.0) / turn.parts, NEARLY_ALL);
     }
-    return collides(grid, shape, end, contact) ? NEARLY_ALL : 1.0;
+    return 1.0;
 }
 
 }  // namespace splatrl

@@ -151,10 +151,7 @@ public:
     int64_t touched_fraction(uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) const {
         auto* fractions = reinterpret_cast<float*>(out);
         return moves(starts, ends, count, threads, false, [&](size_t i, double fraction) {
-            // rounded down, so that what is touched stays below 1
-            float rounded = float(fraction);
-            if (double(rounded) > fraction) rounded = std::nextafter(rounded, 0.0f);
-            fractions[i] = rounded;
+            fractions[i] = rounded_down(fraction);  // what is touched stays below 1
         });
     }
 
@@ -177,7 +174,7 @@ public:
             },
             [&](size_t first, size_t some, const Vec3* points) {
                 for (size_t i = 0; i < some; ++i)
-                    metres[first + i] = float(splatrl::clearance(grid_, points[i]) * grid_.resolution * (1.0 - 1e-6));
+                    metres[first + i] = clearance_in_metres(grid_, points[i]);
             });
     }
 

@@ -8,7 +8,7 @@
 
 namespace splatrl {
 
-constexpr double NEVER = __builtin_huge_val();
+constexpr double NEVER = INFINITE;
 constexpr double DISTANCE_STEPS = 256.0;
 constexpr uint16_t FARTHEST = 0xffff;
 
@@ -71,6 +71,10 @@ SPLAT_INLINE Nearby nearby(const Grid& grid, const Vec3& point) {
 // A lower bound of the distance from a point to the nearest solid voxel.
 SPLAT_INLINE double clearance(const Grid& grid, const Vec3& point) {
     return grid.empty ? NEVER : nearby(grid, point).at_least;
+}
+
+SPLAT_INLINE float clearance_in_metres(const Grid& grid, const Vec3& point) {
+    return float(clearance(grid, point) * grid.resolution * (1.0 - 1e-6));  // still one in single precision
 }
 
 }  // namespace splatrl

@@ -8,9 +8,16 @@
 
 #ifndef __CUDACC__
 #include <cmath>
+#include <limits>
 #endif
 
 namespace splatrl {
+
+#ifdef __CUDACC__
+constexpr double INFINITE = __builtin_bit_cast(double, 0x7ff0000000000000ull);  // NVRTC knows no other
+#else
+constexpr double INFINITE = std::numeric_limits<double>::infinity();
+#endif
 
 SPLAT_INLINE double min(double a, double b) { return b < a ? b : a; }
 SPLAT_INLINE double max(double a, double b) { return a < b ? b : a; }
@@ -25,6 +32,12 @@ SPLAT_INLINE int floor_of(double value) {
 }
 
 SPLAT_INLINE int ceil_of(double value) { return -floor_of(-value); }
+
+// Of a number that is not negative.
+SPLAT_INLINE float rounded_down(double value) {
+    const float nearest = float(value);
+    return double(nearest) > value ? nextafterf(nearest, 0.0f) : nearest;
+}
 
 struct Vec3 {
     double at[3];

@@ -224,6 +224,20 @@ def test_nothing_is_hit_where_nothing_is_solid_nor_outside_the_grid(body):
     assert checker.sweeps(at((-50.0, 0.05, 0.05)), at((50.0, 0.05, 0.05))).tolist() == [True]
 
 
+@pytest.mark.parametrize("height", [0, 70, 127, 128, 255])
+@pytest.mark.parametrize("body", BODIES)
+def test_a_move_up_a_tall_column_meets_the_voxel_at_any_height(body, height):
+    tall = np.zeros((1, 1, 256), bool)
+    tall[0, 0, height] = True
+    checker = NativeChecker(Occupancy(tall, (0, 0, 0), 0.1), body)
+    start, end = at((0.05, 0.05, -1.0)), at((0.05, 0.05, 27.0))
+    assert checker.sweeps(start, end).all()
+    assert checker.sweeps(end, start).all()
+    free = checker.touched_fraction(start, end).item() * 28.0
+    reach = body.size[2] / 2 if isinstance(body, Box) else body.radius
+    assert free == pytest.approx(1.0 + 0.1 * height - reach, abs=1e-3)
+
+
 @pytest.mark.parametrize(
     "shape",
     [

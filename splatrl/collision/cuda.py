@@ -1,0 +1,199 @@
+"""Collision on a GPU: the grid of ``NativeChecker`` and its mathematics, one launch a query."""
+
+import ctypes
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from splatrl.bodies import Body, Box, Capsule, Sphere
+from splatrl.collision.grid import checked_points
+from splatrl.collision.native import check_pairs, check_shape, collider, corner_of, refuse
+from splatrl.collision.occupancy import Occupancy
+from splatrl.faults import FaultFlag
+from splatrl.native.cuda.kernels import CudaKernels, Kernels
+
+BLOCK_THREADS = 256
+BLOCKS_A_MULTIPROCESSOR = 2
+"""That the compiler leaves enough registers for."""
+_KINDS = (Box, Sphere, Capsule)
+"""In the order of Shape::Kind."""
+_WARP = 32
+_MOST_AT_ONCE = 1024
+"""Queries that a block takes at once: MOST_OPEN of cuda/collide.cu."""
+_MOST_BLOCKS = 2**16
+_ALIGNED = 16
+"""Bytes of a pose that are read at once."""
+
+
+def kernel_defines(body: Body) -> dict[str, int]:
+    """What ``cuda/collide.cu`` is compiled with.
+
+    Raises:
+        ValueError: for something else than a body.
+    """
+    if not isinstance(body, _KINDS):
+        raise ValueError(f"body: expected a Box, a Sphere or a Capsule, got {body!r}")
+    return {
+        "BLOCK_THREADS": BLOCK_THREADS,
+        "BLOCKS_A_MULTIPROCESSOR": BLOCKS_A_MULTIPROCESSOR,
+        "BODY_KIND": _KINDS.index(type(body)),
+    }
+
+
+class _Grid(ctypes.Structure):
+    """``Grid`` of collision_grid.h."""
+
+    _fields_ = (
+        ("size", ctypes.c_int * 3),
+        ("words", ctypes.c_int),
+        ("empty", ctypes.c_bool),
+        ("resolution", ctypes.c_double),
+        ("inverse", ctypes.c_double),
+        ("corner", ctypes.c_double * 3),
+        ("bits", ctypes.c_void_p),
+        ("distance", ctypes.c_void_p),
+    )
+
+
+class _Shape(ctypes.Structure):
+    """``Shape`` of collision_shape.h."""
+
+    _fields_ = (
+        ("kind", ctypes.c_int),
+        ("half", ctypes.c_double * 3),
+        *((name, ctypes.c_double) for name in ("half_length", "radius", "inner", "outer")),
+    )
+
+
+class _Queries(ctypes.Structure):
+    """``Queries`` of cuda/collide.cu."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("start", "end", "fault")),
+        *((name, ctypes.c_int) for name in ("count", "at_once")),
+    )
+
+
+class CudaChecker:
+    """Answers as ``NativeChecker`` does, on a CUDA device, without waiting for the host.
+
+    One look-up in the distance field settles most poses, a thread each; the others are searched by 32 threads each, a
+    column of voxels a thread. Arithmetic is in double precision, as on the CPU; row i has the same answer alone and in
+    any batch. Kernels are compiled the first time on a machine, in seconds, and kept.
+
+    Tensors on the device are read in place, and what is wrong with them is noted there: a pose that is not finite or
+    not rigid counts as a hit (a free share of 0, a clearance of 0) until ``raise_faults`` tells. Tensors elsewhere
+    make the way there and back, and are refused at once.
+
+    Args:
+        occupancy: what is solid.
+        body: what is tested, in the body frame.
+        device: a CUDA device.
+        kernels: what runs ``cuda/collide.cu``, made for ``device`` if not given.
+
+    Attributes:
+        occupancy: what is solid.
+        body: what is tested.
+        device: where answers are found.
+
+    Raises:
+        ValueError: for something else than a body.
+        ImportError: where the extra ``cuda`` is not installed.
+    """
+
+    def __init__(
+        self,
+        occupancy: Occupancy,
+        body: Body,
+        device: torch.device | str = "cuda",
+        kernels: Kernels | None = None,
+    ) -> None:
+        self._kernels = kernels or CudaKernels("collide", device, kernel_defines(body))
+        self.occupancy, self.body, self.device = occupancy, body, self._kernels.device
+        core = collider(occupancy, body)
+        self._bits, self._distance = (self._copied(values) for values in (core.bits, core.distance))
+        half, numbers = core.shape[:3], core.shape[3:]
+        self._shape = _Shape(_KINDS.index(type(body)), half, *numbers)
+        self._grid = _Grid(
+            core.distance.shape,
+            core.bits.shape[2],
+            occupancy.count == 0,
+            occupancy.resolution,
+            1.0 / occupancy.resolution,
+            corner_of(occupancy),
+            self._bits.data_ptr(),
+            self._distance.data_ptr(),
+        )
+        self._faults, self._faults_elsewhere = FaultFlag(self.device), FaultFlag(self.device)
+
+    def __reduce__(self) -> tuple[type["CudaChecker"], tuple[Occupancy, Body, torch.device]]:
+        return CudaChecker, (self.occupancy, self.body, self.device)
+
+    def collides(self, body_to_world: Tensor) -> Tensor:
+        """Whether the body touches a solid voxel: see ``Checker.collides``."""
+        return self._answers("find_hits", torch.bool, body_to_world=body_to_world)
+
+    def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+        """The free share of each move: see ``Checker.touched_fraction``. Never beyond the first contact."""
+        return self._answers("find_fractions", torch.float32, start=start, end=end)
+
+    def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
+        """Whether anything is hit on the way, ends included: [B] bool."""
+        return self._answers("find_swept_hits", torch.bool, start=start, end=end)
+
+    def clearance(self, points: Tensor) -> Tensor:
+        """A lower bound of the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
+        check_shape("points", points, (3,))
+        places, faults = self._here(points), self._faults_for(points)
+        metres = torch.empty(len(places), device=self.device)
+        if len(places) > 0:
+            blocks = min(-(-len(places) // BLOCK_THREADS), _MOST_BLOCKS)
+            arguments = (self._grid, places, faults.flag, len(places), metres)
+            self._kernels.launch("find_clearances", blocks, BLOCK_THREADS, *arguments)
+        if faults is self._faults_elsewhere and faults.take() is not None:
+            checked_points("points", points)
+        return metres.to(points.device)
+
+    def raise_faults(self) -> None:
+        """Raise what was noted of poses and points since the last call; see ``Faulty``."""
+        row = self._faults.take()
+        if row is not None:
+            raise ValueError(f"row {row}: expected finite numbers, and of a pose an orthonormal rotation")
+
+    def _answers(self, query: str, dtype: torch.dtype, **poses: Tensor) -> Tensor:
+        """Ask about poses, or the two ends of moves."""
+        for name, values in poses.items():
+            check_shape(name, values, (4, 4))
+        here = [self._here(values) for values in poses.values()]
+        check_pairs(here[0], here[-1])
+        asked = next(iter(poses.values()))
+        count, faults = len(asked), self._faults_for(*poses.values())
+        answers = torch.empty(count, dtype=dtype, device=self.device)
+        if count > 0:
+            at_once = self._at_once(count)
+            queries = _Queries(here[0].data_ptr(), here[-1].data_ptr(), faults.flag.data_ptr(), count, at_once)
+            blocks = min(-(-count // at_once), _MOST_BLOCKS)
+            self._kernels.launch(query, blocks, BLOCK_THREADS, self._grid, self._shape, queries, answers)
+        if faults is self._faults_elsewhere and faults.take() is not None:
+            refuse(**poses)
+        return answers.to(asked.device)
+
+    def _at_once(self, count: int) -> int:
+        """Queries that a block takes: many, so that its warps end together, but none is left without."""
+        share = -(-count // (BLOCKS_A_MULTIPROCESSOR * self._kernels.multiprocessors))
+        return min(-(-share // _WARP) * _WARP, _MOST_AT_ONCE)
+
+    def _here(self, values: Tensor) -> Tensor:
+        """The same numbers as float32, in one piece on the device, and where it reads 16 bytes at a time."""
+        floats = values.detach().to(self.device, torch.float32).contiguous()
+        return floats if floats.data_ptr() % _ALIGNED == 0 else floats.clone()
+
+    def _faults_for(self, *values: Tensor) -> FaultFlag:
+        return self._faults if all(value.device == self.device for value in values) else self._faults_elsewhere
+
+    def _copied(self, values: NDArray[Any]) -> Tensor:
+        """The same bits on the device, as integers that PyTorch can move."""
+        return torch.from_numpy(values.view(np.dtype(f"i{values.itemsize}")).copy()).to(self.device)

@@ -1,0 +1,147 @@
+// Thousands of bodies against a grid at once. A block takes some queries. Its threads ask the distance field of one pose
+// each, which settles most of them, and gather those that it leaves open; then its warps take these one at a time and
+// search the voxels around them together. No answer depends on another, so neither on the order nor on the batch.
+//
+// BODY_KIND is a Shape::Kind: a macro, so that each is compiled by itself. A pose that is none is noted, and is a hit.
+#include "platform.h"
+
+#include "collision.h"
+#include "rigid.h"
+#include "warp_contact.h"
+
+namespace splatrl {
+
+constexpr int MOST_OPEN = 1024, WARPS = BLOCK_THREADS / WARP;
+
+// What is asked, poses as row-major 4×4 matrices.
+struct Queries {
+    const float *start, *end;
+    int* fault;  // the lowest row that was refused
+    int count;
+    int at_once;  // that a block takes, a multiple of WARP and at most MOST_OPEN
+};
+
+struct Shared {
+    Search searches[WARPS];
+    int open[MOST_OPEN];
+    int found, taken;
+};
+
+// Call settled(row) by a thread for every row, and answer(row, search) by a warp for those of which it says false.
+template <class Settled, class Answer>
+SPLAT_INLINE void each_query(const Queries& queries, const Settled& settled, const Answer& answer) {
+    __shared__ Shared shared;
+    Search& search = shared.searches[threadIdx.x / WARP];
+    for (int64_t first = int64_t(blockIdx.x) * queries.at_once; first < queries.count;
+         first += int64_t(gridDim.x) * queries.at_once) {
+        const int count = min(queries.at_once, int(queries.count - first));
+        if (threadIdx.x == 0) shared.found = shared.taken = 0;
+        __syncthreads();
+        for (int begin = int(threadIdx.x) - lane(); begin < count; begin += BLOCK_THREADS) {
+            const int mine = begin + lane();
+            const unsigned open = __ballot_sync(ALL_LANES, mine < count && !settled(int(first) + mine));
+            int place = 0;
+            if (lane() == 0 && open != 0) place = atomicAdd(&shared.found, __popc(open));
+            place = __shfl_sync(ALL_LANES, place, 0) + rank_in(open);
+            if (open >> lane() & 1u) shared.open[place] = mine;
+        }
+        __syncthreads();
+        for (;;) {
+            int next = 0;
+            if (lane() == 0) next = atomicAdd(&shared.taken, 1);
+            next = __shfl_sync(ALL_LANES, next, 0);
+            if (next >= shared.found) break;
+            answer(int(first) + shared.open[next], search);
+        }
+        __syncthreads();
+    }
+}
+
+struct Matrix {
+    float at[16];
+};
+
+SPLAT_INLINE Matrix matrix_in(const float* poses, int row) {
+    const float4* quarters = reinterpret_cast<const float4*>(poses) + 4 * size_t(row);
+    Matrix out;
+    for (int i = 0; i < 4; ++i) {
+        const float4 quarter = quarters[i];
+        out.at[4 * i] = quarter.x, out.at[4 * i + 1] = quarter.y;
+        out.at[4 * i + 2] = quarter.z, out.at[4 * i + 3] = quarter.w;
+    }
+    return out;
+}
+
+SPLAT_INLINE Shape of_this_kind(Shape shape) {
+    shape.kind = Shape::Kind(BODY_KIND);
+    return shape;
+}
+
+// Moves; what is known is written by write(row, free share).
+template <bool ANY, class Write>
+SPLAT_INLINE void answer_moves(const Grid& grid, const Shape& shape, const Queries& queries, const Write& write) {
+    const auto settled = [&](int row) {
+        const Matrix start = matrix_in(queries.start, row), end = matrix_in(queries.end, row);
+        const bool right = is_pose(start.at) && is_pose(end.at);
+        if (!right) atomicMin(queries.fault, row);
+        const Vec3 from = position_of(grid, start.at), way = between(from, position_of(grid, end.at));
+        const bool passed = right && passes(grid, shape, from, way);
+        if (passed || !right) write(row, passed ? 1.0 : 0.0);
+        return passed || !right;
+    };
+    const auto answer = [&](int row, Search& search) {
+        __syncwarp();
+        if (lane() == 0) search.start = pose_of(grid, matrix_in(queries.start, row).at);
+        if (lane() == 1) search.end = pose_of(grid, matrix_in(queries.end, row).at);
+        __syncwarp();
+        const double free = touched_fraction(grid, shape, search.start, search.end, ANY, WarpContact{grid, search});
+        if (lane() == 0) write(row, free);
+    };
+    each_query(queries, settled, answer);
+}
+
+}  // namespace splatrl
+
+using namespace splatrl;
+
+extern "C" __global__ void __launch_bounds__(BLOCK_THREADS, BLOCKS_A_MULTIPROCESSOR)
+    find_hits(Grid grid, Shape body, Queries queries, bool* hits) {
+    const Shape shape = of_this_kind(body);
+    const auto settled = [&](int row) {
+        const Matrix pose = matrix_in(queries.start, row);
+        const bool right = is_pose(pose.at);
+        if (!right) atomicMin(queries.fault, row);
+        const Verdict verdict = right ? judge(grid, shape, position_of(grid, pose.at)) : Verdict::HIT;
+        if (verdict != Verdict::MAYBE) hits[row] = verdict == Verdict::HIT;
+        return verdict != Verdict::MAYBE;
+    };
+    const auto answer = [&](int row, Search& search) {
+        const Pose pose = pose_of(grid, matrix_in(queries.start, row).at);
+        const bool hit = touches(shape, pose, WarpContact{grid, search});
+        if (lane() == 0) hits[row] = hit;
+    };
+    each_query(queries, settled, answer);
+}
+
+extern "C" __global__ void __launch_bounds__(BLOCK_THREADS, BLOCKS_A_MULTIPROCESSOR)
+    find_fractions(Grid grid, Shape body, Queries queries, float* fractions) {
+    answer_moves<false>(grid, of_this_kind(body), queries,
+                        [&](int row, double free) { fractions[row] = rounded_down(free); });
+}
+
+extern "C" __global__ void __launch_bounds__(BLOCK_THREADS, BLOCKS_A_MULTIPROCESSOR)
+    find_swept_hits(Grid grid, Shape body, Queries queries, bool* hits) {
+    answer_moves<true>(grid, of_this_kind(body), queries, [&](int row, double free) { hits[row] = free < 1.0; });
+}
+
+// points [count, 3], metres
+extern "C" __global__ void find_clearances(Grid grid, const float* points, int* fault, int count, float* metres) {
+    for (int64_t row = int64_t(blockIdx.x) * blockDim.x + threadIdx.x; row < count;
+         row += int64_t(gridDim.x) * blockDim.x) {
+        const float *point = points + 3 * row;
+        const float x = point[0], y = point[1], z = point[2];
+        const bool right = 0.0f * x + 0.0f * y + 0.0f * z == 0.0f;  // finite
+        if (!right) atomicMin(fault, int(row));
+        metres[row] = right ? clearance_in_metres(grid, place_of(grid, x, y, z)) : 0.0f;
+    }
+}

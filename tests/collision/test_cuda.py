@@ -1,0 +1,322 @@
+"""The checker for GPUs against the one for CPUs: its kernels' own source emulated, and where there is a GPU on that."""
+
+import math
+import pickle
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from splatrl.bodies import Body, Box, Capsule, Sphere
+from splatrl.collision import CudaChecker, NativeChecker, Occupancy, cuda, verify, verify_sweeps
+from splatrl.collision.cuda import kernel_defines
+from splatrl.faults import Faulty
+from splatrl.geometry import axis_rotations, rigid
+from tests.collision.test_fcl import BODIES, CUBE, at, clutter, random_poses
+from tests.collision.test_native import moves_in, poses_in, rooms
+from tests.emulator import emulated
+
+SURE = 1e-7
+"""Metres: the finest margin that ``verify`` tells. A GPU fuses multiplications and additions: it rounds otherwise."""
+SCENES = ("clutter", "rooms", "fine")
+Make = Callable[[Occupancy, Body], CudaChecker]
+
+
+@pytest.fixture(scope="module")
+def scenes() -> dict[str, Occupancy]:
+    """The last has columns of more than two words, and bodies in it touch more columns than a warp reads at once."""
+    fine = np.random.default_rng(3).random((40, 30, 150)) < 0.0005
+    fine[:, :, 20] |= np.random.default_rng(4).random((40, 30)) < 0.7
+    return {"clutter": clutter(), "rooms": rooms(), "fine": Occupancy(fine, (-11, 5, -70), 0.02)}
+
+
+@pytest.fixture(params=["emulated", pytest.param("gpu", marks=pytest.mark.gpu)])
+def make(request: pytest.FixtureRequest) -> Make:
+    """Makes checkers on either machine."""
+    if request.param == "gpu":
+        device = request.getfixturevalue("cuda_device")
+        return lambda occupancy, body: CudaChecker(occupancy, body, device=device)
+    return emulated_checker
+
+
+def emulated_checker(occupancy: Occupancy, body: Body) -> CudaChecker:
+    """A checker whose kernels the CPU runs."""
+    return CudaChecker(occupancy, body, kernels=emulated("collide", kernel_defines(body)))
+
+
+@dataclass
+class There:
+    """A checker that finds tensors on its own device, where it reads them in place."""
+
+    checker: CudaChecker
+
+    def __getattr__(self, name: str) -> Any:
+        asked = getattr(self.checker, name)
+        if not callable(asked):
+            return asked
+        return lambda *values: asked(*(value.to(self.checker.device) for value in values)).cpu()
+
+
+def assert_same_moves(checker: CudaChecker, native: NativeChecker, start: Tensor, end: Tensor) -> Tensor:
+    """Moves get the answers of the CPU; returns which hit."""
+    there = There(checker)
+    found = verify_sweeps(there, native, start, end)
+    assert not found.beyond(SURE), str(found)
+    free, expected = there.touched_fraction(start, end), native.touched_fraction(start, end)
+    hits = free < 1
+    assert torch.equal(hits, there.sweeps(start, end))
+    both = hits & (expected < 1)
+    assert (free - expected)[both].abs().max() < 2e-6
+    assert (hits != (expected < 1)).sum() <= len(found.disagreements) + 1
+    return hits
+
+
+@pytest.mark.parametrize("count", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("name", SCENES)
+def test_no_pose_differs_from_the_cpu(make, scenes, name, body, count):
+    poses = poses_in(scenes[name], count)
+    found = verify(There(make(scenes[name], body)), NativeChecker(scenes[name], body), poses)
+    assert 0.05 * count < found.hits < 0.95 * count
+    assert not found.beyond(SURE), str(found)
+
+
+@pytest.mark.parametrize("count", [600, pytest.param(50_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("turning", [False, True])
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("name", SCENES)
+def test_no_move_differs_from_the_cpu(make, scenes, name, body, turning, count):
+    occupancy = scenes[name]
+    start, end = moves_in(occupancy, count, turning)
+    hits = assert_same_moves(make(occupancy, body), NativeChecker(occupancy, body), start, end)
+    assert 0.1 * count < hits.sum() < 0.97 * count
+
+
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("name", ["rooms", "fine"])
+def test_a_long_move_and_a_turn_on_the_spot_get_the_answers_of_the_cpu(make, scenes, name, body):
+    occupancy = scenes[name]
+    start, other = poses_in(occupancy, 100), poses_in(occupancy, 100, seed=1)
+    here, there, turned = start[:, :3, 3], other[:, :3, 3], other[:, :3, :3]
+    for end in (rigid(start[:, :3, :3], there), rigid(turned, here), rigid(turned, there)):
+        assert_same_moves(make(occupancy, body), NativeChecker(occupancy, body), start, end)
+
+
+@pytest.mark.parametrize("body", [Box((0.5, 0.25, 0.125)), Sphere(0.25), Capsule(0.125, 0.5)])
+def test_parallel_edges_and_exact_touches_get_the_answers_of_the_cpu(make, body):
+    """Eighths of a turn about the axes, places and ways on a lattice."""
+    occupancy = Occupancy(np.random.default_rng(0).random((3, 4, 2)) < 0.2, (0, 0, 0), 0.5)
+    generator = torch.Generator().manual_seed(0)
+    rotation = torch.eye(3).expand(800, 3, 3)
+    for axis in range(3):
+        eighths = torch.randint(8, (800,), generator=generator)
+        rotation = rotation @ axis_rotations(axis, eighths * math.pi / 4)
+    places = 0.25 * torch.randint(-1, 8, (800, 3), generator=generator)
+    ways = 0.25 * torch.randint(-6, 7, (800, 3), generator=generator)
+    start, end = rigid(rotation, places), rigid(rotation, places + ways)
+    checker, native = make(occupancy, body), NativeChecker(occupancy, body)
+    found = verify(There(checker), native, start)
+    assert found.hits > 100
+    assert not found.beyond(SURE), str(found)
+    assert_same_moves(checker, native, start, end)
+
+
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("name", SCENES)
+def test_clearance_is_that_of_the_cpu(make, scenes, name, body):
+    points = poses_in(scenes[name], 1000)[:, :3, 3]
+    found, expected = (
+        There(make(scenes[name], body)).clearance(points),
+        NativeChecker(scenes[name], body).clearance(points),
+    )
+    assert (expected == 0).any()
+    assert torch.allclose(found, expected, rtol=1e-6, atol=1e-7)
+    assert torch.equal(found == 0, expected == 0)
+
+
+@pytest.mark.parametrize("most_blocks", [1, 3, 2**16])
+@pytest.mark.parametrize("count", [1, 31, 33, 2500])
+def test_an_answer_depends_on_nothing_else_in_the_batch(make, scenes, monkeypatch, count, most_blocks):
+    monkeypatch.setattr(cuda, "_MOST_BLOCKS", most_blocks)
+    there = There(make(scenes["rooms"], BODIES[0]))
+    start, end = moves_in(scenes["rooms"], 2500, turning=False)
+    rows = torch.randperm(2500, generator=torch.Generator().manual_seed(1))[:count]
+    expected = NativeChecker(scenes["rooms"], BODIES[0]).sweeps(start, end)
+    assert 0 < expected.sum() < 2500
+    assert torch.equal(there.sweeps(start[rows], end[rows]), there.sweeps(start, end)[rows])
+    assert torch.equal(there.collides(start[rows]), there.collides(start)[rows])
+    assert torch.equal(there.touched_fraction(start[rows], end[rows]), there.touched_fraction(start, end)[rows])
+    assert torch.equal(there.clearance(start[rows, :3, 3]), there.clearance(start[:, :3, 3])[rows])
+    assert torch.equal(there.sweeps(start, end), expected)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_order_of_threads_changes_no_answer(scenes, seed):
+    start, end = moves_in(scenes["fine"], 300, turning=True)
+    checker = emulated_checker(scenes["fine"], BODIES[0])
+    fraction, hits = checker.touched_fraction(start, end), checker.collides(start)
+    checker._kernels.seed = seed
+    assert torch.equal(checker.touched_fraction(start, end), fraction)
+    assert torch.equal(checker.collides(start), hits)
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_nothing_is_hit_where_nothing_is_solid_nor_outside_the_grid(make, body):
+    poses = random_poses(100, (-1, -1, -1), (1, 1, 1))
+    for empty in (Occupancy.empty(), Occupancy(np.zeros((3, 4, 5), bool), (0, 0, 0), 0.1)):
+        there = There(make(empty, body))
+        assert not there.collides(poses).any()
+        assert (there.touched_fraction(poses, poses.flip(0)) == 1.0).all()
+        assert not there.sweeps(poses, poses.flip(0)).any()
+        assert there.clearance(poses[:, :3, 3]).isinf().all()
+    far = at((1e6, 0.0, 0.0), (0.0, -1e6, 0.0), (0.0, 0.0, 3e30))
+    there = There(make(CUBE, body))
+    assert not there.collides(far).any()
+    assert not there.sweeps(far, far).any()
+    assert there.sweeps(at((-50.0, 0.05, 0.05)), at((50.0, 0.05, 0.05))).tolist() == [True]
+
+
+def test_no_queries_get_no_answers(make):
+    there, none = There(make(CUBE, BODIES[0])), torch.empty(0, 4, 4)
+    assert (there.collides(none).shape, there.collides(none).dtype) == ((0,), torch.bool)
+    assert there.sweeps(none, none).shape == (0,)
+    assert there.touched_fraction(none, none).dtype == torch.float32
+    assert there.clearance(torch.empty(0, 3)).shape == (0,)
+
+
+SPOILT = {
+    "no number": lambda pose: pose[0, 1].fill_(math.nan),
+    "no position": lambda pose: pose[2, 3].fill_(math.inf),
+    "stretched": lambda pose: pose[1, 1].fill_(1.01),
+    "a reflection": lambda pose: pose[2, 2].mul_(-1.0),
+    "another last row": lambda pose: pose[3, 0].fill_(0.1),
+    "a scale in the last row": lambda pose: pose[3, 3].fill_(2.0),
+}
+
+
+@pytest.mark.parametrize("how", SPOILT)
+def test_a_pose_that_is_none_is_a_hit_until_its_row_is_told(make, how):
+    checker = make(CUBE, BODIES[0])
+    assert isinstance(checker, Faulty)
+    good = at(*[(3.0, 0.0, 0.0)] * 70).to(checker.device)
+    bad = good.clone()
+    for row in (66, 41):
+        SPOILT[how](bad[row])
+    told = "row 41: expected finite numbers, and of a pose an orthonormal rotation"
+    for ask in (lambda: checker.collides(bad), lambda: checker.sweeps(bad, good), lambda: checker.sweeps(good, bad)):
+        assert ask().nonzero().flatten().tolist() == [41, 66]
+        checker.sweeps(good, good)  # which takes nothing back
+        with pytest.raises(ValueError, match=told):
+            checker.raise_faults()
+        checker.raise_faults()
+    fraction = checker.touched_fraction(good, bad)
+    assert fraction[[41, 66]].tolist() == [0.0, 0.0]
+    assert fraction.sum() == 68
+    with pytest.raises(ValueError, match=told):
+        checker.raise_faults()
+
+
+def test_a_point_that_is_none_has_no_clearance_until_its_row_is_told(make):
+    checker = make(CUBE, BODIES[0])
+    points = torch.full((5, 3), 2.0)
+    points[3, 2], points[4, 0] = math.nan, -math.inf
+    assert (checker.clearance(points.to(checker.device)) == 0).tolist() == [False, False, False, True, True]
+    with pytest.raises(ValueError, match="row 3: expected finite numbers"):
+        checker.raise_faults()
+    checker.raise_faults()
+
+
+def test_rotations_are_refused_where_the_cpu_refuses_them(make):
+    """Both say whether a pose is rigid in their own way of counting."""
+    checker, native = make(CUBE, BODIES[1]), NativeChecker(CUBE, BODIES[1])
+    generator = torch.Generator().manual_seed(0)
+    poses = random_poses(400, (1, 1, 1), (2, 2, 2))
+    poses[:, :3, :3] += 4e-4 * torch.randn(400, 3, 3, generator=generator)
+    refused = []
+    for pose in poses.split(1):
+        try:
+            native.collides(pose)
+            refused.append(False)
+        except ValueError:
+            refused.append(True)
+    expected = torch.tensor(refused)
+    assert 50 < expected.sum() < 350
+    assert torch.equal(There(checker).collides(poses), expected)
+
+
+def test_wrong_shapes_and_bodies_are_refused_at_once(make):
+    checker = make(CUBE, BODIES[0])
+    poses = at(*[(0.0, 0.0, 0.0)] * 3)
+    with pytest.raises(ValueError, match=r"body_to_world: expected shape \[B, 4, 4\], got \[4, 4\]"):
+        checker.collides(torch.eye(4))
+    with pytest.raises(ValueError, match=r"end: expected shape \[B, 4, 4\], got \[3, 3, 4\]"):
+        checker.sweeps(poses, poses[:, :3])
+    with pytest.raises(ValueError, match="end: expected as many poses as start, 3, got 2"):
+        checker.touched_fraction(poses, poses[:2])
+    with pytest.raises(ValueError, match=r"points: expected shape \[B, 3\], got \[3, 4\]"):
+        checker.clearance(torch.zeros(3, 4))
+    with pytest.raises(ValueError, match="body: expected a Box, a Sphere or a Capsule, got 'box'"):
+        kernel_defines("box")
+
+
+def test_strided_double_and_unaligned_poses_are_read_right(make, scenes):
+    checker = make(scenes["clutter"], BODIES[0])
+    poses = poses_in(scenes["clutter"], 300).to(checker.device)
+    expected = checker.collides(poses)
+    assert 0 < expected.sum() < 300
+    shifted = torch.empty(300 * 16 + 1, device=checker.device)[1:].view(300, 4, 4).copy_(poses)
+    assert shifted.data_ptr() % 16 == 4
+    for same in (poses.double(), poses.mT.contiguous().mT, shifted):
+        assert torch.equal(checker.collides(same), expected)
+    assert torch.equal(checker.collides(poses[::3]), expected[::3])
+    assert torch.equal(checker.clearance(poses[:, :3, 3]), checker.clearance(poses[:, :3, 3].contiguous()))
+
+
+def test_tensors_elsewhere_make_the_way_and_are_refused_at_once(make, scenes, monkeypatch):
+    checker, native = make(scenes["rooms"], BODIES[0]), NativeChecker(scenes["rooms"], BODIES[0])
+    if checker.device.type == "cpu":  # where nothing is elsewhere
+        monkeypatch.setattr(checker, "_faults_for", lambda *values: checker._faults_elsewhere)
+    start, end = moves_in(scenes["rooms"], 100, turning=False)
+    assert torch.equal(checker.sweeps(start, end), native.sweeps(start, end))
+    assert checker.clearance(start[:, :3, 3]).device.type == "cpu"
+    bad = end.clone()
+    bad[7, 0, 0] = math.nan
+    with pytest.raises(ValueError, match=r"end: expected finite numbers, got .* in row 7"):
+        checker.sweeps(start, bad)
+    with pytest.raises(ValueError, match=r"points: expected finite metres, got .* in row 0"):
+        checker.clearance(torch.full((1, 3), math.nan))
+    checker.raise_faults()
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("body", BODIES)
+def test_queries_wait_for_nothing_and_can_be_recorded(cuda_device, scenes, body):
+    checker = CudaChecker(scenes["rooms"], body, cuda_device)
+    start, end = (poses.to(cuda_device) for poses in moves_in(scenes["rooms"], 500, turning=True))
+    expected = checker.touched_fraction(start, end), checker.sweeps(start, end), checker.collides(start)
+    try:
+        torch.cuda.set_sync_debug_mode("error")
+        checker.sweeps(start, end), checker.collides(start), checker.clearance(start[:, :3, 3])
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    graph = torch.cuda.CUDAGraph()
+    given = start.flip(0).clone(), end.flip(0).clone()
+    with torch.cuda.graph(graph):
+        answers = checker.touched_fraction(*given), checker.sweeps(*given), checker.collides(given[0])
+    for to, values in zip(given, (start, end), strict=True):
+        to.copy_(values)
+    graph.replay()
+    assert all(torch.equal(*pair) for pair in zip(answers, expected, strict=True))
+
+
+@pytest.mark.gpu
+def test_a_pickle_answers_alike(cuda_device, scenes):
+    checker = CudaChecker(scenes["clutter"], BODIES[2], cuda_device)
+    poses = poses_in(scenes["clutter"], 300).to(cuda_device)
+    twin = pickle.loads(pickle.dumps(checker))
+    assert (twin.body, twin.device) == (checker.body, checker.device)
+    assert torch.equal(twin.collides(poses), checker.collides(poses))
