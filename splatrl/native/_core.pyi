@@ -76,7 +76,7 @@ class Collider:
         """[X, Y, Z]: from each voxel to the nearest solid one, in 1/256 of a voxel."""
     @property
     def shape(self) -> tuple[float, float, float, float, float, float, float]:
-        """Half extents, half length, radius, inner and outer radius of the body, with what counts as a touch, voxels."""
+        """The body with what counts as a touch: half extents, half length, radius, inner and outer radius, voxels."""
     def collides(self, poses: int, out: int, count: int, threads: int, /) -> int: ...  # [B, 4, 4] float32 -> bool
     def touched_fraction(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...  # -> float32
     def sweeps(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...  # -> bool
