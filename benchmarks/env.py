@@ -89,7 +89,9 @@ def random_actions(env: EnvBase) -> Callable[[], None]:
 def backyard_env(tolerance: float, batch: int, threads: int) -> splatrl.SplatEnv:
     """The grid task from any start, every view rendered."""
     settings = [f"renderer.views.threads={threads}", f"renderer.views.tolerance={tolerance}"]
-    return splatrl.make_env(["device=cpu", "curriculum=none", "renderer.memory.max_bytes=0", *settings], batch_size=[batch])
+    return splatrl.make_env(
+        ["device=cpu", "curriculum=none", "renderer.memory.max_bytes=0", *settings], batch_size=[batch]
+    )
 
 
 def measure(subject: Subject, tolerances: Sequence[float], options: argparse.Namespace) -> list[Result]:

@@ -65,12 +65,7 @@ class Sizes:
     robots: tuple[int, ...] = (64, 1024, 4096)
     steps: int = 16
     copied: int = 2**30
-    training: tuple[str, ...] = (
-        "env.num_envs=4096",
-        "collector.frames_per_batch=65536",
-        "collector.total_frames=100000000",
-        "loss.mini_batch_size=8192",
-    )
+    training: tuple[str, ...] = ("ppo=many", "collector.total_frames=100000000")
     iterations: int = 8
 
 

@@ -4,12 +4,14 @@ from pathlib import Path
 
 import pytest
 
+from splatrl.bodies import Box, Capsule, Sphere
+from splatrl.collision.cuda import kernel_defines as collision_defines
 from splatrl.native.cuda import compiler
 from splatrl.native.cuda.compiler import FOLDERS, compiled, translated
 from splatrl.renderers.cuda import kernel_defines
 
 SOURCES: dict[str, list[dict[str, int]]] = {
-    "collide": [{}],
+    "collide": [collision_defines(body) for body in (Box((0.4, 0.4, 0.1)), Sphere(0.1), Capsule(0.1, 0.2))],
     "render": [kernel_defines(antialiased) for antialiased in (True, False)],
 }
 """Every kernel, with all that it is compiled with."""
