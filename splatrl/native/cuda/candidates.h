@@ -1,6 +1,7 @@
 // The Gaussians that may show on a tile, as keys in no order.
 #pragma once
 
+#include "order.h"
 #include "tile.h"
 
 namespace splatrl {
@@ -73,24 +74,11 @@ SPLAT_INLINE void append(Shared& shared, Key* keys, Key key) {
     if (key != NO_KEY) keys[base + __popc(found & ((1u << lane()) - 1))] = key;
 }
 
-// Note the least and the largest key of the block.
-SPLAT_INLINE void note_range(Shared& shared, Key low, Key high) {
-    for (int by = WARP / 2; by > 0; by /= 2) {
-        const Key other_low = __shfl_xor_sync(ALL_LANES, low, by), other_high = __shfl_xor_sync(ALL_LANES, high, by);
-        low = other_low < low ? other_low : low;
-        high = other_high > high ? other_high : high;
-    }
-    if (lane() == 0) {
-        atomicMin(&shared.low, low);
-        atomicMax(&shared.high, high);
-    }
-}
-
 // The keys of all that may show, from the nodes that `cull` left. Half a warp takes a node: first its groups, then
 // the sixteen Gaussians of each group in view.
 SPLAT_INLINE void find_candidates(const SceneArrays& scene, Shared& shared, const uint32_t* nodes, int capacity, Key* keys) {
     const uint32_t* accepted = nodes + 2 * size_t(capacity);
-    if (thread() == 0) shared.count = 0, shared.low = NO_KEY, shared.high = 0;
+    if (thread() == 0) shared.count = 0;
     __syncthreads();
     const uint32_t half = lane() / GROUP, member = lane() % GROUP;
     Key low = NO_KEY, high = 0;
@@ -111,8 +99,7 @@ SPLAT_INLINE void find_candidates(const SceneArrays& scene, Shared& shared, cons
             if (key != NO_KEY) low = key < low ? key : low, high = key > high ? key : high;
         }
     }
-    note_range(shared, low, high);
-    __syncthreads();
+    find_range(shared, low, high);
 }
 
 }  // namespace splatrl

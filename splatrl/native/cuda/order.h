@@ -5,36 +5,6 @@
 
 namespace splatrl {
 
-// Sort shared.sorted: bitonic, each thread holding neighbours. Exchanges are between registers, lanes, or by memory.
-SPLAT_INLINE void sort_slab(Shared& shared) {
-    constexpr int OWN = SLAB / THREADS;
-    static_assert(OWN == 2, "the exchange within a thread is that of two");
-    const int first = thread() * OWN;
-    __syncthreads();
-    Key mine[OWN] = {shared.sorted[first], shared.sorted[first + 1]};
-    for (int size = 2; size <= SLAB; size *= 2)
-        for (int apart = size / 2; apart > 0; apart /= 2) {
-            Key other[OWN];
-            if (apart >= OWN * WARP) {
-                __syncthreads();
-                for (int i = 0; i < OWN; ++i) shared.sorted[first + i] = mine[i];
-                __syncthreads();
-                for (int i = 0; i < OWN; ++i) other[i] = shared.sorted[(first + i) ^ apart];
-            } else if (apart >= OWN) {
-                for (int i = 0; i < OWN; ++i) other[i] = __shfl_xor_sync(ALL_LANES, mine[i], apart / OWN);
-            } else {
-                other[0] = mine[1], other[1] = mine[0];
-            }
-            for (int i = 0; i < OWN; ++i) {
-                const bool smaller = (((first + i) & apart) == 0) == (((first + i) & size) == 0);
-                mine[i] = (other[i] < mine[i]) == smaller ? other[i] : mine[i];
-            }
-        }
-    __syncthreads();
-    for (int i = 0; i < OWN; ++i) shared.sorted[first + i] = mine[i];
-    __syncthreads();
-}
-
 // A range of keys, cut evenly into buckets.
 struct Cut {
     Key low, high;  // both in the range
@@ -49,19 +19,6 @@ struct Cut {
     INLINE_MEMBER int bucket(Key key) const { return int((key - low) >> shift); }
     INLINE_MEMBER Key begin(int bucket) const { return low + (Key(bucket) << shift); }
 };
-
-// Sort a slab of keys that lie in the order of their buckets: each finds its place among those of its own.
-SPLAT_INLINE void sort_within_buckets(Shared& shared, const Cut& cut, uint32_t begin, uint32_t count) {
-    for (uint32_t i = thread(); i < count; i += THREADS) {
-        const Key key = shared.dealt[i];
-        const int bucket = cut.bucket(key);
-        const uint32_t first = bucket == 0 ? 0 : shared.ends[bucket - 1], end = shared.ends[bucket];
-        uint32_t place = first - begin;
-        for (uint32_t other = first - begin; other < end - begin; ++other) place += shared.dealt[other] < key;
-        shared.sorted[place] = key;
-    }
-    __syncthreads();
-}
 
 // Replace counts by the sums of all before each. Returns the sum of all.
 SPLAT_INLINE uint32_t sum_up(Shared& shared, uint32_t* counts) {
@@ -99,13 +56,91 @@ SPLAT_INLINE void count_keys(uint32_t* counts, const Key* keys, uint32_t count, 
     __syncthreads();
 }
 
-// Bring keys from [count] into the order of their buckets, in `to`; shared.ends says where each bucket ends.
-SPLAT_INLINE void deal_to_buckets(Shared& shared, const Key* from, Key* to, uint32_t count, const Cut& cut) {
-    count_keys(shared.ends, from, count, cut);
-    sum_up(shared, shared.ends);
+// Bring keys into the order of their buckets, from `from` to `to`; `ends` [BUCKETS] says where each bucket ends.
+SPLAT_INLINE void deal_to_buckets(Shared& shared, const Key* from, Key* to, uint32_t count, const Cut& cut, uint32_t* ends) {
+    count_keys(ends, from, count, cut);
+    sum_up(shared, ends);
     for (uint32_t i = thread(); i < count; i += THREADS) {
         const Key key = from[i];
-        to[atomicAdd(&shared.ends[cut.bucket(key)], 1u)] = key;
+        to[atomicAdd(&ends[cut.bucket(key)], 1u)] = key;
+    }
+    __syncthreads();
+}
+
+// Sort all of shared.sorted, whatever its keys: bitonic, each thread holding neighbours. Exchanges are between registers,
+// lanes, or by memory.
+SPLAT_INLINE void sort_by_exchange(Shared& shared) {
+    constexpr int OWN = SLAB / THREADS;
+    static_assert(OWN == 2, "the exchange within a thread is that of two");
+    const int first = thread() * OWN;
+    __syncthreads();
+    Key mine[OWN] = {shared.sorted[first], shared.sorted[first + 1]};
+    for (int size = 2; size <= SLAB; size *= 2)
+        for (int apart = size / 2; apart > 0; apart /= 2) {
+            Key other[OWN];
+            if (apart >= OWN * WARP) {
+                __syncthreads();
+                for (int i = 0; i < OWN; ++i) shared.sorted[first + i] = mine[i];
+                __syncthreads();
+                for (int i = 0; i < OWN; ++i) other[i] = shared.sorted[(first + i) ^ apart];
+            } else if (apart >= OWN) {
+                for (int i = 0; i < OWN; ++i) other[i] = __shfl_xor_sync(ALL_LANES, mine[i], apart / OWN);
+            } else {
+                other[0] = mine[1], other[1] = mine[0];
+            }
+            for (int i = 0; i < OWN; ++i) {
+                const bool smaller = (((first + i) & apart) == 0) == (((first + i) & size) == 0);
+                mine[i] = (other[i] < mine[i]) == smaller ? other[i] : mine[i];
+            }
+        }
+    __syncthreads();
+    for (int i = 0; i < OWN; ++i) shared.sorted[first + i] = mine[i];
+    __syncthreads();
+}
+
+// The least and the largest of the block's keys, to shared.low and shared.high.
+SPLAT_INLINE void find_range(Shared& shared, Key low, Key high) {
+    if (thread() == 0) shared.low = NO_KEY, shared.high = 0;
+    __syncthreads();
+    for (int by = WARP / 2; by > 0; by /= 2) {
+        const Key other_low = __shfl_xor_sync(ALL_LANES, low, by), other_high = __shfl_xor_sync(ALL_LANES, high, by);
+        low = other_low < low ? other_low : low;
+        high = other_high > high ? other_high : high;
+    }
+    if (lane() == 0) {
+        atomicMin(&shared.low, low);
+        atomicMax(&shared.high, high);
+    }
+    __syncthreads();
+}
+
+// Sort the first `count` of shared.sorted. They are dealt to buckets of their own range, where each key finds its place
+// by a look at the others of its bucket; where one bucket holds too many for that, they are sorted by exchange.
+SPLAT_INLINE void sort_slab(Shared& shared, uint32_t count) {
+    constexpr uint32_t CROWD = 48;
+    Key low = NO_KEY, high = 0;
+    for (uint32_t i = thread(); i < count; i += THREADS) {
+        const Key key = shared.sorted[i];
+        low = key < low ? key : low, high = key > high ? key : high;
+    }
+    find_range(shared, low, high);
+    const Cut cut(shared.low, shared.high);
+    const uint32_t* ends = shared.histogram;
+    deal_to_buckets(shared, shared.sorted, shared.dealt, count, cut, shared.histogram);
+    int crowded = 0;
+    for (int i = thread(); i < BUCKETS; i += THREADS) crowded |= ends[i] - (i == 0 ? 0 : ends[i - 1]) > CROWD;
+    if (__syncthreads_or(crowded)) {
+        for (uint32_t i = count + thread(); i < SLAB; i += THREADS) shared.sorted[i] = NO_KEY;
+        sort_by_exchange(shared);
+        return;
+    }
+    for (uint32_t i = thread(); i < count; i += THREADS) {
+        const Key key = shared.dealt[i];
+        const int bucket = cut.bucket(key);
+        const uint32_t first = bucket == 0 ? 0 : ends[bucket - 1], end = ends[bucket];
+        uint32_t place = first;
+        for (uint32_t other = first; other < end; ++other) place += shared.dealt[other] < key;
+        shared.sorted[place] = key;
     }
     __syncthreads();
 }
@@ -136,7 +171,7 @@ SPLAT_INLINE Key fitting_cut(Shared& shared, const Key* keys, uint32_t count, Ke
     }
 }
 
-// Copy the keys in [from, until), at most SLAB of them, in order to shared.sorted. Returns how many.
+// Copy the keys in [from, until), at most SLAB of them, to shared.sorted. Returns how many.
 SPLAT_INLINE uint32_t gather(Shared& shared, const Key* keys, uint32_t count, Key from, Key until) {
     if (thread() == 0) shared.gathered = 0;
     __syncthreads();
@@ -145,59 +180,46 @@ SPLAT_INLINE uint32_t gather(Shared& shared, const Key* keys, uint32_t count, Ke
         if (key >= from && key < until) shared.sorted[atomicAdd(&shared.gathered, 1u)] = key;
     }
     __syncthreads();
-    const uint32_t some = shared.gathered;
-    for (uint32_t i = some + thread(); i < SLAB; i += THREADS) shared.sorted[i] = NO_KEY;
-    sort_slab(shared);
-    return some;
+    return shared.gathered;
 }
 
 // Begin with the candidates of a tile; `both` [2, capacity] holds them in its first part.
 SPLAT_INLINE void begin_slabs(Shared& shared, Key* both, int capacity) {
     const uint32_t count = shared.count;
-    const Key low = shared.low, high = shared.high;
-    Slabs slabs{both, count, 0, count, 0, low, high, low, high};
+    Slabs slabs{both, count, 0, count, BUCKETS, 1, 0, shared.low, shared.high};
     if (count > SLAB) {
-        deal_to_buckets(shared, both, both + capacity, count, Cut(low, high));
-        slabs.keys = both + capacity, slabs.end = 0, slabs.from = 1, slabs.last = 0;
+        deal_to_buckets(shared, both, both + capacity, count, Cut(slabs.low, slabs.high), shared.ends);
+        slabs.keys = both + capacity, slabs.end = 0, slabs.bucket = 0;
+    } else if (count > 0) {
+        slabs.from = slabs.low, slabs.last = slabs.high;
     }
     if (thread() == 0) shared.slabs = slabs;
     __syncthreads();
 }
 
-// Go on to as many buckets as fit into a slab, at least one. One that is so full that its keys are sorted faster as a
-// whole is left to be.
-SPLAT_INLINE void take_buckets(const Shared& shared, Slabs& slabs, const Cut& cut) {
-    constexpr uint32_t CROWD = 64;
+// Go on to as many buckets as fit into a slab, or to one that does not.
+SPLAT_INLINE void take_buckets(const Shared& shared, Slabs& slabs) {
+    const Cut cut(slabs.low, slabs.high);
     const int first = slabs.bucket, behind = behind_last(shared.ends, first, BUCKETS, slabs.end + SLAB);
     slabs.bucket = behind > first ? behind : first + 1;
     slabs.begin = slabs.end, slabs.end = shared.ends[slabs.bucket - 1];
-    int crowded = 0;
-    for (int i = first + thread(); i < slabs.bucket; i += THREADS)
-        crowded |= shared.ends[i] - (i == 0 ? 0 : shared.ends[i - 1]) > CROWD;
-    if (__syncthreads_or(crowded)) slabs.from = cut.begin(first), slabs.last = cut.begin(slabs.bucket) - 1;
+    slabs.from = cut.begin(first), slabs.last = cut.begin(slabs.bucket) - 1;
 }
 
 // Bring the next slab, nearest first, to shared.sorted. Returns how many there are in it, 0 behind the last. Where it has
 // got to is kept in shared memory: blending needs the registers.
 SPLAT_INLINE uint32_t next_slab(Shared& shared) {
     Slabs slabs = shared.slabs;
-    const Cut cut(slabs.low, slabs.high);
     uint32_t some = 0;
     while (some == 0 && (slabs.from <= slabs.last || slabs.end < slabs.count)) {
-        if (slabs.from > slabs.last) take_buckets(shared, slabs, cut);
+        if (slabs.from > slabs.last) take_buckets(shared, slabs);
         const Key* keys = slabs.keys + slabs.begin;
         const uint32_t count = slabs.end - slabs.begin;
-        if (slabs.from <= slabs.last) {
-            const Key until = fitting_cut(shared, keys, count, slabs.from, slabs.last);
-            some = gather(shared, keys, count, slabs.from, until);
-            slabs.from = until;
-        } else {
-            for (uint32_t i = thread(); i < count; i += THREADS) shared.dealt[i] = keys[i];
-            __syncthreads();
-            sort_within_buckets(shared, cut, slabs.begin, count);
-            some = count;
-        }
+        const Key until = count <= SLAB ? slabs.last + 1 : fitting_cut(shared, keys, count, slabs.from, slabs.last);
+        some = gather(shared, keys, count, slabs.from, until);
+        slabs.from = until;
     }
+    if (some > 0) sort_slab(shared, some);
     if (thread() == 0) shared.slabs = slabs;
     return some;
 }

@@ -73,7 +73,7 @@ struct Slabs {
     uint32_t count;
     uint32_t begin, end;              // of the keys at hand
     int bucket;                       // behind those at hand
-    Key from, last;                   // of the keys at hand, those to be sorted as a whole; none where last < from
+    Key from, last;                   // of the keys at hand, those that are still to come; none where last < from
     Key low, high;                    // of all keys
 };
 
@@ -84,15 +84,17 @@ struct Shared {
     Tile tile;
     int item, row, drawn;             // drawn: whether the tile is drawn at all
     uint32_t count, gathered, accepted, frontier[2];
-    Key low, high;                    // of the keys that were found
+    Key low, high;                    // of the keys that were looked at last
     Slabs slabs;
     uint32_t sums[WARPS];
-    uint32_t ends[BUCKETS];           // where each bucket of keys ends
-    Key sorted[SLAB];                 // the keys of a slab, nearest first
+    uint32_t ends[BUCKETS];           // where each bucket of the candidates ends
+    Key sorted[SLAB];                 // the keys of a slab, in the end nearest first
     uint32_t patches[SLAB];           // that its splats show on, by bits
     union {                           // what is needed one after another
-        uint32_t histogram[BUCKETS];
-        Key dealt[SLAB];              // the keys of a slab in the order of their buckets
+        struct {
+            uint32_t histogram[BUCKETS];
+            Key dealt[SLAB];          // the keys of a slab in the order of their buckets
+        };
         Record records[SLAB];
     };
 };
