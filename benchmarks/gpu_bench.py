@@ -19,9 +19,8 @@ from splatrl.bodies import Body
 from splatrl.cameras import Cameras
 from splatrl.collision import Occupancy
 from splatrl.collision.cuda import CudaChecker
-from splatrl.collision.cuda import kernel_defines as collision_defines
 from splatrl.configuration import World, build_world, load_config
-from splatrl.renderers.cuda import CudaRenderer, kernel_defines
+from splatrl.renderers.cuda import CudaRenderer
 from splatrl.renderers.gsplat import GsplatRenderer
 from splatrl.scenes import Gaussians, Scene
 
@@ -197,8 +196,7 @@ class DryRun(Bench):
     def renderer(self, scene: Scene | Gaussians, tolerance: float = 0.0, antialiased: bool = True) -> CudaRenderer:
         from tests.emulator import emulated
 
-        kernels = emulated("render", kernel_defines(antialiased))
-        return CudaRenderer(scene, antialiased, tolerance=tolerance, kernels=kernels)
+        return CudaRenderer(scene, antialiased, tolerance=tolerance, load=emulated)
 
     def gsplat(self, scene: Scene, antialiased: bool = True) -> GsplatRenderer:
         from tests.renderers.pretended_gsplat import modules
@@ -209,7 +207,7 @@ class DryRun(Bench):
     def checker(self, occupancy: Occupancy, body: Body) -> CudaChecker:
         from tests.emulator import emulated
 
-        return CudaChecker(occupancy, body, kernels=emulated("collide", collision_defines(body)))
+        return CudaChecker(occupancy, body, load=emulated)
 
     def architecture(self) -> str:
         return "sm_90"

@@ -16,7 +16,7 @@ from splatrl.native.cuda.compiler import compiled
 from splatrl.renderers import cuda as render
 from splatrl.scenes import Gaussians
 
-SOURCES = {"render": render.kernel_defines(True), "collide": collide.kernel_defines(BODIES["box"])}
+SOURCES = {"render": render.kernel_defines(True, 0, False), "collide": collide.kernel_defines(BODIES["box"])}
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from splatrl.collision.grid import checked_points
 from splatrl.collision.native import check_pairs, check_shape, collider, corner_of, refuse
 from splatrl.collision.occupancy import Occupancy
 from splatrl.faults import FaultFlag
-from splatrl.native.cuda.kernels import CudaKernels, Kernels
+from splatrl.native.cuda.kernels import CudaKernels, Load
 
 BLOCK_THREADS = 256
 BLOCKS_A_MULTIPROCESSOR = 2
@@ -92,7 +92,7 @@ class CudaChecker:
         occupancy: what is solid.
         body: what is tested, in the body frame.
         device: a CUDA device.
-        kernels: what runs ``cuda/collide.cu``, made for ``device`` if not given.
+        load: gives what runs the kernels; None compiles them for ``device``.
 
     Attributes:
         occupancy: what is solid.
@@ -109,9 +109,10 @@ class CudaChecker:
         occupancy: Occupancy,
         body: Body,
         device: torch.device | str = "cuda",
-        kernels: Kernels | None = None,
+        load: Load | None = None,
     ) -> None:
-        self._kernels = kernels or CudaKernels("collide", device, kernel_defines(body))
+        defines = kernel_defines(body)
+        self._kernels = load("collide", defines) if load else CudaKernels("collide", device, defines)
         self.occupancy, self.body, self.device = occupancy, body, self._kernels.device
         core = collider(occupancy, body)
         self._bits, self._distance = (self._copied(values) for values in (core.bits, core.distance))

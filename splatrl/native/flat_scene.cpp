@@ -10,6 +10,7 @@
 
 #include "arrays.h"
 #include "bindings.h"
+#include "flat_scene.h"
 #include "levels_binding.h"
 #include "scene.h"
 
@@ -18,11 +19,6 @@ namespace nb = nanobind;
 namespace splatrl {
 
 namespace {
-
-constexpr size_t SPHERE = 4, SHAPE = 12;
-
-// The coefficients of a colour, in whole words of eight bytes.
-size_t color_stride(int degree) { return (size_t(3 * (degree + 1) * (degree + 1)) + 3) / 4 * 4; }
 
 struct FlatScene {
     std::vector<float> spheres, shapes;
@@ -61,7 +57,7 @@ private:
             shape[10] = merging[MEMBERS * GROUP];
             shape[11] = merging[SUM * GROUP];
         }
-        const size_t values = 3 * size_t((view.degree + 1) * (view.degree + 1));
+        const size_t values = 3 * size_t(harmonics_of(view.degree));
         const uint16_t* color = view.colors + group * values * GROUP + lane;
         for (size_t i = 0; i < values; ++i) colors[slot * color_stride(view.degree) + i] = color[i * GROUP];
         indices[slot] = view.original_index[slot];
@@ -86,9 +82,9 @@ nb::dict flat_scene(Tensor<const float, -1, 3> means, Tensor<const float, -1, 3,
     const size_t capacity = scene.capacity();
     FlatScene flat(view, capacity, gaussians.count + tree.opacities.size());
     nb::dict out;
-    out["spheres"] = to_numpy(std::move(flat.spheres), {capacity, SPHERE});
-    out["shapes"] = to_numpy(std::move(flat.shapes), {capacity, SHAPE});
-    out["colors"] = to_numpy(std::move(flat.colors), {capacity, color_stride(degree)});
+    out["spheres"] = to_numpy(std::move(flat.spheres), {capacity, size_t(SPHERE)});
+    out["shapes"] = to_numpy(std::move(flat.shapes), {capacity, size_t(SHAPE)});
+    out["colors"] = to_numpy(std::move(flat.colors), {capacity, size_t(color_stride(degree))});
     out["indices"] = to_numpy(std::move(flat.indices), {capacity});
     const size_t all = flat.slots.size();
     out["slots"] = to_numpy(std::move(flat.slots), {all});

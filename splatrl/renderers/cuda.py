@@ -12,7 +12,7 @@ from torch import Tensor
 from splatrl.cameras import Cameras
 from splatrl.faults import FaultFlag
 from splatrl.native import _core
-from splatrl.native.cuda.kernels import CudaKernels, Kernels
+from splatrl.native.cuda.kernels import CudaKernels, Load
 from splatrl.renderers.base import RenderOutput, checked_background, checked_only, gaussians_of
 from splatrl.renderers.lod import gaussian_arrays, levels_for
 from splatrl.scenes.gaussians import Gaussians
@@ -28,10 +28,18 @@ MOST_GAUSSIANS = 2**24
 """That a key has room for, merged ones counted."""
 
 
-def kernel_defines(antialiased: bool) -> dict[str, int]:
-    """What ``cuda/render.cu`` is compiled with."""
+def kernel_defines(antialiased: bool, sh_degree: int, levels: bool) -> dict[str, int]:
+    """What ``cuda/render.cu`` is compiled with.
+
+    Args:
+        antialiased: or classic.
+        sh_degree: of the scene.
+        levels: whether there are merged Gaussians, as with a tolerance above 0.
+    """
     return {
         "ANTIALIASED_IMAGES": int(antialiased),
+        "LEVELS_OF_DETAIL": int(levels),
+        "SH_DEGREE": sh_degree,
         "BLOCK_THREADS": BLOCK_THREADS,
         "BLOCKS_A_MULTIPROCESSOR": BLOCKS_A_MULTIPROCESSOR,
         "SHARED_BYTES": SHARED_BYTES,
@@ -46,8 +54,6 @@ class _SceneArrays(ctypes.Structure):
             (name, ctypes.c_void_p)
             for name in ("spheres", "shapes", "colors", "indices", "slots", "clusters", "group_bounds")
         ),
-        ("degree", ctypes.c_int),
-        ("color_stride", ctypes.c_int),
         ("background", ctypes.c_float * 3),
         ("tolerance", ctypes.c_float),
         ("most_reach", ctypes.c_float),
@@ -96,7 +102,7 @@ class CudaRenderer:
         device: a CUDA device.
         memory: bytes of working memory at most: with less, fewer tiles are drawn at a time. None takes a quarter of the
             device's.
-        kernels: what runs them, made for ``device`` if not given.
+        load: gives what runs the kernels; None compiles them for ``device``.
 
     Raises:
         ValueError: for Gaussians that are not finite or too many, or a tolerance that is negative or not finite.
@@ -111,11 +117,12 @@ class CudaRenderer:
         tolerance: float = 0.0,
         device: torch.device | str = "cuda",
         memory: int | None = None,
-        kernels: Kernels | None = None,
+        load: Load | None = None,
     ) -> None:
-        self._kernels = kernels or CudaKernels("render", device, kernel_defines(antialiased))
-        self.device = self._kernels.device
         gaussians, colour = gaussians_of(scene), checked_background(background)
+        defines = kernel_defines(antialiased, gaussians.sh_degree, tolerance > 0)
+        self._kernels = load("render", defines) if load else CudaKernels("render", device, defines)
+        self.device = self._kernels.device
         arrays = gaussian_arrays(gaussians)
         levels = levels_for(scene, arrays, tolerance)
         flat = _core.flat_scene(
@@ -130,8 +137,7 @@ class CudaRenderer:
             raise ValueError(
                 f"scene: expected at most {MOST_GAUSSIANS:,} Gaussians, merged ones counted, got {len(flat['slots']):,}"
             )
-        values = {"degree": gaussians.sh_degree, "color_stride": flat["colors"].shape[1], "background": colour}
-        values |= {name: flat.pop(name) for name in ("tolerance", "most_reach")}
+        values = {"background": colour} | {name: flat.pop(name) for name in ("tolerance", "most_reach")}
         self._arrays = {name: _bits(value).to(self.device) for name, value in flat.items()}
         self._scene = _SceneArrays(**{name: value.data_ptr() for name, value in self._arrays.items()}, **values)
         self._key_capacity, self._node_capacity = gaussians.numel(), len(flat["clusters"])

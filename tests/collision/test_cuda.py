@@ -45,7 +45,7 @@ def make(request: pytest.FixtureRequest) -> Make:
 
 def emulated_checker(occupancy: Occupancy, body: Body) -> CudaChecker:
     """A checker whose kernels the CPU runs."""
-    return CudaChecker(occupancy, body, kernels=emulated("collide", kernel_defines(body)))
+    return CudaChecker(occupancy, body, load=emulated)
 
 
 @dataclass

@@ -10,14 +10,12 @@ from tensordict import TensorDictBase
 from splatrl.bodies import Box
 from splatrl.collision import NativeChecker, Occupancy
 from splatrl.collision.cuda import CudaChecker
-from splatrl.collision.cuda import kernel_defines as checker_defines
 from splatrl.curriculum import Curriculum, plan
 from splatrl.envs import ForwardMotion, Robot, SplatEnv
 from splatrl.envs.restart import restart
 from splatrl.envs.tasks import Fps, Grid, Task
 from splatrl.renderers import NativeRenderer
 from splatrl.renderers.cuda import CudaRenderer
-from splatrl.renderers.cuda import kernel_defines as renderer_defines
 from tests.emulator import emulated
 from tests.envs.devices import NoHostReads
 from tests.tiny import BODY, HEIGHT, tiny_gaussians, tiny_motion
@@ -62,8 +60,8 @@ def make(request: pytest.FixtureRequest) -> Make:
         device = request.getfixturevalue("cuda_device")
         parts = CudaRenderer(tiny_gaussians(), device=device), CudaChecker(occupancy(), body, device)
         return lambda name: env_of(name, device, *parts)
-    renderer = CudaRenderer(tiny_gaussians(), kernels=emulated("render", renderer_defines(True)))
-    checker = CudaChecker(occupancy(), body, kernels=emulated("collide", checker_defines(body)))
+    renderer = CudaRenderer(tiny_gaussians(), load=emulated)
+    checker = CudaChecker(occupancy(), body, load=emulated)
     return lambda name: env_of(name, "cpu", renderer, checker)
 
 

@@ -1,6 +1,7 @@
 """The renderer for GPUs: its kernels' own source, emulated on the CPU, and where there is a GPU on that."""
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
@@ -8,7 +9,7 @@ import torch
 from splatrl import load_scene
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.renderers import NativeRenderer, RenderOutput
-from splatrl.renderers.cuda import CudaRenderer, kernel_defines
+from splatrl.renderers.cuda import CudaRenderer
 from splatrl.scenes import Gaussians, Scene
 from tests.emulator import emulated
 from tests.renderers.cases import LIKENESS, ahead, gaussians, psnr, random_cameras, random_gaussians
@@ -25,12 +26,9 @@ def make(request: pytest.FixtureRequest) -> Make:
     return emulated_renderer
 
 
-def emulated_renderer(
-    scene: Scene | Gaussians, antialiased: bool = True, *args: object, **options: object
-) -> CudaRenderer:
+def emulated_renderer(scene: Scene | Gaussians, *args: Any, **options: Any) -> CudaRenderer:
     """A renderer whose kernels the CPU runs."""
-    kernels = emulated("render", kernel_defines(antialiased))
-    return CudaRenderer(scene, antialiased, *args, kernels=kernels, **options)  # type: ignore[arg-type]
+    return CudaRenderer(scene, *args, load=emulated, **options)
 
 
 def on(renderer: CudaRenderer, cameras: Cameras) -> Cameras:

@@ -14,24 +14,23 @@ struct Color {
 // The colour of the Gaussian in a slot, seen along `offset`, relative to the background; rounded to half floats, as on
 // the CPU.
 SPLAT_INLINE Color color_of(const SceneArrays& scene, uint32_t slot, const Vector<float>& offset) {
-    const uint16_t* coefficients = scene.colors + size_t(slot) * scene.color_stride;
-    if (scene.degree == 0)
+    constexpr int HARMONICS = harmonics_of(SH_DEGREE), STRIDE = color_stride(SH_DEGREE);
+    const uint16_t* coefficients = scene.colors + size_t(slot) * STRIDE;
+    if (SH_DEGREE == 0)
         return {half_to_float(coefficients[0]), half_to_float(coefficients[1]), half_to_float(coefficients[2])};
     const float squared = offset.x * offset.x + offset.y * offset.y + offset.z * offset.z;
     const float inverse = reciprocal_sqrt(max(squared, 1e-30f));
     float basis[16], sums[3] = {0.5f, 0.5f, 0.5f};
-    sh_basis(scene.degree, offset.x * inverse, offset.y * inverse, offset.z * inverse, basis);
+    sh_basis(SH_DEGREE, offset.x * inverse, offset.y * inverse, offset.z * inverse, basis);
     const uint2* words = reinterpret_cast<const uint2*>(coefficients);  // four half floats each
 #pragma unroll
-    for (int word = 0; word < 12; ++word) {
-        if (4 * word >= scene.color_stride) break;
+    for (int word = 0; word < STRIDE / 4; ++word) {
         const uint2 four = words[word];
         const uint32_t halves[2] = {four.x, four.y};
 #pragma unroll
         for (int i = 0; i < 4; ++i) {
-            const int at = 4 * word + i;  // past the last coefficient the padding is 0, and the basis is not read
-            if (at / 3 < (scene.degree + 1) * (scene.degree + 1))
-                sums[at % 3] += basis[at / 3] * half_to_float(uint16_t(halves[i / 2] >> 16 * (i % 2)));
+            const int at = 4 * word + i;
+            if (at < 3 * HARMONICS) sums[at % 3] += basis[at / 3] * half_to_float(uint16_t(halves[i / 2] >> 16 * (i % 2)));
         }
     }
     float out[3];
@@ -40,7 +39,6 @@ SPLAT_INLINE Color color_of(const SceneArrays& scene, uint32_t slot, const Vecto
 }
 
 // Project the Gaussians of a sorted slab and colour those that show.
-template <bool ANTIALIASED_IMAGE>
 SPLAT_INLINE void load_slab(const SceneArrays& scene, Shared& shared, uint32_t count) {
     for (uint32_t i = thread(); i < count; i += THREADS) {
         const uint32_t slot = scene.slots[uint32_t(shared.sorted[i]) & ((1u << INDEX_BITS) - 1)];
@@ -51,7 +49,7 @@ SPLAT_INLINE void load_slab(const SceneArrays& scene, Shared& shared, uint32_t c
         const float* position = shared.camera.position;
         const Vector<float> offset{sphere.x - position[0], sphere.y - position[1], sphere.z - position[2]};
         const Footprint<float> print =
-            project<ANTIALIASED_IMAGE, true>(shared.camera, offset, axes, c.y, Merging<float>{c.z, c.w});
+            project<ANTIALIASED_IMAGE, WITH_LEVELS>(shared.camera, offset, axes, c.y, Merging<float>{c.z, c.w});
         const uint32_t patches = covered_patches<ANTIALIASED_IMAGE>(print, shared.tile);
         shared.patches[i] = patches;
         if (patches == 0) continue;
@@ -103,7 +101,6 @@ struct Pixels {
 
     // Blend one splat over those of the warp's patches that `patches` names. A splat's share of a pixel is 0 from where
     // the transmittance would fall to MIN_TRANSMITTANCE, which goes on falling.
-    template <bool ANTIALIASED_IMAGE>
     INLINE_MEMBER void blend(const Record& record, uint32_t patches) {
         const float4 place = record.place, fall = record.fall, color = record.color;
 #pragma unroll
@@ -121,7 +118,6 @@ struct Pixels {
     }
 
     // Blend a slab, nearest first. Each warp picks what shows on its own patches, 32 splats at a time.
-    template <bool ANTIALIASED_IMAGE>
     INLINE_MEMBER void blend_slab(const Shared& shared, uint32_t count) {
         for (uint32_t first = 0; first < count && active != 0; first += WARP) {
             const uint32_t at = first + lane();
@@ -129,7 +125,7 @@ struct Pixels {
             for (uint32_t left = __ballot_sync(ALL_LANES, patches != 0); left != 0; left &= left - 1) {
                 const int next = __ffs(left) - 1;
                 const uint32_t touched = __shfl_sync(ALL_LANES, patches, next);
-                blend<ANTIALIASED_IMAGE>(shared.records[first + next], touched);
+                blend(shared.records[first + next], touched);
                 blended += __popc(touched);
             }
             find_active();

@@ -1,7 +1,7 @@
 """Kernels that are loaded on a GPU, and how they are launched."""
 
 import ctypes
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -43,6 +43,10 @@ class Kernels(Protocol):
             shared: bytes of dynamic shared memory.
         """
         ...
+
+
+Load = Callable[[str, Mapping[str, int]], Kernels]
+"""Loads the kernels of a source that is compiled with some macros."""
 
 
 def packed(arguments: tuple[Any, ...], device: torch.device) -> list[Any]:

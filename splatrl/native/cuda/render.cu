@@ -3,7 +3,7 @@
 // pixels in registers (blend.h). Blocks take no account of each other, and what is found in no order is ordered by keys
 // of which no two are equal: a frame has the same bytes in every batch.
 //
-// ANTIALIASED_IMAGES is 1 or 0: a macro, so that each is compiled by itself.
+// ANTIALIASED_IMAGES, LEVELS_OF_DETAIL (1 or 0) and SH_DEGREE are macros, so that each is compiled by itself.
 #include "platform.h"
 
 #include "blend.h"
@@ -11,8 +11,6 @@
 #include "order.h"
 
 namespace splatrl {
-
-constexpr bool ANTIALIASED_IMAGE = ANTIALIASED_IMAGES != 0;
 
 // Whether a camera can be drawn: finite, with positive focal lengths.
 SPLAT_INLINE bool is_camera(const float* pose, const float* K) {
@@ -64,9 +62,9 @@ SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const
         pixels.begin(scene, shared.tile);
         begin_slabs(shared, keys, workspace.key_capacity);
         while (const uint32_t count = next_slab(shared)) {
-            load_slab<ANTIALIASED_IMAGE>(scene, shared, count);
+            load_slab(scene, shared, count);
             if (workspace.efforts != nullptr) note(workspace, shared, VISIBLE, count_visible(shared, count));
-            pixels.template blend_slab<ANTIALIASED_IMAGE>(shared, count);
+            pixels.blend_slab(shared, count);
             if (!__syncthreads_or(pixels.active != 0)) break;
         }
         pixels.write(shared.tile, images, shared.row, views.width, views.height);

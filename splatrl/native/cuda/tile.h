@@ -4,12 +4,15 @@
 #include "platform.h"
 
 #include "coverage.h"
+#include "flat_scene.h"
 #include "frustum.h"
 
 namespace splatrl {
 
 constexpr int THREADS = BLOCK_THREADS, WARPS = THREADS / WARP;
 static_assert(WARPS * 4 == PATCHES_ACROSS * PATCHES_DOWN, "four patches of 8×4 pixels a warp, in its registers");
+
+constexpr bool ANTIALIASED_IMAGE = ANTIALIASED_IMAGES != 0, WITH_LEVELS = LEVELS_OF_DETAIL != 0;
 
 constexpr int SLAB = 512;      // splats that are sorted and blended at once
 constexpr int BUCKETS = 1024;  // of a histogram of depths
@@ -29,7 +32,6 @@ struct SceneArrays {
     const uint32_t* slots;            // [indices]
     const Cluster* clusters;          // the tree in preorder
     const GroupBounds* group_bounds;  // of each cluster
-    int degree, color_stride;
     float background[3];              // the colours are relative to it
     float tolerance;                  // pixels by which what is shown may be displaced
     float most_reach;                 // standard deviations at which any Gaussian shows

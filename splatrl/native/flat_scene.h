@@ -1,0 +1,14 @@
+// How a scene lies in memory for CUDA, in flat_scene.cpp and cuda/.
+#pragma once
+
+namespace splatrl {
+
+constexpr int SPHERE = 4;   // floats: mean, and how far the Gaussian can show from there
+constexpr int SHAPE = 12;   // floats: factor of the covariance, log2 opacity, members and sum if merged
+
+constexpr int harmonics_of(int degree) { return (degree + 1) * (degree + 1); }
+
+// Half floats of a colour, in whole words of eight bytes.
+constexpr int color_stride(int degree) { return (3 * harmonics_of(degree) + 3) / 4 * 4; }
+
+}  // namespace splatrl
