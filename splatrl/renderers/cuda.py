@@ -18,7 +18,7 @@ from splatrl.renderers.lod import gaussian_arrays, levels_for
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
-BLOCK_THREADS, SHARED_BYTES = 256, 40 * 1024
+BLOCK_THREADS, SHARED_BYTES = 256, 35 * 1024
 """Of a block, which draws one tile at a time."""
 BLOCKS_A_MULTIPROCESSOR = 4
 """That the compiler leaves enough registers for."""
