@@ -1,0 +1,108 @@
+"""How kernels are loaded and launched: by a driver that is pretended, whose kernels the emulator runs."""
+
+import ctypes
+from contextlib import nullcontext
+from enum import IntEnum
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from splatrl.native.cuda import kernels
+from splatrl.native.cuda.kernels import FREELY_SHARED, CudaKernels
+from splatrl.renderers import CudaRenderer
+from splatrl.renderers.cuda import kernel_defines
+from tests.emulator import emulated
+from tests.renderers.cases import random_cameras, random_gaussians
+
+pytest.importorskip("cuda.bindings", reason="needs the extra cuda")
+
+
+class Attribute(IntEnum):
+    """The one that is set."""
+
+    CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES = 8
+
+
+class PretendedDriver:
+    """Does what it is told, in the types that the real one takes, and keeps a note of it."""
+
+    CUfunction_attribute = Attribute
+    CUstream = staticmethod(int)
+
+    def __init__(self, source: str, defines: dict[str, int]) -> None:
+        self.emulated = emulated(source, defines)
+        self.images: list[bytes] = []
+        self.allowed: dict[str, int] = {}
+        self.launched: list[tuple[str, int, int, int, int]] = []
+        self.error = 0
+
+    def cuModuleLoadData(self, image: int) -> tuple[int, str]:
+        self.images.append(ctypes.string_at(image, 4))
+        return self.error, "module"
+
+    def cuModuleGetFunction(self, module: str, name: bytes) -> tuple[int, str]:
+        assert module == "module"
+        return self.error, name.decode()
+
+    def cuFuncSetAttribute(self, kernel: str, attribute: Attribute, value: int) -> tuple[int]:
+        self.allowed[kernel] = value
+        return (self.error,)
+
+    def cuOccupancyMaxActiveBlocksPerMultiprocessor(self, kernel: str, threads: int, shared: int) -> tuple[int, int]:
+        return self.error, 3
+
+    def cuLaunchKernel(self, kernel: str, *shape: int) -> tuple[int]:
+        x, y, z, threads, threads_y, threads_z, shared, stream, arguments, extra = shape
+        assert (y, z, threads_y, threads_z, extra) == (1, 1, 1, 1, 0)
+        self.launched.append((kernel, x, threads, shared, stream))
+        assert self.emulated._library.launch(kernel.encode(), x, threads, arguments, 0)
+        return (self.error,)
+
+
+@pytest.fixture
+def driver(monkeypatch: pytest.MonkeyPatch) -> list[PretendedDriver]:
+    """A GPU that is none: the pretended drivers of all kernels that are loaded."""
+    drivers: list[PretendedDriver] = []
+
+    def pretend(source: str, arch: str, defines: dict[str, int]) -> bytes:
+        import cuda.bindings
+
+        assert arch == "sm_90"
+        drivers.append(PretendedDriver(source, defines))
+        monkeypatch.setattr(cuda.bindings, "driver", drivers[-1], raising=False)
+        return b"\x7fELF and more"
+
+    monkeypatch.setattr(kernels, "compiled", pretend)
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: (9, 0))
+    properties = SimpleNamespace(multi_processor_count=2, total_memory=2**30)
+    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda device: properties)
+    monkeypatch.setattr(torch.cuda, "device", lambda device: nullcontext())
+    monkeypatch.setattr(torch.cuda, "current_stream", lambda device: SimpleNamespace(cuda_stream=77))
+    return drivers
+
+
+def test_a_renderer_is_loaded_and_launched_as_the_driver_asks(driver: list[PretendedDriver]) -> None:
+    scene, cameras = random_gaussians(3, 300, 1), random_cameras(4, 3, 70, 40)
+    renderer = CudaRenderer(scene, tolerance=0.5, device="cpu")
+    pixels = renderer.pixels(cameras)
+    assert torch.equal(pixels, CudaRenderer(scene, tolerance=0.5, load=emulated).pixels(cameras))
+    one = driver[0]
+    assert one.images == [b"\x7fELF"] and one.allowed == {}
+    name, blocks, threads, shared, stream = one.launched[0]
+    assert (name, threads, stream) == ("draw_pixels", 256, 77)
+    assert blocks == 6 and shared < FREELY_SHARED  # three a multiprocessor, of 18 tiles
+    assert one.launched[1:] == []
+
+
+def test_a_kernel_is_allowed_the_shared_memory_that_it_needs(driver: list[PretendedDriver]) -> None:
+    loaded = CudaKernels("render", "cpu", kernel_defines(True, 0, False))
+    assert loaded.resident("draw_images", 256, FREELY_SHARED + 1) == 3
+    assert driver[0].allowed == {"draw_images": FREELY_SHARED + 1}
+
+
+def test_what_the_driver_refuses_is_raised(driver: list[PretendedDriver]) -> None:
+    loaded = CudaKernels("render", "cpu", kernel_defines(True, 0, False))
+    driver[0].error = 700
+    with pytest.raises(RuntimeError, match="CUDA driver on cpu: 700"):
+        loaded.resident("draw_pixels", 256)
