@@ -62,11 +62,10 @@ SPLAT_INLINE void load_slab(const SceneArrays& scene, Shared& shared, uint32_t c
     __syncthreads();
 }
 
-// How many splats of a slab show: in the first lane of each warp, its share.
+// How many splats of a slab show: this thread's share.
 SPLAT_INLINE uint32_t count_visible(const Shared& shared, uint32_t count) {
     uint32_t visible = 0;
-    for (uint32_t i = warp() * WARP; i < count; i += THREADS)
-        visible += __popc(__ballot_sync(ALL_LANES, i + lane() < count && shared.patches[i + lane()] != 0));
+    for (uint32_t i = thread(); i < count; i += THREADS) visible += shared.patches[i] != 0;
     return visible;
 }
 
@@ -76,7 +75,7 @@ struct Pixels {
     float red[QUAD], green[QUAD], blue[QUAD], transmittance[QUAD], depth[QUAD], alpha[QUAD];
     float x, y;          // of the lane's pixel in the first patch
     uint32_t active;     // patches that are not finished, by bits
-    uint32_t blended;    // pairs of a splat and a patch
+    uint32_t blended;    // pairs of a splat and a patch: this lane's share
 
     INLINE_MEMBER void begin(const SceneArrays& scene, const Tile& tile) {
         const int column = tile.left + warp() % 2 * 2 * PATCH_WIDTH + lane() % PATCH_WIDTH;
@@ -99,37 +98,37 @@ struct Pixels {
             active |= uint32_t(__any_sync(ALL_LANES, transmittance[i] > MIN_TRANSMITTANCE) != 0) << i;
     }
 
-    // Blend one splat over those of the warp's patches that `patches` names. A splat's share of a pixel is 0 from where
-    // the transmittance would fall to MIN_TRANSMITTANCE, which goes on falling.
-    INLINE_MEMBER void blend(const Record& record, uint32_t patches) {
+    // Blend one splat over a patch. Its share of a pixel is 0 from where the transmittance would fall to
+    // MIN_TRANSMITTANCE, which goes on falling.
+    INLINE_MEMBER void blend(const Record& record, int patch) {
         const float4 place = record.place, fall = record.fall, color = record.color;
-#pragma unroll
-        for (int i = 0; i < QUAD; ++i) {
-            if ((patches >> i & 1) == 0) continue;
-            const float dx = (i % 2 == 0 ? x : x + PATCH_WIDTH) - place.x, dy = (i / 2 == 0 ? y : y + PATCH_HEIGHT) - place.y;
-            const float share = transmittance[i] * alpha_at<ANTIALIASED_IMAGE>(dx, dy, place.z, place.w, fall.x, fall.y, fall.z);
-            transmittance[i] -= share;
-            const float counted = transmittance[i] > MIN_TRANSMITTANCE ? share : 0.0f;
-            red[i] += counted * color.x;
-            green[i] += counted * color.y;
-            blue[i] += counted * color.z;
-            if (WITH_DEPTH) depth[i] += counted * fall.w, alpha[i] += counted;
-        }
+        const float dx = (patch % 2 == 0 ? x : x + PATCH_WIDTH) - place.x;
+        const float dy = (patch / 2 == 0 ? y : y + PATCH_HEIGHT) - place.y;
+        const float share = transmittance[patch] *
+                            alpha_at<ANTIALIASED_IMAGE>(dx, dy, place.z, place.w, fall.x, fall.y, fall.z);
+        transmittance[patch] -= share;
+        const float counted = transmittance[patch] > MIN_TRANSMITTANCE ? share : 0.0f;
+        red[patch] += counted * color.x;
+        green[patch] += counted * color.y;
+        blue[patch] += counted * color.z;
+        if (WITH_DEPTH) depth[patch] += counted * fall.w, alpha[patch] += counted;
     }
 
     // Blend a slab, nearest first. Each warp picks what shows on its own patches, 32 splats at a time.
     INLINE_MEMBER void blend_slab(const Shared& shared, uint32_t count) {
-        for (uint32_t first = 0; first < count && active != 0; first += WARP) {
+        if (active == 0) return;
+        for (uint32_t first = 0; first < count; first += WARP) {
             const uint32_t at = first + lane();
             const uint32_t patches = at < count ? shared.patches[at] >> (warp() * QUAD) & active : 0;
-            for (uint32_t left = __ballot_sync(ALL_LANES, patches != 0); left != 0; left &= left - 1) {
-                const int next = __ffs(left) - 1;
-                const uint32_t touched = __shfl_sync(ALL_LANES, patches, next);
-                blend(shared.records[first + next], touched);
-                blended += __popc(touched);
+            const Record* records = shared.records + first;
+            blended += __popc(patches);
+#pragma unroll
+            for (int i = 0; i < QUAD; ++i) {
+                uint32_t left = __ballot_sync(ALL_LANES, patches >> i & 1);
+                for (; left != 0; left &= left - 1) blend(records[__ffs(left) - 1], i);
             }
-            find_active();
         }
+        find_active();
     }
 
     INLINE_MEMBER void write(const Tile& tile, const Images& images, int row_of_batch, int width, int height) const {

@@ -43,9 +43,9 @@ SPLAT_INLINE bool next_tile(const Views& views, const Workspace& workspace, Shar
     return shared.row < views.batch;
 }
 
-// Add what a warp counted to the efforts of the frame.
+// Add what a thread counted to the efforts of the frame.
 SPLAT_INLINE void note(const Workspace& workspace, const Shared& shared, Efforts what, uint32_t count) {
-    if (lane() == 0) atomicAdd(workspace.efforts + size_t(shared.row) * EFFORTS + what, count);
+    if (count > 0) atomicAdd(workspace.efforts + size_t(shared.row) * EFFORTS + what, count);
 }
 
 template <bool WITH_DEPTH>
@@ -57,7 +57,7 @@ SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const
         if (!shared.drawn) continue;
         cull(scene, shared, nodes, workspace.node_capacity);
         find_candidates(scene, shared, nodes, workspace.node_capacity, keys);
-        if (workspace.efforts != nullptr) note(workspace, shared, PROJECTED, warp() == 0 ? shared.count : 0);
+        if (workspace.efforts != nullptr) note(workspace, shared, PROJECTED, thread() == 0 ? shared.count : 0);
         Pixels<WITH_DEPTH> pixels;
         pixels.begin(scene, shared.tile);
         begin_slabs(shared, keys, workspace.key_capacity);
