@@ -38,35 +38,49 @@ SPLAT_INLINE Color color_of(const SceneArrays& scene, uint32_t slot, const Vecto
     return {out[0], out[1], out[2]};
 }
 
-// Project the Gaussians of a sorted slab and colour those that show.
-SPLAT_INLINE void load_slab(const SceneArrays& scene, Shared& shared, uint32_t count) {
-    for (uint32_t i = thread(); i < count; i += THREADS) {
-        const uint32_t slot = scene.slots[uint32_t(shared.sorted[i]) & ((1u << INDEX_BITS) - 1)];
-        const float4 sphere = scene.spheres[slot];
-        const float4* shape = scene.shapes + 3 * size_t(slot);
-        const float4 a = shape[0], b = shape[1], c = shape[2];
-        const float axes[9] = {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x};
-        const float* position = shared.camera.position;
-        const Vector<float> offset{sphere.x - position[0], sphere.y - position[1], sphere.z - position[2]};
-        const Footprint<float> print =
-            project<ANTIALIASED_IMAGE, WITH_LEVELS>(shared.camera, offset, axes, c.y, Merging<float>{c.z, c.w});
-        const uint32_t patches = covered_patches<ANTIALIASED_IMAGE>(print, shared.tile);
-        shared.patches[i] = patches;
-        if (patches == 0) continue;
-        Record& record = shared.records[i];
-        record.place = make_float4(print.x, print.y, print.l11, print.l12);
-        record.fall = make_float4(print.l22, print.log2_opacity, rounded_to_half(print.peak), print.depth);
-        const Color color = color_of(scene, slot, offset);
-        record.color = make_float4(color.red, color.green, color.blue, 0.0f);
-    }
-    __syncthreads();
+// The Gaussian of a slot, as it is projected.
+SPLAT_INLINE Footprint<float> footprint_of(const SceneArrays& scene, const Camera& camera, uint32_t slot, const Vector<float>& offset) {
+    const float4* shape = scene.shapes + 3 * size_t(slot);
+    const float4 a = shape[0], b = shape[1], c = shape[2];
+    const float axes[9] = {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x};
+    return project<ANTIALIASED_IMAGE, WITH_LEVELS>(camera, offset, axes, c.y, Merging<float>{c.z, c.w});
 }
 
-// How many splats of a slab show: this thread's share.
-SPLAT_INLINE uint32_t count_visible(const Shared& shared, uint32_t count) {
-    uint32_t visible = 0;
-    for (uint32_t i = thread(); i < count; i += THREADS) visible += shared.patches[i] != 0;
-    return visible;
+// Project the Gaussians of a sorted slab, colour those that show, and lay them out in their order. Returns how many.
+SPLAT_INLINE uint32_t load_slab(const SceneArrays& scene, Shared& shared, uint32_t count) {
+    uint32_t shown = 0;
+    for (uint32_t begin = 0; begin < count; begin += THREADS) {
+        const uint32_t i = begin + thread();
+        uint32_t slot = 0, patches = 0;
+        Vector<float> offset{};
+        Footprint<float> print{};
+        if (i < count) {
+            slot = scene.slots[uint32_t(shared.sorted[i]) & ((1u << INDEX_BITS) - 1)];
+            const float4 sphere = scene.spheres[slot];
+            const float* position = shared.camera.position;
+            offset = {sphere.x - position[0], sphere.y - position[1], sphere.z - position[2]};
+            print = footprint_of(scene, shared.camera, slot, offset);
+            patches = covered_patches<ANTIALIASED_IMAGE>(print, shared.tile);
+        }
+        const uint32_t lanes = __ballot_sync(ALL_LANES, patches != 0);
+        if (lane() == 0) shared.sums[warp()] = __popc(lanes);
+        __syncthreads();
+        uint32_t place = shown + __popc(lanes & ((1u << lane()) - 1));
+        for (int i = 0; i < WARPS; ++i) {
+            if (i < warp()) place += shared.sums[i];
+            shown += shared.sums[i];
+        }
+        if (patches != 0) {
+            shared.patches[place] = patches;
+            Record& record = shared.records[place];
+            record.place = make_float4(print.x, print.y, print.l11, print.l12);
+            record.fall = make_float4(print.l22, print.log2_opacity, rounded_to_half(print.peak), print.depth);
+            const Color color = color_of(scene, slot, offset);
+            record.color = make_float4(color.red, color.green, color.blue, 0.0f);
+        }
+        __syncthreads();
+    }
+    return shown;
 }
 
 // What a lane accumulates: a pixel of each of its warp's patches.

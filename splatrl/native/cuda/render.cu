@@ -62,9 +62,9 @@ SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const
         pixels.begin(scene, shared.tile);
         begin_slabs(shared, keys, workspace.key_capacity);
         while (const uint32_t count = next_slab(shared)) {
-            load_slab(scene, shared, count);
-            if (workspace.efforts != nullptr) note(workspace, shared, VISIBLE, count_visible(shared, count));
-            pixels.blend_slab(shared, count);
+            const uint32_t shown = load_slab(scene, shared, count);
+            if (workspace.efforts != nullptr) note(workspace, shared, VISIBLE, thread() == 0 ? shown : 0);
+            pixels.blend_slab(shared, shown);
             if (!__syncthreads_or(pixels.active != 0)) break;
         }
         pixels.write(shared.tile, images, shared.row, views.width, views.height);
