@@ -43,13 +43,9 @@ private:
             sphere[3] = -1.0f;
             return;
         }
-        float squared = 0.0f;  // the trace of Σ: at least the largest variance
-        for (int i = 0; i < 9; ++i) {
-            shape[i] = geometry[(AXES + i) * GROUP];
-            squared += shape[i] * shape[i];
-        }
+        for (int i = 0; i < 9; ++i) shape[i] = geometry[(AXES + i) * GROUP];
         const float reach = std::sqrt(std::max(0.0f, log2_opacity - LOG2_INVISIBLE_ANTIALIASED) / HALF_LOG2_E);
-        sphere[3] = reach * std::sqrt(squared);
+        sphere[3] = reach * longest_axis(shape);
         most_reach = std::max(most_reach, reach);
         shape[9] = log2_opacity;
         if (group >= view.first_merged) {

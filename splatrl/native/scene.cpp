@@ -32,11 +32,9 @@ Bounds bounds_of(const GaussianArrays& gaussians, const uint32_t* first, const u
             low[i] = std::min(low[i], mean[i]);
             high[i] = std::max(high[i], mean[i]);
         }
-        float squared = 0.0f;  // the trace of Σ: at least the largest variance
-        for (int i = 0; i < 9; ++i) squared += axes[i] * axes[i];
         const float reach = reach_of(gaussians.opacities[*item]);
         bounds.reach = std::max(bounds.reach, reach);
-        bounds.reach_scale = std::max(bounds.reach_scale, reach * std::sqrt(squared));
+        bounds.reach_scale = std::max(bounds.reach_scale, reach * longest_axis(axes));
     }
     for (int i = 0; i < 3; ++i) bounds.center[i] = 0.5f * (low[i] + high[i]);
     for (const uint32_t* item = first; item != last; ++item) {
@@ -65,6 +63,31 @@ Bounds both(const Bounds& a, const Bounds& b) {
 }
 
 }  // namespace
+
+// The root of the largest eigenvalue of Σ = A Aᵀ, in closed form (Smith 1961).
+float longest_axis(const float* axes) {
+    double m[3][3];
+    for (int i = 0; i < 3; ++i)
+        for (int k = 0; k < 3; ++k)
+            m[i][k] = double(axes[3 * i]) * axes[3 * k] + double(axes[3 * i + 1]) * axes[3 * k + 1] +
+                      double(axes[3 * i + 2]) * axes[3 * k + 2];
+    const double mean = (m[0][0] + m[1][1] + m[2][2]) / 3.0;
+    for (int i = 0; i < 3; ++i) m[i][i] -= mean;
+    double squares = 0.0;
+    for (const auto& row : m)
+        for (double value : row) squares += value * value;
+    const double spread = std::sqrt(squares / 6.0);
+    double largest = mean;
+    if (spread > 0.0) {
+        for (auto& row : m)
+            for (double& value : row) value /= spread;
+        const double determinant = m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) -
+                                   m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
+                                   m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
+        largest += 2.0 * spread * std::cos(std::acos(std::clamp(determinant / 2.0, -1.0, 1.0)) / 3.0);
+    }
+    return float(std::sqrt(largest)) * 1.00001f;
+}
 
 Scene::Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<float, 3> background)
     : background_(background),

@@ -14,6 +14,10 @@ namespace splatrl {
 // The tolerance that is held: classic images blow every small Gaussian up to a pixel, where merging it shows.
 inline float held_tolerance(float tolerance, bool antialiased) { return antialiased ? tolerance : tolerance / 4.0f; }
 
+// The longest axis of a Gaussian, one standard deviation, from a factor A of its covariance (row-major 3×3); a hair more,
+// so that no rounding makes it shorter.
+float longest_axis(const float* axes);
+
 class Scene {
 public:
     // The colours are kept relative to the background.
