@@ -11,6 +11,7 @@
 #include "arrays.h"
 #include "bindings.h"
 #include "flat_scene.h"
+#include "half.h"
 #include "levels_binding.h"
 #include "scene.h"
 
@@ -20,15 +21,21 @@ namespace splatrl {
 
 namespace {
 
+// A half float that is no smaller.
+uint16_t half_above(float value) {
+    const uint16_t half = to_half(value);
+    return from_half(half) < value && half < to_half(LARGEST_HALF) ? half + 1 : half;
+}
+
 struct FlatScene {
+    bool antialiased;
     std::vector<float> spheres, shapes;
     std::vector<uint16_t> colors;
     std::vector<uint32_t> indices, slots;
-    float most_reach = 0.0f;  // of any Gaussian, standard deviations
 
-    FlatScene(const SceneView& view, size_t capacity, size_t gaussians)
-        : spheres(capacity * SPHERE), shapes(capacity * SHAPE), colors(capacity * color_stride(view.degree)),
-          indices(capacity), slots(gaussians) {
+    FlatScene(const SceneView& view, size_t capacity, size_t gaussians, bool antialiased)
+        : antialiased(antialiased), spheres(capacity * SPHERE), shapes(capacity * SHAPE),
+          colors(capacity * color_stride(view.degree)), indices(capacity), slots(gaussians) {
         for (size_t slot = 0; slot < capacity; ++slot) add(view, slot);
     }
 
@@ -39,20 +46,19 @@ private:
         float *sphere = &spheres[slot * SPHERE], *shape = &shapes[slot * SHAPE];
         const float log2_opacity = geometry[LOG2_OPACITY * GROUP];
         for (int i = 0; i < 3; ++i) sphere[i] = geometry[(MEAN + i) * GROUP];
-        if (log2_opacity == std::numeric_limits<float>::lowest()) {  // it pads a group, or is transparent
-            sphere[3] = -1.0f;
-            return;
-        }
+        if (log2_opacity == std::numeric_limits<float>::lowest()) return;  // it pads a group, or is transparent
         for (int i = 0; i < 9; ++i) shape[i] = geometry[(AXES + i) * GROUP];
-        const float reach = std::sqrt(std::max(0.0f, log2_opacity - LOG2_INVISIBLE_ANTIALIASED) / HALF_LOG2_E);
-        sphere[3] = reach * longest_axis(shape);
-        most_reach = std::max(most_reach, reach);
+        float opacity = std::exp2(log2_opacity);
         shape[9] = log2_opacity;
         if (group >= view.first_merged) {
             const float* merging = view.merging + (group - view.first_merged) * MERGING * GROUP + lane;
             shape[10] = merging[MEMBERS * GROUP];
             shape[11] = merging[SUM * GROUP];
+            opacity = most_opacity(opacity, shape[11], antialiased);
         }
+        const float reach = reach_of(opacity);
+        const uint32_t reaches = half_above(reach) | uint32_t(half_above(reach * longest_axis(shape))) << 16;
+        std::memcpy(&sphere[3], &reaches, sizeof(reaches));
         const size_t values = 3 * size_t(harmonics_of(view.degree));
         const uint16_t* color = view.colors + group * values * GROUP + lane;
         for (size_t i = 0; i < values; ++i) colors[slot * color_stride(view.degree) + i] = color[i * GROUP];
@@ -73,10 +79,10 @@ nb::dict flat_scene(Tensor<const float, -1, 3> means, Tensor<const float, -1, 3,
                     std::array<float, 3> background, std::optional<nb::dict> levels, bool antialiased, float tolerance) {
     const GaussianArrays gaussians{means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0), degree};
     const Levels tree = levels ? levels_of(*levels, gaussians) : build_levels(gaussians, CLUSTER, GROUP, false);
-    const Scene scene(gaussians, tree, background);
+    const Scene scene(gaussians, tree, background, antialiased);
     const SceneView view = scene.view(0.0f);
     const size_t capacity = scene.capacity();
-    FlatScene flat(view, capacity, gaussians.count + tree.opacities.size());
+    FlatScene flat(view, capacity, gaussians.count + tree.opacities.size(), antialiased);
     nb::dict out;
     out["spheres"] = to_numpy(std::move(flat.spheres), {capacity, size_t(SPHERE)});
     out["shapes"] = to_numpy(std::move(flat.shapes), {capacity, size_t(SHAPE)});
@@ -84,7 +90,6 @@ nb::dict flat_scene(Tensor<const float, -1, 3> means, Tensor<const float, -1, 3,
     out["indices"] = to_numpy(std::move(flat.indices), {capacity});
     const size_t all = flat.slots.size();
     out["slots"] = to_numpy(std::move(flat.slots), {all});
-    out["most_reach"] = flat.most_reach;
     out["tolerance"] = held_tolerance(tolerance, antialiased);
     out["clusters"] = bytes_of(view.clusters, view.cluster_count);
     out["group_bounds"] = bytes_of(view.group_bounds, view.cluster_count);

@@ -3,7 +3,8 @@
 
 namespace splatrl {
 
-constexpr int SPHERE = 4;   // floats: mean, and how far the Gaussian can show from there
+constexpr int SPHERE = 4;   // floats: mean; two half floats, rounded up: the most standard deviations at which the
+                            // Gaussian shows (low bits), and that times its longest axis, metres (high bits)
 constexpr int SHAPE = 12;   // floats: factor of the covariance, log2 opacity, members and sum if merged
 
 constexpr int harmonics_of(int degree) { return (degree + 1) * (degree + 1); }

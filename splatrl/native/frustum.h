@@ -66,6 +66,27 @@ SPLAT_INLINE bool misses(const Frustum& frustum, const Camera& camera, const Bou
     return missed_by(frustum, camera.position, bounds.center, bounds.radius, bounds.reach, bounds.reach_scale) > 0.0f;
 }
 
+// Whether a Gaussian cannot show on the tile: as above, for one alone and closer. Its reach is in standard deviations, and
+// reach_scale that times its longest axis, metres.
+SPLAT_INLINE bool misses(const Frustum& frustum, const float* position, const float* mean, float reach, float reach_scale) {
+    constexpr float SLACK = 1e-5f;  // metres: rounding here
+    const Vector<float> offset{mean[0] - position[0], mean[1] - position[1], mean[2] - position[2]};
+    const float depth = offset.x * frustum.forward[0] + offset.y * frustum.forward[1] + offset.z * frustum.forward[2] + SLACK;
+    if (depth < NEAR_DEPTH) return true;
+    const float blurred = reach * depth, dilated = DILATION * blurred * blurred;
+    float reached = 0.0f, missed = 0.0f;
+    for (int edge = 0; edge < 4; ++edge) {
+        const float* normal = frustum.normals[edge];
+        if (edge % 2 == 0) {  // left and right have one slant, top and bottom the other
+            const float scaled = reach_scale * frustum.slants[edge];
+            reached = 1.001f * square_root(scaled * scaled + dilated);
+        }
+        const float outside = offset.x * normal[0] + offset.y * normal[1] + offset.z * normal[2];
+        missed = max(missed, outside - frustum.lengths[edge] * SLACK - reached);
+    }
+    return missed > 0.0f;
+}
+
 // Whether what a node shows is displaced by at most so many pixels at the depth where it begins; never where that is
 // behind the near plane.
 SPLAT_INLINE bool within_tolerance(const Frustum& frustum, const Camera& camera, const Cluster& node, float tolerance) {

@@ -43,7 +43,7 @@ void bind_renderer(nb::module_& m) {
                                                sh.data(),    means.shape(0), degree};
                 const Levels tree = levels ? levels_of(*levels, gaussians)
                                            : build_levels(gaussians, CLUSTER, GROUP, false);
-                new (self) Renderer(Scene(gaussians, tree, background), antialiased, tolerance, choose_isa());
+                new (self) Renderer(Scene(gaussians, tree, background, antialiased), antialiased, tolerance, choose_isa());
             },
             nb::arg("means"), nb::arg("axes"), nb::arg("opacities"), nb::arg("sh"), nb::arg("degree"),
             nb::arg("antialiased"), nb::arg("background"), nb::arg("levels").none(), nb::arg("tolerance"))

@@ -14,14 +14,9 @@ namespace {
 
 size_t groups_of(const Node& node) { return (node.count + GROUP - 1) / GROUP; }
 
-// The most standard deviations at which a Gaussian of this opacity shows.
-float reach_of(float opacity) {
-    const float log2_reach = std::log2(std::max(opacity, 1e-30f)) - LOG2_INVISIBLE_ANTIALIASED;
-    return std::sqrt(std::max(0.0f, log2_reach / HALF_LOG2_E));
-}
-
-// Bounds of the Gaussians that [first, last) name, a little loose so that no rounding cuts one off.
-Bounds bounds_of(const GaussianArrays& gaussians, const uint32_t* first, const uint32_t* last) {
+// Bounds of the Gaussians that [first, last) name, a little loose so that no rounding cuts one off. `opacities` are the
+// most that they can have on an image.
+Bounds bounds_of(const GaussianArrays& gaussians, const float* opacities, const uint32_t* first, const uint32_t* last) {
     Bounds bounds{};
     float low[3], high[3];
     std::copy_n(gaussians.means + 3 * size_t(*first), 3, low);
@@ -32,7 +27,7 @@ Bounds bounds_of(const GaussianArrays& gaussians, const uint32_t* first, const u
             low[i] = std::min(low[i], mean[i]);
             high[i] = std::max(high[i], mean[i]);
         }
-        const float reach = reach_of(gaussians.opacities[*item]);
+        const float reach = reach_of(opacities[*item]);
         bounds.reach = std::max(bounds.reach, reach);
         bounds.reach_scale = std::max(bounds.reach_scale, reach * longest_axis(axes));
     }
@@ -64,6 +59,11 @@ Bounds both(const Bounds& a, const Bounds& b) {
 
 }  // namespace
 
+float reach_of(float opacity) {
+    const float log2_reach = std::log2(std::max(opacity, 1e-30f)) - LOG2_INVISIBLE_ANTIALIASED;
+    return std::sqrt(std::max(0.0f, log2_reach / HALF_LOG2_E));
+}
+
 // The root of the largest eigenvalue of Σ = A Aᵀ, in closed form (Smith 1961).
 float longest_axis(const float* axes) {
     double m[3][3];
@@ -89,7 +89,7 @@ float longest_axis(const float* axes) {
     return float(std::sqrt(largest)) * 1.00001f;
 }
 
-Scene::Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<float, 3> background)
+Scene::Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<float, 3> background, bool antialiased)
     : background_(background),
       degree_(gaussians.degree),
       clusters_(levels.nodes.size()),
@@ -111,12 +111,14 @@ Scene::Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<f
     std::vector<uint32_t> in_order(merged.count);
     std::iota(in_order.begin(), in_order.end(), 0u);
     for (size_t i = 0; i < levels.nodes.size(); ++i)
-        if (levels.nodes[i].leaf) pack(gaussians, levels.order.data(), levels.nodes[i], i);
+        if (levels.nodes[i].leaf) pack(gaussians, gaussians.opacities, levels.order.data(), levels.nodes[i], i);
     first_merged_ = groups_;
+    std::vector<float> most(levels.opacities);
+    for (size_t i = 0; i < most.size(); ++i) most[i] = most_opacity(levels.opacities[i], levels.sums[i], antialiased);
     for (size_t i = 0; i < levels.nodes.size(); ++i) {
         const Node& node = levels.nodes[i];
         if (node.leaf) continue;
-        pack(merged, in_order.data(), node, i);
+        pack(merged, most.data(), in_order.data(), node, i);
         for (size_t k = 0; k < node.count; ++k) {
             const size_t slot = size_t(clusters_[i].first_group - first_merged_) * GROUP + k;
             float* merging = merging_.get() + slot / GROUP * MERGING * GROUP + slot % GROUP;
@@ -129,14 +131,15 @@ Scene::Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<f
 }
 
 // Append the Gaussians of a node, in whole groups.
-void Scene::pack(const GaussianArrays& gaussians, const uint32_t* order, const Node& node, size_t index) {
+void Scene::pack(const GaussianArrays& gaussians, const float* opacities, const uint32_t* order, const Node& node,
+                 size_t index) {
     Cluster& cluster = clusters_[index];
     cluster = {{}, node.error, uint32_t(groups_), uint32_t(groups_of(node)), node.skip};
     const uint32_t *first = order + node.first, *last = first + node.count;
-    if (node.count > 0) cluster.bounds = bounds_of(gaussians, first, last);
+    if (node.count > 0) cluster.bounds = bounds_of(gaussians, opacities, first, last);
     for (size_t group = 0; group < cluster.groups; ++group) {
         const uint32_t* begin = first + group * GROUP;
-        const Bounds bounds = bounds_of(gaussians, begin, std::min(last, begin + GROUP));
+        const Bounds bounds = bounds_of(gaussians, opacities, begin, std::min(last, begin + GROUP));
         const float members[6] = {bounds.center[0], bounds.center[1], bounds.center[2],
                                   bounds.radius,    bounds.reach,     bounds.reach_scale};
         for (int i = 0; i < 6; ++i) group_bounds_[index].members[i][group] = members[i];

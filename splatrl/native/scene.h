@@ -14,6 +14,13 @@ namespace splatrl {
 // The tolerance that is held: classic images blow every small Gaussian up to a pixel, where merging it shows.
 inline float held_tolerance(float tolerance, bool antialiased) { return antialiased ? tolerance : tolerance / 4.0f; }
 
+// The most opacity that a merged Gaussian can have on an image. In classic ones each of its members is dilated, so that
+// together they may cover more than their area.
+inline float most_opacity(float opacity, float sum, bool antialiased) { return antialiased ? opacity : opacity + sum; }
+
+// The most standard deviations at which a Gaussian of this opacity shows.
+float reach_of(float opacity);
+
 // The longest axis of a Gaussian, one standard deviation, from a factor A of its covariance (row-major 3×3); a hair more,
 // so that no rounding makes it shorter.
 float longest_axis(const float* axes);
@@ -21,13 +28,14 @@ float longest_axis(const float* axes);
 class Scene {
 public:
     // The colours are kept relative to the background.
-    Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<float, 3> background);
+    Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<float, 3> background, bool antialiased);
 
     SceneView view(float tolerance) const;
     size_t capacity() const { return groups_ * GROUP; }
 
 private:
-    void pack(const GaussianArrays& gaussians, const uint32_t* order, const Node& node, size_t index);
+    void pack(const GaussianArrays& gaussians, const float* opacities, const uint32_t* order, const Node& node,
+              size_t index);
     void enclose(const std::vector<Node>& nodes);
 
     std::array<float, 3> background_;

@@ -56,7 +56,6 @@ class _SceneArrays(ctypes.Structure):
         ),
         ("background", ctypes.c_float * 3),
         ("tolerance", ctypes.c_float),
-        ("most_reach", ctypes.c_float),
     )
 
 
@@ -137,7 +136,7 @@ class CudaRenderer:
             raise ValueError(
                 f"scene: expected at most {MOST_GAUSSIANS:,} Gaussians, merged ones counted, got {len(flat['slots']):,}"
             )
-        values = {"background": colour} | {name: flat.pop(name) for name in ("tolerance", "most_reach")}
+        values = {"background": colour, "tolerance": flat.pop("tolerance")}
         self._arrays = {name: _bits(value).to(self.device) for name, value in flat.items()}
         self._scene = _SceneArrays(**{name: value.data_ptr() for name, value in self._arrays.items()}, **values)
         self._key_capacity, self._node_capacity = gaussians.numel(), len(flat["clusters"])

@@ -45,6 +45,15 @@ def random_gaussians(seed: int, count: int = 300, degree: int = 0) -> Gaussians:
     )
 
 
+def dust(seed: int, opacity: float, scale: float, count: int = 3000) -> Gaussians:
+    """Tiny Gaussians 20 m away along x, which merge to few that cover more than the area of their members."""
+    g = torch.Generator().manual_seed(seed)
+    means = [[20.0, 0.0, 0.0]] * count
+    cloud = gaussians(means, scale=scale, opacity=opacity).float()
+    cloud.means += 0.6 * torch.randn(count, 3, generator=g)
+    return cloud
+
+
 def random_cameras(seed: int, batch: int = 3, width: int = 37, height: int = 22) -> Cameras:
     """Cameras around and inside the cloud, with principal points off the centre and pixels that are not square."""
     g = torch.Generator().manual_seed(seed)

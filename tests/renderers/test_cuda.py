@@ -12,7 +12,7 @@ from splatrl.renderers import NativeRenderer, RenderOutput
 from splatrl.renderers.cuda import CudaRenderer
 from splatrl.scenes import Gaussians, Scene
 from tests.emulator import emulated
-from tests.renderers.cases import LIKENESS, ahead, gaussians, psnr, random_cameras, random_gaussians
+from tests.renderers.cases import LIKENESS, ahead, dust, gaussians, psnr, random_cameras, random_gaussians
 
 Make = Callable[..., CudaRenderer]
 
@@ -75,6 +75,16 @@ def test_a_yard_looks_as_on_the_cpu_at_every_level_of_detail(make: Make, antiali
     )
     native = NativeRenderer(scene, antialiased, tolerance=tolerance)
     assert_like_native(make(scene, antialiased, tolerance=tolerance), native, cameras)
+
+
+@pytest.mark.parametrize("antialiased", [True, False])
+@pytest.mark.parametrize(("opacity", "scale"), [(0.9, 1e-4), (0.5, 1e-3), (0.02, 1e-3)])
+def test_merged_dust_looks_as_on_the_cpu(make: Make, antialiased: bool, opacity: float, scale: float) -> None:
+    scene = dust(0, opacity, scale)
+    renderer = make(scene, antialiased, tolerance=64.0)
+    aims = [[20.0, (-1) ** k * k * 0.35, k * 0.33] for k in range(6)]
+    cameras = Cameras(look_at([[0.0, 0.0, 0.0]] * 6, aims), intrinsics(1.57, 64, 64), 64, 64)
+    assert_like_native(renderer, NativeRenderer(scene, antialiased, tolerance=64.0), cameras)
 
 
 def test_a_captured_room_looks_as_on_the_cpu(make: Make, kitchen: Gaussians) -> None:

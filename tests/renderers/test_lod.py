@@ -14,7 +14,7 @@ from splatrl.renderers import lod as lod_module
 from splatrl.renderers.lod import build_levels
 from splatrl.scenes import Gaussians, Scene
 from splatrl.scenes.cache import Arrays
-from tests.renderers.cases import psnr, random_cameras, random_gaussians
+from tests.renderers.cases import dust, psnr, random_cameras, random_gaussians
 
 
 def arrays_of(gaussians: Gaussians) -> dict[str, Tensor]:
@@ -204,3 +204,14 @@ def test_levels_that_lead_outside_are_refused(levels: Arrays, name: str, index: 
 def test_a_tolerance_that_is_no_number_of_pixels_is_refused(tolerance: float) -> None:
     with pytest.raises(ValueError, match="tolerance: expected pixels"):
         NativeRenderer(random_gaussians(0, 3), tolerance=tolerance)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize(("opacity", "scale"), [(0.9, 1e-4), (0.5, 1e-3), (0.02, 1e-3)])
+def test_merged_dust_is_not_cut_off_at_the_edges_of_tiles(antialiased: bool, opacity: float, scale: float) -> None:
+    scene = dust(0, opacity, scale)
+    whole, cut = (NativeRenderer(scene, antialiased, tolerance=64.0, threads=threads) for threads in (1, 16))
+    for k in range(8):
+        pose = look_at([0.0, 0.0, 0.0], [20.0, (-1) ** k * k * 0.35, k * 0.33])[None]
+        cameras = Cameras(pose, intrinsics(math.pi / 2, 64, 64), 64, 64)
+        assert torch.equal(whole.pixels(cameras), cut.pixels(cameras))

@@ -44,12 +44,13 @@ SPLAT_INLINE Key key_of(double depth, uint32_t index) {
 // The key of the Gaussian in a slot; NO_KEY where it cannot show on the tile. The order of two Gaussians must not hang on
 // a rounding: depths are computed in double precision, as on the CPU.
 SPLAT_INLINE Key candidate(const SceneArrays& scene, const Shared& shared, uint32_t slot) {
-    constexpr float SLACK = 1e-5f;  // metres
     const float4 sphere = scene.spheres[slot];
-    if (sphere.w < 0.0f) return NO_KEY;
+    const uint32_t reaches = __float_as_uint(sphere.w);
+    if (reaches == 0) return NO_KEY;
     const float center[3] = {sphere.x, sphere.y, sphere.z};
     const float* position = shared.camera.position;
-    if (missed_by<float>(shared.frustum, position, center, SLACK, scene.most_reach, sphere.w) > 0.0f) return NO_KEY;
+    const float reach = half_to_float(uint16_t(reaches)), reach_scale = half_to_float(uint16_t(reaches >> 16));
+    if (misses(shared.frustum, position, center, reach, reach_scale)) return NO_KEY;
     double depth = 0.0;
     for (int axis = 0; axis < 3; ++axis)
         depth += double(shared.frustum.forward[axis]) * (double(center[axis]) - double(position[axis]));

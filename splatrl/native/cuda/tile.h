@@ -25,7 +25,7 @@ constexpr Key NO_KEY = ~Key(0);
 
 // A scene, every Gaussian by itself. A slot is its place; slots without one pad the groups.
 struct SceneArrays {
-    const float4* spheres;            // [slots] mean, world; how far it can show from there, below 0 for nothing. Metres.
+    const float4* spheres;            // [slots] mean, world, metres; its reach (flat_scene.h) by bits, 0 for nothing
     const float4* shapes;             // [slots, 3] factor A of the covariance, log2 opacity, members and sum if merged
     const uint16_t* colors;           // [slots, color_stride] half floats, [harmonics, 3]; final colours at degree 0
     const uint32_t* indices;          // [slots] index in the scene, merged Gaussians behind it
@@ -34,7 +34,6 @@ struct SceneArrays {
     const GroupBounds* group_bounds;  // of each cluster
     float background[3];              // the colours are relative to it
     float tolerance;                  // pixels by which what is shown may be displaced
-    float most_reach;                 // standard deviations at which any Gaussian shows
 };
 
 struct Views {
