@@ -52,14 +52,15 @@ SPLAT_INLINE uint32_t covered_patches(const Footprint<float>& print, const Tile&
     Ellipse ellipse;
     ellipse.of(print, LOG2_INVISIBLE);
     constexpr float SLACK = 1e-3f;  // pixels: rounding here
-    const float first = max(print.x - print.extent_x, float(tile.left)), last = min(print.x + print.extent_x, float(tile.right));
+    const float first = max(print.x - print.extent_x, float(tile.left));
+    const float last = min(print.x + print.extent_x, float(tile.right));
     const float above = print.y - print.extent_y, below = print.y + print.extent_y;
     if (!(first <= last && above <= float(tile.bottom) && below >= float(tile.top))) return 0;
     uint32_t mask = 0;
     const int top_row = int(max(above - float(tile.top), 0.0f)) / PATCH_HEIGHT;
     const int bottom_row = int(min(below - float(tile.top), float(SMALL_TILE - 1))) / PATCH_HEIGHT;
     for (int row = top_row; row <= bottom_row; ++row) {
-        const float top = float(tile.top + row * PATCH_HEIGHT) + 0.5f - SLACK;  // centres of the first and the last line
+        const float top = float(tile.top + row * PATCH_HEIGHT) + 0.5f - SLACK;  // centres of the first and last line
         const float bottom = min(top + float(PATCH_HEIGHT - 1), float(tile.bottom) - 0.5f) + 2.0f * SLACK;
         const float low = max(top - print.y, -ellipse.height), high = min(bottom - print.y, ellipse.height);
         if (!(low <= high)) continue;
@@ -67,7 +68,7 @@ SPLAT_INLINE uint32_t covered_patches(const Footprint<float>& print, const Tile&
         const float reach_right = min(print.x + ellipse.right(low, high), last) + SLACK;
         uint32_t columns = 0;
         for (int column = 0; column < PATCHES_ACROSS; ++column) {
-            const float west = float(tile.left + column * PATCH_WIDTH) + 0.5f;  // centres of the first and the last column
+            const float west = float(tile.left + column * PATCH_WIDTH) + 0.5f;  // centres of the first and last column
             const float east = min(west + float(PATCH_WIDTH - 1), float(tile.right) - 0.5f);
             if (reach_left <= east && reach_right >= west) columns |= 1u << patch_bit(column, 0);
         }

@@ -76,7 +76,8 @@ nb::ndarray<nb::numpy, uint8_t> bytes_of(const T* items, size_t count) {
 
 nb::dict flat_scene(Tensor<const float, -1, 3> means, Tensor<const float, -1, 3, 3> axes,
                     Tensor<const float, -1> opacities, Tensor<const float, -1, -1, 3> sh, int degree,
-                    std::array<float, 3> background, std::optional<nb::dict> levels, bool antialiased, float tolerance) {
+                    std::array<float, 3> background, std::optional<nb::dict> levels, bool antialiased,
+                    float tolerance) {
     const GaussianArrays gaussians{means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0), degree};
     const Levels tree = levels ? levels_of(*levels, gaussians) : build_levels(gaussians, CLUSTER, GROUP, false);
     const Scene scene(gaussians, tree, background, antialiased);

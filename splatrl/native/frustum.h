@@ -68,10 +68,12 @@ SPLAT_INLINE bool misses(const Frustum& frustum, const Camera& camera, const Bou
 
 // Whether a Gaussian cannot show on the tile: as above, for one alone and closer. Its reach is in standard deviations, and
 // reach_scale that times its longest axis, metres.
-SPLAT_INLINE bool misses(const Frustum& frustum, const float* position, const float* mean, float reach, float reach_scale) {
+SPLAT_INLINE bool misses(const Frustum& frustum, const float* position, const float* mean, float reach,
+                         float reach_scale) {
     constexpr float SLACK = 1e-5f;  // metres: rounding here
     const Vector<float> offset{mean[0] - position[0], mean[1] - position[1], mean[2] - position[2]};
-    const float depth = offset.x * frustum.forward[0] + offset.y * frustum.forward[1] + offset.z * frustum.forward[2] + SLACK;
+    const float* forward = frustum.forward;
+    const float depth = offset.x * forward[0] + offset.y * forward[1] + offset.z * forward[2] + SLACK;
     if (depth < NEAR_DEPTH) return true;
     const float blurred = reach * depth, dilated = DILATION * blurred * blurred;
     float reached = 0.0f, missed = 0.0f;

@@ -30,7 +30,8 @@ SPLAT_INLINE Color color_of(const SceneArrays& scene, uint32_t slot, const Vecto
 #pragma unroll
         for (int i = 0; i < 4; ++i) {
             const int at = 4 * word + i;
-            if (at < 3 * HARMONICS) sums[at % 3] += basis[at / 3] * half_to_float(uint16_t(halves[i / 2] >> 16 * (i % 2)));
+            const uint16_t coefficient = uint16_t(halves[i / 2] >> 16 * (i % 2));
+            if (at < 3 * HARMONICS) sums[at % 3] += basis[at / 3] * half_to_float(coefficient);
         }
     }
     float out[3];
@@ -39,7 +40,8 @@ SPLAT_INLINE Color color_of(const SceneArrays& scene, uint32_t slot, const Vecto
 }
 
 // The Gaussian of a slot, as it is projected.
-SPLAT_INLINE Footprint<float> footprint_of(const SceneArrays& scene, const Camera& camera, uint32_t slot, const Vector<float>& offset) {
+SPLAT_INLINE Footprint<float> footprint_of(const SceneArrays& scene, const Camera& camera, uint32_t slot,
+                                           const Vector<float>& offset) {
     const float4* shape = scene.shapes + 3 * size_t(slot);
     const float4 a = shape[0], b = shape[1], c = shape[2];
     const float axes[9] = {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x};
@@ -151,10 +153,11 @@ struct Pixels {
             const int column = int(x) + i % 2 * PATCH_WIDTH, row = int(y) + i / 2 * PATCH_HEIGHT;
             if (column >= tile.right || row >= tile.bottom) continue;
             const size_t at = (size_t(row_of_batch) * height + row) * width + column;
-            const float rgb[3] = {min(max(red[i], 0.0f), 1.0f), min(max(green[i], 0.0f), 1.0f), min(max(blue[i], 0.0f), 1.0f)};
+            const float sums[3] = {red[i], green[i], blue[i]};
             for (int channel = 0; channel < 3; ++channel) {
-                if (images.pixels) images.pixels[3 * at + channel] = uint8_t(int(255.0f * rgb[channel] + 0.5f));
-                if (WITH_DEPTH) images.rgb[3 * at + channel] = rgb[channel];
+                const float value = min(max(sums[channel], 0.0f), 1.0f);
+                if (images.pixels) images.pixels[3 * at + channel] = uint8_t(int(255.0f * value + 0.5f));
+                if (WITH_DEPTH) images.rgb[3 * at + channel] = value;
             }
             if (!WITH_DEPTH) continue;
             images.depth[at] = alpha[i] > 0.0f ? depth[i] / alpha[i] : 0.0f;

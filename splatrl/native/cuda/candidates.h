@@ -77,7 +77,8 @@ SPLAT_INLINE void append(Shared& shared, Key* keys, Key key) {
 
 // The keys of all that may show, from the nodes that `cull` left. Half a warp takes a node: first its groups, then
 // the sixteen Gaussians of each group in view.
-SPLAT_INLINE void find_candidates(const SceneArrays& scene, Shared& shared, const uint32_t* nodes, int capacity, Key* keys) {
+SPLAT_INLINE void find_candidates(const SceneArrays& scene, Shared& shared, const uint32_t* nodes, int capacity,
+                                  Key* keys) {
     const uint32_t* accepted = nodes + 2 * size_t(capacity);
     if (thread() == 0) shared.count = 0;
     __syncthreads();

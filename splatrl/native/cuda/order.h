@@ -57,7 +57,8 @@ SPLAT_INLINE void count_keys(uint32_t* counts, const Key* keys, uint32_t count, 
 }
 
 // Bring keys into the order of their buckets, from `from` to `to`; `ends` [BUCKETS] says where each bucket ends.
-SPLAT_INLINE void deal_to_buckets(Shared& shared, const Key* from, Key* to, uint32_t count, const Cut& cut, uint32_t* ends) {
+SPLAT_INLINE void deal_to_buckets(Shared& shared, const Key* from, Key* to, uint32_t count, const Cut& cut,
+                                  uint32_t* ends) {
     count_keys(ends, from, count, cut);
     sum_up(shared, ends);
     for (uint32_t i = thread(); i < count; i += THREADS) {

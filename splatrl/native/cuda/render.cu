@@ -30,9 +30,11 @@ SPLAT_INLINE bool next_tile(const Views& views, const Workspace& workspace, Shar
         shared.drawn = shared.row < views.batch && (views.only == nullptr || views.only[shared.row] != 0);
         if (shared.drawn) {
             const float *pose = views.camera_to_world + 16 * size_t(shared.row), *K = views.K + 9 * size_t(shared.row);
-            const int tile = shared.item % (across * down), left = tile % across * SMALL_TILE, top = tile / across * SMALL_TILE;
-            const int right = left + SMALL_TILE, bottom = top + SMALL_TILE;
-            shared.tile = {left, top, right < views.width ? right : views.width, bottom < views.height ? bottom : views.height};
+            const int tile = shared.item % (across * down);
+            const int left = tile % across * SMALL_TILE, right = left + SMALL_TILE;
+            const int top = tile / across * SMALL_TILE, bottom = top + SMALL_TILE;
+            shared.tile = {left, top, right < views.width ? right : views.width,
+                           bottom < views.height ? bottom : views.height};
             shared.camera = camera_of(pose, K, views.width, views.height);
             shared.frustum = frustum_of(shared.camera, shared.tile);
             shared.drawn = is_camera(pose, K);
@@ -49,7 +51,8 @@ SPLAT_INLINE void note(const Workspace& workspace, const Shared& shared, Efforts
 }
 
 template <bool WITH_DEPTH>
-SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const Workspace& workspace, const Images& images) {
+SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const Workspace& workspace,
+                             const Images& images) {
     DYNAMIC_SHARED(Shared, shared);
     Key* keys = workspace.keys + 2 * size_t(blockIdx.x) * workspace.key_capacity;
     uint32_t* nodes = workspace.nodes + 3 * size_t(blockIdx.x) * workspace.node_capacity;
