@@ -19,10 +19,11 @@ from splatrl.bodies import Body
 from splatrl.cameras import Cameras
 from splatrl.collision import Occupancy
 from splatrl.collision.cuda import CudaChecker
-from splatrl.configuration import World, build_world, load_config
+from splatrl.configuration import load_config
 from splatrl.renderers.cuda import CudaRenderer
 from splatrl.renderers.gsplat import GsplatRenderer
 from splatrl.scenes import Gaussians, Scene
+from splatrl.world import World, build_world
 
 ROOT = Path(__file__).parents[1]
 

@@ -14,13 +14,14 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from splatrl.cameras import Cameras
-from splatrl.configuration import World, load_config
+from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs.layers import layers
 from splatrl.envs.restart import restart
 from splatrl.renderers import Renderer, RenderOutput
 from splatrl.train import make_trainer
 from splatrl.training.captured import Captured
+from splatrl.world import World
 
 
 @dataclass(frozen=True)

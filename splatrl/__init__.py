@@ -2,9 +2,9 @@
 
 from splatrl.bodies import Box, Capsule, Sphere
 from splatrl.cameras import Cameras
-from splatrl.configuration import make_env
 from splatrl.envs.robot import Robot
 from splatrl.envs.splat_env import SplatEnv
 from splatrl.scenes import Gaussians, Scene, load_scene
+from splatrl.world import make_env
 
 __all__ = ["Box", "Cameras", "Capsule", "Gaussians", "Robot", "Scene", "Sphere", "SplatEnv", "load_scene", "make_env"]

@@ -16,7 +16,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from splatrl.cameras import Cameras
-from splatrl.configuration import World, build_model, build_world, check_overrides, conf_dir, require_values, run_config
+from splatrl.configuration import check_overrides, conf_dir, require_values, run_config
 from splatrl.envs.tasks.base import SeenGoal
 from splatrl.envs.transforms import overlay, sprite_among
 from splatrl.evaluation.clip_files import new_folder, read_clips
@@ -27,6 +27,7 @@ from splatrl.evaluation.walks import Hand, Overlay, record_walks
 from splatrl.files import replacing
 from splatrl.scenes.scene import BACKYARD
 from splatrl.training import load_checkpoint
+from splatrl.world import World, build_model, build_world
 
 REPORT = "clips"
 HEADLINE = (

@@ -9,11 +9,12 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
-from splatrl.configuration import World, build_model, build_world, check_overrides, conf_dir, require_values, run_config
+from splatrl.configuration import check_overrides, conf_dir, require_values, run_config
 from splatrl.evaluation.pictures import Pictures
 from splatrl.evaluation.report import summarise, write_json
 from splatrl.evaluation.rollouts import run_episodes, spread
 from splatrl.training import load_checkpoint
+from splatrl.world import World, build_model, build_world
 
 EPISODES_IN_VIDEO = 4
 

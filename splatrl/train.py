@@ -9,20 +9,12 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from splatrl.configuration import (
-    World,
-    build_model,
-    build_world,
-    check_overrides,
-    conf_dir,
-    require_values,
-    resumed_config,
-    save_config,
-)
+from splatrl.configuration import check_overrides, conf_dir, require_values, resumed_config, save_config
 from splatrl.device import AUTO, device_line
 from splatrl.evaluate import evaluate
 from splatrl.evaluation.rollouts import run_episodes, spread
 from splatrl.training import PPO, Trainer
+from splatrl.world import World, build_model, build_world
 
 
 def make_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:

@@ -12,10 +12,11 @@ from PIL import Image
 
 from splatrl import clips_command
 from splatrl.clips_command import action_names, altered, main, record_clips, score_experiment
-from splatrl.configuration import build_model, build_world, load_config, save_config
+from splatrl.configuration import load_config, save_config
 from splatrl.evaluation.clip_files import read_clips
 from splatrl.scenes import write_gaussians
 from splatrl.training import save_checkpoint
+from splatrl.world import build_model, build_world
 from tests.tiny import HEIGHT, tiny_gaussians
 
 NAMES = ("forward", "back", "left", "right")

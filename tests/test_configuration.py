@@ -6,18 +6,10 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from splatrl import configuration
-from splatrl.configuration import (
-    build_world,
-    check_overrides,
-    conf_dir,
-    load_config,
-    make_env,
-    resumed_config,
-    run_config,
-    save_config,
-)
+from splatrl import world
+from splatrl.configuration import check_overrides, conf_dir, load_config, resumed_config, run_config, save_config
 from splatrl.train import make_trainer
+from splatrl.world import build_world, make_env
 from tests.envs.devices import pretend_device
 from tests.tiny import tiny_overrides
 
@@ -45,7 +37,7 @@ def test_what_runs_on_gpus_alone_says_so(option: Path, tmp_path: Path, monkeypat
     with pytest.raises(ValueError, match=r"splatrl\..*: expected device=cuda, got device=cpu"):
         build_world(load_config(chosen))
     if option.name == "cuda":
-        monkeypatch.setattr(configuration, "cuda_extra", lambda: False)
+        monkeypatch.setattr(world, "cuda_extra", lambda: False)
         with pytest.raises(ValueError, match=r"expected the extra cuda, .* pip install 'splatrl\[cuda\]'"):
             build_world(load_config(chosen))
 
@@ -54,13 +46,13 @@ def test_the_parts_for_a_gpu_are_those_of_its_nodes() -> None:
     """Those that ``auto`` names, and where a group is chosen by name that alone."""
     gpu, cpu = torch.device("cuda"), torch.device("cpu")
     cfg = load_config(["renderer.views.antialiased=false", "renderer.views.tolerance=0.25"])
-    assert configuration._node(cfg.renderer, "views", gpu)._target_ == "splatrl.renderers.cuda.CudaRenderer"
-    assert configuration._node(cfg.collision, "checker", gpu)._target_ == "splatrl.collision.cuda.CudaChecker"
+    assert world._node(cfg.renderer, "views", gpu)._target_ == "splatrl.renderers.cuda.CudaRenderer"
+    assert world._node(cfg.collision, "checker", gpu)._target_ == "splatrl.collision.cuda.CudaChecker"
     assert (cfg.renderer.gpu.antialiased, cfg.renderer.gpu.tolerance) == (False, 0.25)
-    assert configuration._node(cfg.renderer, "views", cpu)._target_ == "splatrl.renderers.NativeRenderer"
+    assert world._node(cfg.renderer, "views", cpu)._target_ == "splatrl.renderers.NativeRenderer"
     named = load_config(["renderer=native", "collision=fcl"])
-    assert configuration._node(named.renderer, "views", gpu)._target_ == "splatrl.renderers.NativeRenderer"
-    assert configuration._node(named.collision, "checker", gpu)._target_ == "splatrl.collision.FclChecker"
+    assert world._node(named.renderer, "views", gpu)._target_ == "splatrl.renderers.NativeRenderer"
+    assert world._node(named.collision, "checker", gpu)._target_ == "splatrl.collision.FclChecker"
 
 
 def test_a_config_of_before_there_were_gpus_still_builds(tmp_path: Path) -> None:

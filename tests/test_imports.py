@@ -24,12 +24,16 @@ ORDER = [
     {"reconstruct"},
     {"device"},
     {"configuration"},
+    {"world"},
     {"experiments"},
     {"train", "evaluate", "scene_command", "experiment_command", "clips_command"},
 ]
 """Rooms and single modules under splatrl/; a new one finds its place here."""
 ENTRY_POINTS = {"train", "evaluate", "scene_command", "experiment_command", "clips_command"}
-HYDRA_USERS = {"hydra": {"configuration"} | ENTRY_POINTS, "omegaconf": {"configuration", "scenes"} | ENTRY_POINTS}
+HYDRA_USERS = {
+    "hydra": {"configuration", "world"} | ENTRY_POINTS,
+    "omegaconf": {"configuration", "world", "scenes"} | ENTRY_POINTS,
+}
 DEVICE_CHOICES = {"cuda", "mps", "xpu"}
 CUDA_ALONE = ("native/cuda/", "renderers/cuda.py", "renderers/gsplat.py", "collision/cuda.py")
 """What runs on a CUDA device and on no other: to name it is no choice."""

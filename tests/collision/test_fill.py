@@ -3,8 +3,9 @@ import pytest
 
 from splatrl.bodies import Box
 from splatrl.collision import FclChecker, Occupancy
-from splatrl.configuration import build_world, load_config
+from splatrl.configuration import load_config
 from splatrl.curriculum import plan
+from splatrl.world import build_world
 
 ROOM = ((0.0, 0.0, 0.0), (3.0, 2.0, 1.5))
 

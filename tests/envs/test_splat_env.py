@@ -13,11 +13,12 @@ from torchrl.envs import ParallelEnv
 
 from splatrl import make_env
 from splatrl.cameras import Cameras
-from splatrl.configuration import World, build_world, load_config
+from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.curriculum.planner import successors
 from splatrl.envs import SplatEnv
 from splatrl.envs.tasks import Outcome
+from splatrl.world import World, build_world
 from tests.envs.contract import EnvContract
 from tests.tiny import (
     BlockChecker,

@@ -7,12 +7,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from splatrl.configuration import World, build_world, load_config
+from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.train import make_trainer
 from splatrl.training import PPO, actor_critic, load_checkpoint, save_checkpoint
 from splatrl.training.captured import Captured
 from splatrl.training.collectors import DeviceCollector
+from splatrl.world import World, build_world
 from tests.test_train import SETTINGS, command, finish
 from tests.tiny import tiny_overrides
 from tests.training.test_ppo import LOSS, OPTIM, parameters
