@@ -1,11 +1,8 @@
 """Collision on a GPU: the grid of ``NativeChecker`` and its mathematics, one launch a query."""
 
 import ctypes
-from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.bodies import Body, Box, Capsule, Sphere
@@ -13,7 +10,7 @@ from splatrl.collision.grid import checked_points
 from splatrl.collision.native import check_pairs, check_shape, collider, corner_of, refuse
 from splatrl.collision.occupancy import Occupancy
 from splatrl.faults import FaultFlag
-from splatrl.native.cuda.kernels import CudaKernels, Load
+from splatrl.native.cuda.kernels import CudaKernels, Load, uploaded
 
 BLOCK_THREADS = 256
 BLOCKS_A_MULTIPROCESSOR = 2
@@ -115,7 +112,7 @@ class CudaChecker:
         self._kernels = load("collide", defines) if load else CudaKernels("collide", device, defines)
         self.occupancy, self.body, self.device = occupancy, body, self._kernels.device
         core = collider(occupancy, body)
-        self._bits, self._distance = (self._copied(values) for values in (core.bits, core.distance))
+        self._bits, self._distance = (uploaded(values, self.device) for values in (core.bits, core.distance))
         half, numbers = core.shape[:3], core.shape[3:]
         self._shape = _Shape(_KINDS.index(type(body)), half, *numbers)
         self._grid = _Grid(
@@ -194,7 +191,3 @@ class CudaChecker:
 
     def _faults_for(self, *values: Tensor) -> FaultFlag:
         return self._faults if all(value.device == self.device for value in values) else self._faults_elsewhere
-
-    def _copied(self, values: NDArray[Any]) -> Tensor:
-        """The same bits on the device, as integers that PyTorch can move."""
-        return torch.from_numpy(values.view(np.dtype(f"i{values.itemsize}")).copy()).to(self.device)

@@ -5,6 +5,13 @@
 #define HOST_DEVICE __host__ __device__
 #define SPLAT_INLINE HOST_DEVICE __forceinline__
 #define INLINE_MEMBER SPLAT_INLINE
+// A function of one float, in the GPU's own instructions.
+#define HARDWARE(name, instruction)                       \
+    SPLAT_INLINE float name(float a) {                    \
+        float out;                                        \
+        asm(instruction : "=f"(out) : "f"(a));            \
+        return out;                                       \
+    }
 #else
 #define HOST_DEVICE
 #define SPLAT_INLINE static inline __attribute__((always_inline))

@@ -20,35 +20,11 @@ SPLAT_INLINE bool stand_for_many(float members) { return members > 0.0f; }
 SPLAT_INLINE float min(float a, float b) { return fminf(a, b); }
 SPLAT_INLINE float max(float a, float b) { return fmaxf(a, b); }
 
-SPLAT_INLINE float reciprocal(float a) {
-    float out;
-    asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(out) : "f"(a));
-    return out;
-}
-
-SPLAT_INLINE float reciprocal_sqrt(float a) {
-    float out;
-    asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(out) : "f"(a));
-    return out;
-}
-
-SPLAT_INLINE float square_root(float a) {
-    float out;
-    asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(out) : "f"(a));
-    return out;
-}
-
-SPLAT_INLINE float log2(float a) {
-    float out;
-    asm("lg2.approx.ftz.f32 %0, %1;" : "=f"(out) : "f"(a));
-    return out;
-}
-
-SPLAT_INLINE float exp2(float a) {
-    float out;
-    asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(out) : "f"(a));
-    return out;
-}
+HARDWARE(reciprocal, "rcp.approx.ftz.f32 %0, %1;")
+HARDWARE(reciprocal_sqrt, "rsqrt.approx.ftz.f32 %0, %1;")
+HARDWARE(square_root, "sqrt.approx.ftz.f32 %0, %1;")
+HARDWARE(log2, "lg2.approx.ftz.f32 %0, %1;")
+HARDWARE(exp2, "ex2.approx.ftz.f32 %0, %1;")
 
 #else
 

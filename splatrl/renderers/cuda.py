@@ -2,17 +2,14 @@
 
 import ctypes
 from collections.abc import Sequence
-from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.faults import FaultFlag
 from splatrl.native import _core
-from splatrl.native.cuda.kernels import CudaKernels, Load
+from splatrl.native.cuda.kernels import CudaKernels, Load, uploaded
 from splatrl.renderers.base import RenderOutput, checked_background, checked_only, gaussians_of
 from splatrl.renderers.lod import gaussian_arrays, levels_for
 from splatrl.scenes.gaussians import Gaussians
@@ -137,12 +134,12 @@ class CudaRenderer:
                 f"scene: expected at most {MOST_GAUSSIANS:,} Gaussians, merged ones counted, got {len(flat['slots']):,}"
             )
         values = {"background": colour, "tolerance": flat.pop("tolerance")}
-        self._arrays = {name: _bits(value).to(self.device) for name, value in flat.items()}
+        self._arrays = {name: uploaded(value, self.device) for name, value in flat.items()}
         self._scene = _SceneArrays(**{name: value.data_ptr() for name, value in self._arrays.items()}, **values)
         self._key_capacity, self._node_capacity = gaussians.numel(), len(flat["clusters"])
         self._memory = self._kernels.memory // 4 if memory is None else memory
         self._faults = FaultFlag(self.device)
-        self._working: dict[str, tuple[Tensor, Tensor]] = {}
+        self._working: tuple[Tensor, Tensor] | None = None  # of every launch, one after the other
 
     def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera, float32, on the cameras' device; see ``Renderer``."""
@@ -182,7 +179,7 @@ class CudaRenderer:
             return
         poses, K = (self._here(value, torch.float32) for value in (cameras.camera_to_world, cameras.K))
         mask = None if only is None else self._here(checked_only(only, cameras), torch.bool)
-        keys, nodes = self._workspace(kernel)
+        keys, nodes = self._workspace()
         next_tile = self._zeros(1, dtype=torch.int32)
         views = _Views(poses.data_ptr(), K.data_ptr(), _address(mask), len(cameras), cameras.width, cameras.height)
         workspace = _Workspace(
@@ -194,16 +191,18 @@ class CudaRenderer:
         blocks, arguments = min(len(keys), tiles), (self._scene, views, workspace, images)
         self._kernels.launch(kernel, blocks, BLOCK_THREADS, *arguments, shared=SHARED_BYTES)
 
-    def _workspace(self, kernel: str) -> tuple[Tensor, Tensor]:
+    def _workspace(self) -> tuple[Tensor, Tensor]:
         """Keys and nodes of as many blocks as the device holds at a time, or the memory allows."""
-        if kernel not in self._working:
+        if self._working is None:
             needed = 16 * self._key_capacity + 12 * self._node_capacity
-            resident = self._kernels.multiprocessors * self._kernels.resident(kernel, BLOCK_THREADS, SHARED_BYTES)
+            resident = self._kernels.multiprocessors * self._kernels.resident(
+                "draw_pixels", BLOCK_THREADS, SHARED_BYTES
+            )
             blocks = max(1, min(resident, self._memory // needed))
             keys = torch.empty(blocks, 2, self._key_capacity, dtype=torch.int64, device=self.device)
             nodes = torch.empty(blocks, 3, self._node_capacity, dtype=torch.int32, device=self.device)
-            self._working[kernel] = keys, nodes
-        return self._working[kernel]
+            self._working = keys, nodes
+        return self._working
 
     def _here(self, value: Tensor, dtype: torch.dtype) -> Tensor:
         return value.detach().to(self.device, dtype).contiguous()
@@ -214,9 +213,3 @@ class CudaRenderer:
 
 def _address(tensor: Tensor | None) -> int | None:
     return None if tensor is None else tensor.data_ptr()
-
-
-def _bits(values: NDArray[Any]) -> Tensor:
-    """The same bytes, as a type that PyTorch can move."""
-    signed = {"uint32": np.int32, "uint16": np.int16}.get(values.dtype.name)
-    return torch.from_numpy(values if signed is None else values.view(signed))

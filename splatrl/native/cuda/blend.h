@@ -67,7 +67,7 @@ SPLAT_INLINE uint32_t load_slab(const SceneArrays& scene, Shared& shared, uint32
         const uint32_t lanes = __ballot_sync(ALL_LANES, patches != 0);
         if (lane() == 0) shared.sums[warp()] = __popc(lanes);
         __syncthreads();
-        uint32_t place = shown + __popc(lanes & ((1u << lane()) - 1));
+        uint32_t place = shown + rank_in(lanes);
         for (int i = 0; i < WARPS; ++i) {
             if (i < warp()) place += shared.sums[i];
             shown += shared.sums[i];

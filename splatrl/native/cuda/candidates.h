@@ -72,7 +72,7 @@ SPLAT_INLINE void append(Shared& shared, Key* keys, Key key) {
     uint32_t base = 0;
     if (lane() == 0) base = atomicAdd(&shared.count, uint32_t(__popc(found)));
     base = __shfl_sync(ALL_LANES, base, 0);
-    if (key != NO_KEY) keys[base + __popc(found & ((1u << lane()) - 1))] = key;
+    if (key != NO_KEY) keys[base + rank_in(found)] = key;
 }
 
 // The keys of all that may show, from the nodes that `cull` left. Half a warp takes a node: first its groups, then

@@ -5,7 +5,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.native.cuda.compiler import compiled
@@ -65,6 +67,12 @@ def packed(arguments: tuple[Any, ...], device: torch.device) -> list[Any]:
         else:
             values.append(argument)
     return values
+
+
+def uploaded(values: NDArray[Any], device: torch.device) -> Tensor:
+    """The same bits on a device, as signed integers, which PyTorch has of every size."""
+    bits = values.view(np.dtype(f"i{values.itemsize}"))
+    return torch.from_numpy(bits if bits.flags.writeable else bits.copy()).to(device)
 
 
 class CudaKernels:

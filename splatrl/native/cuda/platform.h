@@ -24,15 +24,21 @@ SPLAT_INLINE float half_to_float(uint16_t half) {
     return out;
 }
 
-// The nearest half float.
-SPLAT_INLINE float rounded_to_half(float value) {
-    float out;
-    asm("{ .reg .b16 half; cvt.rn.f16.f32 half, %1; cvt.f32.f16 %0, half; }" : "=f"(out) : "f"(value));
-    return out;
-}
+HARDWARE(rounded_to_half, "{ .reg .b16 half; cvt.rn.f16.f32 half, %1; cvt.f32.f16 %0, half; }")  // the nearest
 
 SPLAT_INLINE uint64_t bits_of(double value) { return uint64_t(__double_as_longlong(value)); }
 
 }  // namespace splatrl
 
 #endif
+
+namespace splatrl {
+
+SPLAT_INLINE int thread() { return int(threadIdx.x); }
+SPLAT_INLINE int lane() { return int(threadIdx.x % WARP); }
+SPLAT_INLINE int warp() { return int(threadIdx.x / WARP); }
+
+// How many lanes before this one have a bit.
+SPLAT_INLINE int rank_in(unsigned lanes) { return __popc(lanes & ((1u << lane()) - 1u)); }
+
+}  // namespace splatrl

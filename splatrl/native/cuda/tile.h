@@ -102,8 +102,4 @@ struct Shared {
 
 static_assert(sizeof(Shared) <= SHARED_BYTES, "the launch asks for enough shared memory");
 
-SPLAT_INLINE int thread() { return int(threadIdx.x); }
-SPLAT_INLINE int lane() { return int(threadIdx.x % WARP); }
-SPLAT_INLINE int warp() { return int(threadIdx.x / WARP); }
-
 }  // namespace splatrl

@@ -6,11 +6,6 @@
 
 namespace splatrl {
 
-SPLAT_INLINE int lane() { return int(threadIdx.x) % WARP; }
-
-// How many lanes before this one have a bit.
-SPLAT_INLINE int rank_in(unsigned lanes) { return __popc(lanes & ((1u << lane()) - 1u)); }
-
 constexpr int AT_ONCE = 4;  // columns of which a lane reads the voxels: memory takes its time
 
 // What a warp keeps in shared memory: also what all lanes have the same of, as registers are few.
