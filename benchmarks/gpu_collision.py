@@ -102,6 +102,6 @@ def agreements(
     some = Queries(*(part[:count] for part in queries))
     here = Queries(*(part.to(bench.device) for part in some))
     touches = checker.collides(here.start).cpu() != native.collides(some.start)
-    fractions = checker.touched_fraction(*here).cpu() - native.touched_fraction(*some)
+    fractions = checker.free_fraction(*here).cpu() - native.free_fraction(*some)
     for query, differs in (("static", touches), ("swept", fractions.abs() > MARGIN)):
         bench.results.append(Agreement(*names, query, len(differs), int(differs.sum())))

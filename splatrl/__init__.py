@@ -1,10 +1,58 @@
-"""splatrl: reinforcement learning for robots that see a captured Gaussian splatting scene."""
+"""splatrl: reinforcement learning for robots that see a captured Gaussian splatting scene.
 
-from splatrl.bodies import Box, Capsule, Sphere
-from splatrl.cameras import Cameras
-from splatrl.envs.robot import Robot
-from splatrl.envs.splat_env import SplatEnv
-from splatrl.scenes import Gaussians, Scene, load_scene
-from splatrl.world import make_env
+Names are imported when they are first used, so ``import splatrl`` is quick and brings neither TorchRL nor Hydra.
+"""
 
-__all__ = ["Box", "Cameras", "Capsule", "Gaussians", "Robot", "Scene", "Sphere", "SplatEnv", "load_scene", "make_env"]
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from splatrl.bodies import Box, Capsule, Sphere
+    from splatrl.build import make_env
+    from splatrl.cameras import Cameras
+    from splatrl.envs.robot import Robot
+    from splatrl.envs.splat_env import SplatEnv
+    from splatrl.envs.world import World
+    from splatrl.scenes import Gaussians, Scene, backyard, read_scene
+
+_HOMES = {
+    "Box": "bodies",
+    "Cameras": "cameras",
+    "Capsule": "bodies",
+    "Gaussians": "scenes",
+    "Robot": "envs.robot",
+    "Scene": "scenes",
+    "Sphere": "bodies",
+    "SplatEnv": "envs.splat_env",
+    "World": "envs.world",
+    "backyard": "scenes",
+    "make_env": "build",
+    "read_scene": "scenes",
+}
+
+__all__ = [
+    "Box",
+    "Cameras",
+    "Capsule",
+    "Gaussians",
+    "Robot",
+    "Scene",
+    "Sphere",
+    "SplatEnv",
+    "World",
+    "backyard",
+    "make_env",
+    "read_scene",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

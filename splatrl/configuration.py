@@ -2,17 +2,18 @@
 
 import difflib
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from hydra import compose, initialize_config_dir
+from hydra.core.config_loader import ConfigLoader
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from splatrl.files import replacing
-from splatrl.scenes.scene import BACKYARD
 
 OmegaConf.register_new_resolver("splatrl.run_dir", lambda resume, fresh: resume or fresh, replace=True)
 
@@ -23,20 +24,55 @@ def conf_dir() -> Path:
     return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
 
 
+@contextmanager
+def _hydra() -> Iterator[ConfigLoader]:
+    """Hydra with our configs and those of the search path's plugins; a Hydra that runs already is left as it is."""
+    instance = GlobalHydra.instance()
+    outer = instance.hydra
+    instance.clear()
+    try:
+        with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+            yield instance.config_loader()
+    finally:
+        instance.hydra = outer
+
+
 def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfig:
     """Compose a config as the command line does.
 
     Args:
-        overrides: in Hydra's grammar, such as ``scene=kitchen`` or ``task.max_steps=100``.
+        overrides: in Hydra's grammar, such as ``scene=kitchen`` or ``task.max_steps=100``; ``scene=`` also takes a path.
         name: of the root config.
     """
-    GlobalHydra.instance().clear()
-    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose(name, list(overrides))
+    with _hydra():
+        return compose(name, with_scene_paths(overrides))
 
 
-def check_overrides(name: str, arguments: Sequence[str]) -> None:
-    """Stop with the valid keys when an override names a key that does not exist.
+def with_scene_paths(overrides: Sequence[str]) -> list[str]:
+    """Overrides in which a path after ``scene=`` has become ``scene=file scene.path=...``.
+
+    The name of a scene's config goes before a file of the same name in the working folder.
+    """
+    result: list[str] = []
+    for override in overrides:
+        key, _, value = override.partition("=")
+        path = value.strip("'\"")
+        named = (conf_dir() / "scene" / f"{path}.yaml").is_file()
+        if key == "scene" and path and not named and Path(path).expanduser().exists():
+            result += ["scene=file", f"scene.path={quoted(path)}"]
+        else:
+            result.append(override)
+    return result
+
+
+def quoted(value: object) -> str:
+    """A value in Hydra's grammar, whatever it holds."""
+    text = str(value).replace("'", "\\'")
+    return f"'{text}'"
+
+
+def command_line(name: str, arguments: Sequence[str]) -> list[str]:
+    """The arguments of a command for Hydra, with paths after ``scene=`` understood and keys checked.
 
     Hydra itself lists the options of a config group, but not the keys of a node.
 
@@ -45,36 +81,44 @@ def check_overrides(name: str, arguments: Sequence[str]) -> None:
         arguments: of the command line.
 
     Raises:
-        SystemExit: with a message that names the key, its nearest neighbour and all valid ones.
+        SystemExit: for a key that does not exist, with its nearest neighbour and all valid ones.
     """
-
-    def is_group(key: str) -> bool:
-        return (conf_dir() / key).is_dir()
-
-    plain = [a for a in arguments if "=" in a and not a.startswith(("-", "+", "~", "hydra"))]
+    result = with_scene_paths(arguments)
+    plain = [a for a in result if "=" in a and not a.startswith(("-", "+", "~", "hydra"))]
     try:
         keys = [override.key_or_group for override in OverridesParser.create().parse_overrides(plain)]
         groups = [a.split(",")[0] for a, key in zip(plain, keys, strict=True) if is_group(key)]
         known = load_config(groups, name)
     except HydraException:
-        return  # Hydra itself tells where the grammar breaks and which options a group has
+        return result  # Hydra itself tells where the grammar breaks and which options a group has
     for key in keys:
-        if is_group(key):
-            continue
-        *parents, leaf = key.split(".")
-        node = OmegaConf.select(known, ".".join(parents)) if parents else known
-        valid = [str(k) for k in node if k != "_target_"] if isinstance(node, DictConfig) else []
-        if leaf not in valid:
-            near = difflib.get_close_matches(leaf, valid, 1)
-            hint = f", did you mean {'.'.join([*parents, near[0]])}?" if near else ""
-            place = f"of {'.'.join(parents)}" if parents else "at the top"
-            sys.exit(f"{key}: no such key{hint}\nvalid keys {place}: {', '.join(valid) or 'none'}")
+        if not is_group(key):
+            _check_key(key, known)
+    return result
+
+
+def is_group(key: str) -> bool:
+    """Whether a key of an override names a config group, of ours or of a plugin's."""
+    with _hydra() as loader:
+        return bool(loader.get_group_options(key.split("@")[0]))
+
+
+def _check_key(key: str, known: DictConfig) -> None:
+    *parents, leaf = key.split(".")
+    node = OmegaConf.select(known, ".".join(parents)) if parents else known
+    valid = [str(k) for k in node if k != "_target_"] if isinstance(node, DictConfig) else []
+    if leaf in valid:
+        return
+    near = difflib.get_close_matches(leaf, valid, 1)
+    hint = f", did you mean {'.'.join([*parents, near[0]])}?" if near else ""
+    place = f"of {'.'.join(parents)}" if parents else "at the top"
+    sys.exit(f"{key}: no such key{hint}\nvalid keys {place}: {', '.join(valid) or 'none'}")
 
 
 def save_config(cfg: DictConfig, folder: Path) -> None:
     """Write ``config.yaml`` into a run folder: all that resuming and evaluating need to know, from wherever."""
     cfg = cfg.copy()
-    if cfg.scene.path != BACKYARD:
+    if cfg.scene.get("path") is not None:
         cfg.scene.path = str(Path(cfg.scene.path).expanduser().absolute())
     with replacing(folder / "config.yaml") as stream:
         stream.write(OmegaConf.to_yaml(cfg).encode())
@@ -106,7 +150,7 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
     """
     cfg = run_config(folder)
     changes = [o for o in overrides if not o.startswith("resume=")]
-    groups = [o for o in changes if (conf_dir() / o.split("=")[0]).is_dir()]
+    groups = [o for o in changes if is_group(o.split("=")[0])]
     if groups:
         raise ValueError(f"resume={folder}: expected changes of single keys, got {', '.join(groups)}")
     merged = OmegaConf.merge(cfg, OmegaConf.from_dotlist(changes))

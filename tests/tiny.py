@@ -82,7 +82,7 @@ class BlockChecker:
     def collides(self, body_to_world: Tensor) -> Tensor:
         return (body_to_world[:, :2, 3].abs() < self.reach).all(1)
 
-    def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+    def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
         """Where the line enters the square: the later of its entries into the two slabs."""
         begin, way = start[:, :2, 3], (end - start)[:, :2, 3]
         sides = torch.stack([-self.reach - begin, self.reach - begin]) / way
@@ -94,7 +94,7 @@ class BlockChecker:
         return torch.where(hits, enter.clamp_min(0), 1.0)
 
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
-        return self.touched_fraction(start, end) < 1
+        return self.free_fraction(start, end) < 1
 
     def clearance(self, points: Tensor) -> Tensor:
         return (points[:, :2].abs().amax(1) - BLOCK).clamp_min(0)

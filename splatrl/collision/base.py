@@ -26,7 +26,7 @@ class Checker(Protocol):
         """
         ...
 
-    def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+    def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
         """How much of a straight move is free before the body touches something.
 
         Args:
@@ -39,7 +39,7 @@ class Checker(Protocol):
         ...
 
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
-        """Whether anything is hit on the way, ends included: ``touched_fraction(start, end) < 1``, [B] bool."""
+        """Whether anything is hit on the way, ends included: ``free_fraction(start, end) < 1``, [B] bool."""
         ...
 
     def clearance(self, points: Tensor) -> Tensor:

@@ -134,8 +134,8 @@ class CudaChecker:
         """Whether the body touches a solid voxel: see ``Checker.collides``."""
         return self._answers("find_hits", torch.bool, body_to_world=body_to_world)
 
-    def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
-        """The free share of each move: see ``Checker.touched_fraction``. Never beyond the first contact."""
+    def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+        """The free share of each move: see ``Checker.free_fraction``. Never beyond the first contact."""
         return self._answers("find_fractions", torch.float32, start=start, end=end)
 
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:

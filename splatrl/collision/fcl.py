@@ -67,8 +67,8 @@ class FclChecker:
             hits[row] = self._hit(poses[row])
         return hits.to(body_to_world.device)
 
-    def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
-        """The share of each move up to the last free step: see ``Checker.touched_fraction``.
+    def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+        """The share of each move up to the last free step: see ``Checker.free_fraction``.
 
         0 where the body touches something at the start, 1 where it is free all the way and at the end.
         """
@@ -93,7 +93,7 @@ class FclChecker:
 
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
         """Whether anything is hit on the way, ends included: [B] bool."""
-        return self.touched_fraction(start, end) < 1.0
+        return self.free_fraction(start, end) < 1.0
 
     def clearance(self, points: Tensor) -> Tensor:
         """A lower bound of the distance to the nearest solid voxel: see ``DistanceField.clearance``."""

@@ -62,10 +62,10 @@ class NativeChecker:
             refuse(body_to_world=body_to_world)
         return _to_device_of(hits, body_to_world)
 
-    def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
-        """The free share of each move: see ``Checker.touched_fraction``. Never beyond the first contact."""
+    def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+        """The free share of each move: see ``Checker.free_fraction``. Never beyond the first contact."""
         fraction = torch.empty(len(start), dtype=torch.float32)
-        return self._move(self._core.touched_fraction, start, end, fraction)
+        return self._move(self._core.free_fraction, start, end, fraction)
 
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
         """Whether anything is hit on the way, ends included: [B] bool."""

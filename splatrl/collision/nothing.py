@@ -22,7 +22,7 @@ class NoChecker:
         """False: [B, 4, 4] -> [B] bool."""
         return torch.zeros(len(body_to_world), dtype=torch.bool, device=body_to_world.device)
 
-    def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+    def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
         """One, the whole move is free: [B, 4, 4] -> [B] float32."""
         return torch.ones(len(start), device=start.device)
 

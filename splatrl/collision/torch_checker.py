@@ -63,8 +63,8 @@ class TorchChecker:
         poses = checked_poses("body_to_world", body_to_world).to(body_to_world.device)
         return self._touched(_solid(self.body, poses[:, :3, :3], poses[:, :3, 3], torch.zeros_like(poses[:, 0, 0])))
 
-    def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
-        """The free share of each move: see ``Checker.touched_fraction``.
+    def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+        """The free share of each move: see ``Checker.free_fraction``.
 
         It falls short of the first contact by less than 2⁻²⁰ of a part of the move, and never goes beyond it.
         """

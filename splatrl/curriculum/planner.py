@@ -1,36 +1,19 @@
-"""Shortest paths over the free poses of a motion: exact where its states can be listed, a field where they cannot."""
+"""Shortest paths over the free poses of a motion, and where episodes may begin."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torchrl.data import TensorSpec
 
 from splatrl.collision.base import Checker
-from splatrl.curriculum.field import FAR, PlanarMotion, steps_field
+from splatrl.curriculum.field import FAR, Field, cost_field
+from splatrl.motions.base import PlannedMotion
 
 UNREACHABLE = -1
 ALIKE = 0.1
 """Steps: two actions are equally good where what is left after them differs by no more."""
-
-
-class FiniteMotion(Protocol):
-    """A motion whose states can be listed; ``index`` is the inverse of ``states``."""
-
-    @property
-    def action_spec(self) -> TensorSpec: ...
-
-    def states(self) -> Tensor: ...
-
-    def index(self, state: Tensor) -> Tensor: ...
-
-    def advance(self, state: Tensor, action: Tensor) -> Tensor: ...
-
-    def inside(self, state: Tensor) -> Tensor: ...
-
-    def body_to_world(self, state: Tensor) -> Tensor: ...
+NO_GOAL = "task: expected one with goal states, to which there are shortest paths"
 
 
 @dataclass(frozen=True)
@@ -40,31 +23,51 @@ class Plan:
     Attributes:
         states: [S, D], all states from which one could start.
         free: [S] bool, where an episode could begin: the body touches nothing.
-        distance: [S] int64, fewest steps to the goal; 0 at it, UNREACHABLE where there is no way.
+        distance: [S] int64, fewest steps to the goal; 0 at it, UNREACHABLE where there is no way. Without a goal it is
+            0 where the body fits.
         actions: [A, ...], the actions that paths are made of.
         motion: moves between the states.
         checker: tells which moves are free.
-        steps_to_go: fewest steps to the goal from any states inside the bounds, [N, D] -> [N] float32, FAR where there
-            is no way. Whole numbers for a finite motion.
-        reached: whether states are at the goal, [N, D] -> [N] bool.
-        farthest: longest path of a start, steps; None for any.
+        start_rows: [N] int64, rows of the start set: free states from which a goal state can be reached, goal states
+            left out; without a goal all free states.
+        field: steps to the goal from any state inside the bounds; None without a goal.
+        reached: whether states are at the goal, [N, D] -> [N] bool; None without a goal.
     """
 
     states: Tensor
     free: Tensor
     distance: Tensor
     actions: Tensor
-    motion: FiniteMotion | PlanarMotion
+    motion: PlannedMotion
     checker: Checker
-    steps_to_go: Callable[[Tensor], Tensor]
-    reached: Callable[[Tensor], Tensor]
-    farthest: int | None = None
+    start_rows: Tensor
+    field: Field | None = None
+    reached: Callable[[Tensor], Tensor] | None = None
 
     @property
-    def start_rows(self) -> Tensor:
-        """Rows of the start set: free states from which a goal state can be reached, goal states left out."""
-        near_enough = self.distance <= (self.distance.max() if self.farthest is None else self.farthest)
-        return ((self.distance > 0) & near_enough).nonzero().squeeze(1)
+    def starts(self) -> Tensor:
+        """The start set: [N, D] states."""
+        return self.states[self.start_rows]
+
+    def cost_to_go(self, state: Tensor) -> Tensor:
+        """Fewest steps to the goal, whole numbers for finitely many states.
+
+        Args:
+            state: [N, D], anywhere inside the bounds.
+
+        Returns:
+            [N] float32, FAR where there is no way.
+
+        Raises:
+            ValueError: for a plan without a goal.
+        """
+        if self.field is None:
+            raise ValueError(f"{NO_GOAL}, got one without")
+        return self.field(state)
+
+    def at_goal(self, state: Tensor) -> Tensor:
+        """Whether states are at the goal, which is nowhere without one: [N, D] -> [N] bool."""
+        return torch.zeros(len(state), dtype=torch.bool) if self.reached is None else self.reached(state)
 
     def optimal(self, state: Tensor) -> Tensor:
         """Which actions begin a shortest path.
@@ -74,10 +77,13 @@ class Plan:
 
         Returns:
             [N, A] bool; no action at the goal, or where no free move leads to it.
+
+        Raises:
+            ValueError: for a plan without a goal.
         """
         after = torch.stack([self._after(state, action) for action in self.actions], 1)
         best = after.amin(1, keepdim=True)
-        return (after <= best + ALIKE) & (best < FAR) & ~self.reached(state).unsqueeze(1)
+        return (after <= best + ALIKE) & (best < FAR) & ~self.at_goal(state).unsqueeze(1)
 
     def _after(self, state: Tensor, action: Tensor) -> Tensor:
         """Steps that are left after an action, 0 where it reaches the goal, FAR where it is blocked: [N] float32."""
@@ -85,27 +91,27 @@ class Plan:
         start, end = self.motion.body_to_world(state), self.motion.body_to_world(ahead)
         left = torch.full((len(state),), FAR, device=state.device)
         rows = (self.motion.inside(ahead) & ~self.checker.sweeps(start, end)).nonzero().squeeze(1)
-        steps = self.steps_to_go(ahead[rows])
-        left[rows] = torch.where(self.reached(ahead[rows]), 0.0, steps)
+        left[rows] = torch.where(self.at_goal(ahead[rows]), 0.0, self.cost_to_go(ahead[rows]))
         return left
 
 
 def plan(
-    motion: FiniteMotion | PlanarMotion,
+    motion: PlannedMotion,
     checker: Checker,
-    reached: Callable[[Tensor], Tensor],
+    reached: Callable[[Tensor], Tensor] | None,
     farthest: int | None = None,
     fits: Callable[[Tensor], Tensor] | None = None,
 ) -> Plan:
     """Find the shortest path from every state to the goal.
 
-    A move counts as open when the swept body touches nothing, by the same checker that moves the robots. For a finite
-    motion the paths are exact. For poses anywhere on a plane see ``steps_field``; its distances are rounded.
+    A move counts as open when the swept body touches nothing, by the same checker that moves the robots. For finitely
+    many states the paths are exact; for poses anywhere on a plane (``cost_field``) distances are rounded.
 
     Args:
         motion: lists the states and moves between them.
         checker: tells which poses and moves are free.
-        reached: [S, D] states -> [S] bool, whether a state is at the goal.
+        reached: states [S, D] -> [S] bool, whether a state is at the goal; None for a task without goal states: there
+            are no paths then, and every free state is a start.
         farthest: longest path of a start, steps; None for any.
         fits: body_to_world [S, 4, 4] -> [S] bool, where an episode may begin; None takes what the checker finds free. A
             robot that can go through things should not begin inside one.
@@ -113,76 +119,22 @@ def plan(
     Raises:
         ValueError: when no pose is free, the goal is not free, or no start reaches it.
     """
-    states = motion.states()
-    free = ~checker.collides(motion.body_to_world(states))
-    if isinstance(motion, PlanarMotion):
-        actions, field = motion.actions(), steps_field(motion, checker, reached)
+    states, actions = motion.states(), motion.actions()
+    poses = motion.body_to_world(states)
+    free = ~checker.collides(poses)
+    field = None if reached is None else cost_field(motion, checker, reached)
+    free = free if fits is None else free & fits(poses)
+    if reached is None or field is None:
+        distance = torch.where(free, 0, UNREACHABLE)
+        starts = free
+    else:
         left = field(states)
         distance = torch.where(free & (left < FAR), left.round().clamp_min(1).long(), UNREACHABLE)
         distance = torch.where(free & reached(states), 0, distance)
-        found = Plan(states, free, distance, actions, motion, checker, field, reached)
-    else:
-        found = _exact(motion, checker, reached, states, free)
-    if fits is not None:
-        free = free & fits(motion.body_to_world(states))
-    distance = torch.where(free, found.distance, UNREACHABLE)
-    found = replace(found, free=free, distance=distance, farthest=farthest)
-    if not len(found.start_rows):
+        starts = (distance > 0) & (distance <= (distance.max() if farthest is None else farthest))
+    if reached is None and not starts.any():
+        raise ValueError(f"scene: expected free poses, got {len(states)} poses in which no robot can begin")
+    if not starts.any():
         raise ValueError(f"task.goal: expected a way to it from some free pose, got none from {int(free.sum())}")
-    return found
-
-
-def _exact(
-    motion: FiniteMotion, checker: Checker, reached: Callable[[Tensor], Tensor], states: Tensor, free: Tensor
-) -> Plan:
-    goals = free & reached(states)
-    if not free.any():
-        raise ValueError(f"scene: expected free poses, got {len(states)} poses that all collide")
-    if not goals.any():
-        raise ValueError(f"task.goal: expected a free pose at the goal, got {int(reached(states).sum())} that collide")
-    actions = motion.action_spec.enumerate()
-    distance = _distances(successors(motion, checker, states, free), goals)
-
-    def steps_to_go(state: Tensor) -> Tensor:
-        steps = distance[motion.index(state)]
-        return torch.where(steps == UNREACHABLE, FAR, steps.float())
-
-    return Plan(states, free, distance, actions, motion, checker, steps_to_go, reached)
-
-
-def successors(motion: FiniteMotion, checker: Checker, states: Tensor, free: Tensor) -> Tensor:
-    """Row of the state that each action leads to.
-
-    Args:
-        motion: moves between the states.
-        checker: tells which moves are free.
-        states: [S, D], all of the motion's.
-        free: [S] bool, where the body touches nothing.
-
-    Returns:
-        [S, A] int64, UNREACHABLE where the move is blocked.
-    """
-    actions = motion.action_spec.enumerate()
-    rows_after = torch.full((len(states), len(actions)), UNREACHABLE, device=states.device)
-    for column, action in enumerate(actions):
-        ahead = motion.advance(states, action.expand(len(states)))
-        rows = (free & motion.inside(ahead)).nonzero().squeeze(1)
-        rows = rows[free[motion.index(ahead[rows])]]
-        start, end = motion.body_to_world(states[rows]), motion.body_to_world(ahead[rows])
-        rows = rows[~checker.sweeps(start, end)]
-        rows_after[rows, column] = motion.index(ahead[rows])
-    return rows_after
-
-
-def _distances(successors: Tensor, goals: Tensor) -> Tensor:
-    """Breadth-first search from all goals at once, a whole frontier a step."""
-    distance = torch.where(goals, 0, UNREACHABLE)
-    open_moves = successors != UNREACHABLE
-    steps = 0
-    frontier = goals
-    while frontier.any():
-        steps += 1
-        leads = (frontier[successors.clamp_min(0)] & open_moves).any(1)
-        frontier = leads & (distance == UNREACHABLE)
-        distance[frontier] = steps
-    return distance
+    rows = starts.nonzero().squeeze(1)
+    return Plan(states, free, distance, actions, motion, checker, rows, field, reached)

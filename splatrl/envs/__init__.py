@@ -1,17 +1,8 @@
-"""Environments: the robot, how it moves, what it is rewarded for."""
+"""Environments: the robot, what it sees, what it is rewarded for."""
 
 from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
-from splatrl.envs.motions import DriveMotion, ForwardMotion, LatticeMotion, OrbitMotion
 from splatrl.envs.robot import Robot
 from splatrl.envs.splat_env import SplatEnv
+from splatrl.envs.world import World
 
-__all__ = [
-    "DriveMotion",
-    "ForwardMotion",
-    "GymnasiumEnv",
-    "GymnasiumVectorEnv",
-    "LatticeMotion",
-    "OrbitMotion",
-    "Robot",
-    "SplatEnv",
-]
+__all__ = ["GymnasiumEnv", "GymnasiumVectorEnv", "Robot", "SplatEnv", "World"]

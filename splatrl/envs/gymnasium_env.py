@@ -13,7 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, TensorSpec
 from torchrl.envs import EnvBase
 
-from splatrl.envs.layers import layers
+from splatrl.envs.nesting import layers
 from splatrl.envs.tasks.base import Outcome
 from splatrl.faults import Faulty
 

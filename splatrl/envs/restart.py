@@ -9,11 +9,11 @@ from torchrl.envs import EnvBase
 def restart(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
     """Reset the robots whose episode ended, whether there are any or not.
 
-    It gives what ``env.maybe_reset`` gives, which asks the host whether any is done, and whether all are. An env that
-    resets by mask draws start states for all rows here, and those that go on drop theirs.
+    It gives what ``env.maybe_reset`` gives, which asks the host whether any is done, and whether all are. The env
+    draws start states for all rows here, and those that go on drop theirs.
 
     Args:
-        env: a ``SplatEnv``, bare or under transforms, that resets by mask.
+        env: a ``SplatEnv``, bare or under transforms.
         after: [B], what a step gave under ``"next"``; it is left as it is.
 
     Returns:

@@ -7,13 +7,12 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
-from torch import Tensor
 
 from splatrl.bodies import Body, Box, Sphere
-from splatrl.envs.tasks import Outcome
+from splatrl.envs.tasks import Mark, Outcome
 from splatrl.evaluation.figures import ARROW, BLUE, GOAL, INK, MISSED, PARTLY, REACHED
 from splatrl.evaluation.recording import Recording
-from splatrl.evaluation.topdown import TopDown
+from splatrl.evaluation.topdown import MapView
 
 FINE = 2
 """The map is drawn this much larger and then reduced, which smooths its lines."""
@@ -35,9 +34,7 @@ class Chart:
     """The map of one scene and task.
 
     Args:
-        ground: the picture.
-        solid: [H, W] bool over the picture, what is solid at the height of the body.
-        goal: [3] x, y and yaw of the goal pose; yaw is NaN where any will do.
+        view: what it is drawn over.
         body: of the robot.
         box: largest width and height, pixels.
 
@@ -45,7 +42,8 @@ class Chart:
         size: width and height, pixels.
     """
 
-    def __init__(self, ground: TopDown, solid: Tensor | None, goal: Tensor, body: Body, box: tuple[int, int]):
+    def __init__(self, view: MapView, body: Body, box: tuple[int, int]):
+        ground, solid = view.ground, view.solid
         height, width = ground.image.shape[:2]
         zoom = min(box[0] / width, box[1] / height)
         self.size = (round(zoom * width), round(zoom * height))
@@ -57,20 +55,17 @@ class Chart:
             image[np.asarray(solid)] *= 0.45
         fine = (FINE * self.size[0], FINE * self.size[1])
         self.static = Image.fromarray(image.astype(np.uint8)).resize(fine, Image.Resampling.BICUBIC)
-        pose = np.asarray(goal, dtype=np.float64)
-        length = 26 / self.scale * FINE  # metres
         pen = ImageDraw.Draw(self.static)
-        if not math.isnan(pose[2]):
-            pen.polygon(self._place(ARROW * (length, 0.35 * length), pose), fill=GOAL, outline=INK, width=FINE)
-        self._dot(pen, pose[:2], 5, GOAL)
+        for mark in view.marks:
+            self._mark(pen, mark)
         self._ruler(pen)
 
     def draw(self, recording: Recording, step: int) -> Image.Image:
         """The map after some steps of an episode."""
         image = self.static.copy()
         pen = ImageDraw.Draw(image)
-        if recording.target is not None:
-            self._dot(pen, np.asarray(recording.target[step, :2], dtype=np.float64), 5, GOAL)
+        for mark in recording.marks[step] if recording.marks else ():
+            self._mark(pen, mark)
         trail = np.asarray(recording.planar[: step + 1], dtype=np.float64)
         for color, width in (("white", 5), (BLUE, 3)):
             pen.line(self._pixels(trail[:, :2]), fill=color, width=width * FINE, joint="curve")
@@ -95,6 +90,14 @@ class Chart:
         """Put a shape at a pose: [K, 2] metres in the body frame -> fine pixels."""
         cos, sin = math.cos(planar[2]), math.sin(planar[2])
         return self._pixels(shape @ np.array([[cos, sin], [-sin, cos]]) + planar[:2])
+
+    def _mark(self, pen: ImageDraw.ImageDraw, mark: Mark) -> None:
+        """A dot, with an arrow where the mark has a direction."""
+        pose = np.asarray(mark.planar.cpu(), dtype=np.float64)
+        if not math.isnan(pose[2]):
+            length = 26 / self.scale * FINE  # metres
+            pen.polygon(self._place(ARROW * (length, 0.35 * length), pose), fill=GOAL, outline=INK, width=FINE)
+        self._dot(pen, pose[:2], 5, GOAL)
 
     def _dot(self, pen: ImageDraw.ImageDraw, position: NDArray[np.float64], radius: float, color: str) -> None:
         (center,) = self._pixels(position[None])

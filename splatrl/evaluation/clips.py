@@ -2,7 +2,8 @@
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -13,7 +14,15 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from splatrl.evaluation.clip_files import Clip
+from splatrl.evaluation.report import write_json
 from splatrl.evaluation.rollouts import acting
+from splatrl.files import replacing
+
+REPORT = "clips"
+HEADLINE = (
+    "Share of labelled frames in which the policy's most probable action is one of the label's; "
+    "in brackets the mean probability that it gives to the label's actions together."
+)
 
 
 @dataclass(frozen=True)
@@ -166,3 +175,22 @@ def table(results: Mapping[str, Sequence[ClipResult]]) -> str:
         cells = [f"{one.rate:.3f} ({one.mass:.3f})" for one in line]
         rows.append([line[0].name, str(line[0].frames), *cells])
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def write_report(results: Mapping[str, Sequence[ClipResult]], folder: Path) -> str:
+    """Write ``clips.md`` and ``clips.json``; returns the former.
+
+    Args:
+        results: of each run, on the same clips.
+        folder: where to.
+    """
+    page = f"{HEADLINE}\n\n{table(results)}"
+    folder.mkdir(parents=True, exist_ok=True)
+    content = {
+        run: {"clips": [asdict(one) | {"rate": one.rate} for one in found], "rate": total(found).rate}
+        for run, found in results.items()
+    }
+    write_json(folder / f"{REPORT}.json", content)
+    with replacing(folder / f"{REPORT}.md") as stream:
+        stream.write(page.encode())
+    return page

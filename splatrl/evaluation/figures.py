@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,7 +17,8 @@ from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 from torch import Tensor
 
-from splatrl.evaluation.topdown import TopDown
+from splatrl.envs.tasks.base import Mark
+from splatrl.evaluation.topdown import MapView, TopDown
 from splatrl.files import replacing
 
 REACHED, PARTLY, MISSED = "#009e73", "#e69f00", "#d55e00"  # told apart with any colour vision
@@ -40,10 +42,10 @@ def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
     """
     figure = Figure(figsize=(7.2, 5.4), dpi=DPI, layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    frames, episodes = _column(history, "frames"), np.nan_to_num(_column(history, "episodes"), nan=1.0)
-    tests = _column(history, "test_success")
+    frames, episodes = column(history, "frames"), np.nan_to_num(column(history, "episodes"), nan=1.0)
+    tests = column(history, "test_success")
     levels = above.twinx()
-    level = _column(history, "level") + 1
+    level = column(history, "level") + 1
     levels.fill_between(frames, 0, level, step="mid", color=PURPLE, alpha=0.12, linewidth=0)
     levels.step(frames, level, where="mid", color=PURPLE, linewidth=1.2)
     levels.set_ylim(0, max([1.0, *level[~np.isnan(level)]]) * 1.05)
@@ -52,7 +54,7 @@ def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
     levels.tick_params(axis="y", colors=PURPLE)
     above.set_zorder(levels.get_zorder() + 1)
     above.patch.set_visible(False)
-    _curve(above, frames, _column(history, "success"), episodes, BLUE)
+    _curve(above, frames, column(history, "success"), episodes, BLUE)
     above.plot(frames, tests, "D", color=INK, markersize=4.5, markerfacecolor=TEST, clip_on=False)
     above.set(ylabel="success", ylim=(-0.02, 1.02))
     above.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
@@ -62,7 +64,7 @@ def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
         Line2D([], [], color=PURPLE, linewidth=1.2, label="curriculum level"),
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False)
-    _curve(below, frames, _column(history, "return"), episodes, BLUE)
+    _curve(below, frames, column(history, "return"), episodes, BLUE)
     below.set(xlabel="frames", ylabel="episode return")
     below.xaxis.set_major_formatter(EngFormatter(sep=""))
     for axes in (above, below):
@@ -70,16 +72,14 @@ def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
         axes.set_axisbelow(True)
         axes.margins(x=0.01)
     below.set_xlim(left=0)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def start_map(
     planar: Tensor,
     success: Tensor,
-    goal: Tensor,
-    ground: TopDown,
+    view: MapView,
     path: Path,
-    solid: Tensor | None = None,
     blocked: Tensor | None = None,
 ) -> None:
     """Draw every start pose as an arrow, coloured by whether the goal was reached from it.
@@ -89,22 +89,20 @@ def start_map(
     Args:
         planar: [N, 3] x and y in metres and yaw in radians of the starts; a pose can occur more than once.
         success: [N] bool.
-        goal: [3] x, y and yaw of the goal pose.
-        ground: what the map is drawn on.
+        view: what the map is drawn over.
         path: of the picture; its suffix is the format.
-        solid: [H, W] bool over the ground's picture, what is solid at the height of the body (``footprint``).
         blocked: [M, 2] x and y of positions where the body fits in no heading, metres.
     """
     poses, rate = _mean_by_row(planar, success)
     headings = np.unique(poses[:, :2], axis=0, return_counts=True)[1].max()
-    length = (0.5 if headings > 2 else 0.85) * _spacing(poses, ground)
+    length = (0.5 if headings > 2 else 0.85) * _spacing(poses, view.ground)
     half_width = min(0.14 * length, 0.75 * length * math.pi * 0.68 / headings)
     kinds = [
         (rate == 1, REACHED, "goal reached"),
         ((rate > 0) & (rate < 1), PARTLY, "reached in part of the episodes"),
         (rate == 0, MISSED, "not reached"),
     ]
-    figure, axes = _map(ground, solid, colourful=True)
+    figure, axes = _map(view, colourful=True)
     handles: list[Patch | Line2D] = []
     for order, (mask, color, label) in enumerate(kinds):
         if mask.any():
@@ -118,15 +116,13 @@ def start_map(
         halo = [withStroke(linewidth=3, foreground="white")]
         axes.plot(x, y, "x", color=INK, markersize=4, markeredgewidth=1.2, zorder=2.5, path_effects=halo)
         handles.append(Line2D([], [], color=INK, marker="x", markersize=5, linewidth=0, label="body does not fit"))
-    handles += _goal(axes, goal, length)
+    handles += _marks(axes, view.marks, length)
     rows = len(poses), int((rate == 1).sum())
     axes.set_title(f"goal reached from {rows[1]:,} of {rows[0]:,} start poses ({rows[1] / rows[0]:.1%})", fontsize=10)
-    _finish(figure, handles, solid, path)
+    _finish(figure, handles, view, path)
 
 
-def success_map(
-    planar: Tensor, success: Tensor, goal: Tensor, ground: TopDown, path: Path, solid: Tensor | None = None
-) -> None:
+def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path) -> None:
     """Draw the success rate by start position, the mean over headings and repetitions, as coloured cells.
 
     Positions on a lattice get a cell each; positions that are no lattice are pooled in 20 cells across the picture.
@@ -134,18 +130,16 @@ def success_map(
     Args:
         planar: [N, 3] x and y in metres and yaw in radians of the starts.
         success: [N] bool.
-        goal: [3] x, y and yaw of the goal pose.
-        ground: what the map is drawn on.
+        view: what the map is drawn over.
         path: of the picture; its suffix is the format.
-        solid: [H, W] bool over the ground's picture, what is solid at the height of the body (``footprint``).
     """
     positions = np.asarray(planar, dtype=np.float64)[:, :2]
-    cell, corner = _spacing(positions, ground), positions.min(0)
+    cell, corner = _spacing(positions, view.ground), positions.min(0)
     cells, rate = _mean_by_row(((positions - corner) / cell).round(), success)
     centers = corner + cells * cell
     half = 0.43 * cell
     squares = centers[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    figure, axes = _map(ground, solid, colourful=False)
+    figure, axes = _map(view, colourful=False)
     heat = PolyCollection(
         squares, array=rate, cmap="viridis", clim=(0, 1), edgecolors="white", linewidths=0.4, zorder=3
     )
@@ -155,10 +149,10 @@ def success_map(
     bar.set_label("success, mean over headings")
     mean = np.asarray(success, dtype=np.float64).mean()
     axes.set_title(f"success by start position (all starts {mean:.1%})", fontsize=10)
-    _finish(figure, _goal(axes, goal, 0.5 * cell), solid, path)
+    _finish(figure, _marks(axes, view.marks, 0.5 * cell), view, path)
 
 
-def _column(history: Sequence[Mapping[str, float]], key: str) -> NDArray[np.float64]:
+def column(history: Sequence[Mapping[str, float]], key: str) -> NDArray[np.float64]:
     return np.array([row.get(key, math.nan) for row in history], dtype=np.float64)
 
 
@@ -197,8 +191,9 @@ def _arrows(planar: NDArray[np.float64], length: float, half_width: float) -> ND
     return planar[:, None, :2] + (ARROW * (length, half_width)) @ turn
 
 
-def _map(ground: TopDown, solid: Tensor | None, colourful: bool) -> tuple[Figure, Axes]:
+def _map(view: MapView, colourful: bool) -> tuple[Figure, Axes]:
     """Axes in metres over a picture of the ground that is pale enough to draw on."""
+    ground, solid = view.ground, view.solid
     left, right, bottom, top = ground.extent
     inches = MAP_SIZE / max(right - left, top - bottom)
     width, height = inches * (right - left), inches * (top - bottom)
@@ -221,26 +216,27 @@ def _map(ground: TopDown, solid: Tensor | None, colourful: bool) -> tuple[Figure
     return figure, axes
 
 
-def _goal(axes: Axes, goal: Tensor, length: float) -> list[Patch | Line2D]:
-    """The goal as an arrow, or as a dot where any heading will do."""
-    pose = np.asarray(goal, dtype=np.float64)[None]
-    if not np.isnan(pose[0, 2]):
-        arrow = list(_arrows(pose, 1.2 * length, 0.4 * length))
-        axes.add_collection(PolyCollection(arrow, facecolors=GOAL, edgecolors=INK, linewidths=1, zorder=9))
-    axes.plot(*pose[0, :2], "o", color=GOAL, markeredgecolor=INK, markersize=6, zorder=9)
-    words = "goal" if np.isnan(pose[0, 2]) else "goal pose"
-    return [Line2D([], [], color=GOAL, marker="o", markeredgecolor=INK, markersize=6, linewidth=0, label=words)]
+def _marks(axes: Axes, marks: Sequence[Mark], length: float) -> list[Patch | Line2D]:
+    """Draw each mark as a dot, with an arrow where it has a direction; returns a legend entry for each name."""
+    for mark in marks:
+        pose = np.asarray(mark.planar.cpu(), dtype=np.float64)[None]
+        if not np.isnan(pose[0, 2]):
+            arrow = list(_arrows(pose, 1.2 * length, 0.4 * length))
+            axes.add_collection(PolyCollection(arrow, facecolors=GOAL, edgecolors=INK, linewidths=1, zorder=9))
+        axes.plot(*pose[0, :2], "o", color=GOAL, markeredgecolor=INK, markersize=6, zorder=9)
+    dot: dict[str, Any] = {"color": GOAL, "marker": "o", "markeredgecolor": INK, "markersize": 6, "linewidth": 0}
+    return [Line2D([], [], label=name, **dot) for name in dict.fromkeys(mark.name for mark in marks)]
 
 
-def _finish(figure: Figure, handles: list[Patch | Line2D], solid: Tensor | None, path: Path) -> None:
-    if solid is not None and solid.any():
+def _finish(figure: Figure, handles: list[Patch | Line2D], view: MapView, path: Path) -> None:
+    if view.solid is not None and view.solid.any():
         handles.append(Patch(facecolor="none", edgecolor=INK, hatch="//////", label="solid at body height"))
     top = (FOOT - 0.5) / figure.get_figheight()
     figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, top), ncols=3, frameon=False, fontsize=9)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
     FigureCanvasAgg(figure)
     with replacing(path) as stream:
         figure.savefig(stream, format=path.suffix.removeprefix("."), bbox_inches="tight")

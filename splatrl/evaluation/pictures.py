@@ -6,15 +6,14 @@ from pathlib import Path
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs import EnvBase
 
 from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Plan
-from splatrl.envs.transforms import sprite_among
 from splatrl.evaluation.figures import learning_curve, start_map, success_map
 from splatrl.evaluation.recording import record_episodes
 from splatrl.evaluation.rollouts import Episodes
-from splatrl.evaluation.topdown import TopDown, footprint, top_down
+from splatrl.evaluation.topdown import MapView, footprint, top_down
 from splatrl.evaluation.video import rollout_video
 from splatrl.scenes.gaussians import Gaussians
 
@@ -40,8 +39,9 @@ class Pictures:
         robot, places = env.robot, self._planar(plan.states)[:, :2]
         lower, upper = (places.amin(0) - MARGIN).tolist(), (places.amax(0) + MARGIN).tolist()
         half = robot.body.half_height
-        self.ground: TopDown = top_down(gaussians, lower, upper, robot.height + half + HEADROOM)
-        self.solid: Tensor = footprint(occupancy, robot.height - half, robot.height + half, self.ground)
+        ground = top_down(gaussians, lower, upper, robot.height + half + HEADROOM)
+        solid = footprint(occupancy, robot.height - half, robot.height + half, ground)
+        self.view = MapView(ground, solid, env.task.marks())
 
     def learning_curve(self, history: Sequence[Mapping[str, float]]) -> Path:
         """Success, curriculum level and return over frames."""
@@ -53,14 +53,14 @@ class Pictures:
         """Start poses and headings coloured by success."""
         path = self.folder / "starts.png"
         planar = self._planar(episodes.start)
-        start_map(planar, episodes.success, self.env.task.goal.cpu(), self.ground, path, self.solid, self._blocked())
+        start_map(planar, episodes.success, self.view, path, self._blocked())
         return path
 
     def success_map(self, episodes: Episodes) -> Path:
         """Success rate by start position."""
         path = self.folder / "success_map.png"
         planar = self._planar(episodes.start)
-        success_map(planar, episodes.success, self.env.task.goal.cpu(), self.ground, path, self.solid)
+        success_map(planar, episodes.success, self.view, path)
         return path
 
     def video(self, env: EnvBase, policy: Callable[[TensorDictBase], TensorDictBase], seed: int) -> Path:
@@ -71,11 +71,8 @@ class Pictures:
         count = env.numel()
         spread = (torch.arange(1, count + 1) * len(ordered) // count - 1).clamp_min(0)
         recordings = record_episodes(env, policy, self.plan.states[ordered[spread]], seed=seed)
-        names = getattr(env.task.motion, "action_names", ())
-        sprite = sprite_among([env.transform]) if isinstance(env, TransformedEnv) else None
-        views = (env.renderer, sprite)
-        goal = env.task.goal.cpu()
-        rollout_video(recordings, env.robot, goal, self.ground, path, self.solid, *views, action_names=names)
+        names = env.task.motion.action_names
+        rollout_video(recordings, env.robot, self.view, path, env.drawing, names)
         return path
 
     def _planar(self, states: Tensor) -> Tensor:

@@ -1,6 +1,6 @@
 """Episodes step by step, to be looked at."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -8,8 +8,9 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from splatrl.envs.tasks import Outcome
+from splatrl.envs.tasks.base import NOTHING, Mark, Memory, Outcome
 from splatrl.evaluation.rollouts import acting
+from splatrl.renderers.parts import Parts
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,9 @@ class Recording:
         action: [T, ...].
         episode_return: [T + 1] float32, so far.
         outcome: how it ended.
-        target: [T + 1, 3] float32, where the object of the task was, world, metres; None for a task without one.
+        memory: what the task remembered, [T + 1, ...] by key.
+        parts: what the task placed in the picture, of T + 1 rows; None is the scene alone.
+        marks: what the task shows on a map, for each of the T + 1; empty for a task that remembers nothing.
     """
 
     planar: Tensor
@@ -32,7 +35,9 @@ class Recording:
     action: Tensor
     episode_return: Tensor
     outcome: Outcome
-    target: Tensor | None = None
+    memory: Memory = NOTHING
+    parts: Parts | None = None
+    marks: Sequence[list[Mark]] = ()
 
 
 def record_episodes(
@@ -75,8 +80,10 @@ def _recording(env: EnvBase, steps: list[TensorDictBase]) -> Recording:
     states = [steps[0], *(step["next"] for step in steps)]
     keys = "state", "pixels", "episode_return"
     state, pixels, episode_return = (torch.stack([now[key] for now in states]) for key in keys)
-    target = torch.stack([now["target"] for now in states]) if "target" in states[0] else None
-    motion, state = env.task.motion, state.to(env.device)
+    task, state = env.task, state.to(env.device)
+    motion = task.motion
+    memory = {key: torch.stack([now[key] for now in states]) for key in task.memory_spec}
+    rows = [{key: value[row] for key, value in memory.items()} for row in range(len(states))] if memory else []
     return Recording(
         planar=motion.planar(state).cpu(),
         body_to_world=motion.body_to_world(state).cpu(),
@@ -84,5 +91,7 @@ def _recording(env: EnvBase, steps: list[TensorDictBase]) -> Recording:
         action=torch.stack([step["action"] for step in steps]),
         episode_return=episode_return.squeeze(1),
         outcome=Outcome(int(steps[-1]["next", "outcome"])),
-        target=target,
+        memory=memory,
+        parts=task.parts(state, {key: value.to(env.device) for key, value in memory.items()}),
+        marks=[task.marks(row) for row in rows],
     )

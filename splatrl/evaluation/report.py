@@ -11,31 +11,34 @@ from splatrl.evaluation.rollouts import Episodes
 from splatrl.files import replacing
 
 
-def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor) -> dict[str, float]:
+def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> dict[str, float]:
     """What two sets of episodes over a start set add up to.
 
     Args:
         sampled: of the policy as a distribution, each start repeated in a row; the headline.
         argmax: of its most likely actions, once from each start.
-        shortest: [N] int64, steps of the shortest path from each start.
+        shortest: [N] int64, steps of the shortest path from each start; None where the task has no goal states.
 
     Returns:
-        Rates in [0, 1], SPL, mean returns and mean lengths, and the mean of the shortest; keys of the second set end in
-        ``_argmax``.
+        Rates in [0, 1], mean returns and mean lengths, and where there are shortest paths SPL and their mean length; keys
+        of the second set end in ``_argmax``.
     """
     summary: dict[str, float] = {}
     for suffix, episodes in (("", sampled), ("_argmax", argmax)):
         summary |= {
             f"success_rate{suffix}": episodes.rate(Outcome.GOAL),
-            f"spl{suffix}": episodes.spl(shortest.repeat_interleave(len(episodes.outcome) // len(shortest))),
             f"collision_rate{suffix}": episodes.rate(Outcome.COLLISION),
             f"out_of_bounds_rate{suffix}": episodes.rate(Outcome.OUT_OF_BOUNDS),
             f"timeout_rate{suffix}": episodes.rate(Outcome.TIMEOUT),
             f"mean_return{suffix}": episodes.episode_return.mean().item(),
             f"mean_length{suffix}": episodes.length.double().mean().item(),
         }
+        if shortest is not None:
+            repeats = len(episodes.outcome) // len(shortest)
+            summary[f"spl{suffix}"] = episodes.spl(shortest.repeat_interleave(repeats))
     summary["episodes"] = len(sampled.outcome)
-    summary["mean_shortest"] = shortest.double().mean().item()
+    if shortest is not None:
+        summary["mean_shortest"] = shortest.double().mean().item()
     return summary
 
 

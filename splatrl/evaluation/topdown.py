@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras, look_at
 from splatrl.collision.occupancy import Occupancy
+from splatrl.envs.tasks.base import Mark
 from splatrl.renderers import NativeRenderer
 from splatrl.renderers.base import Renderer
 from splatrl.scenes.gaussians import Gaussians
@@ -35,6 +37,21 @@ class TopDown(NamedTuple):
     def pixels_per_metre(self) -> float:
         """Resolution of the picture, the same along x and y."""
         return self.image.shape[1] / (self.extent[1] - self.extent[0])
+
+
+@dataclass(frozen=True)
+class MapView:
+    """What maps and charts are drawn over.
+
+    Attributes:
+        ground: the scene seen from above.
+        solid: [H, W] bool over the ground's picture, what is solid at the height of the body (``footprint``).
+        marks: what the task shows in every episode.
+    """
+
+    ground: TopDown
+    solid: Tensor | None = None
+    marks: Sequence[Mark] = ()
 
 
 def top_down(

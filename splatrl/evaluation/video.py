@@ -10,15 +10,14 @@ import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
 
+from splatrl.envs.drawing import Drawing
 from splatrl.envs.robot import Robot
 from splatrl.envs.tasks import Outcome
-from splatrl.envs.transforms import SpriteOverlay, overlay
 from splatrl.evaluation.chart import COLORS, Chart, font
 from splatrl.evaluation.figures import INK
 from splatrl.evaluation.recording import Recording
-from splatrl.evaluation.topdown import TopDown
+from splatrl.evaluation.topdown import MapView
 from splatrl.files import replacing
-from splatrl.renderers.base import Renderer, to_pixels
 
 PANEL, WIDEST, GAP, STRIP = 384, 512, 8, 60
 """Pixels: height of both panels, largest width of the map, space around them, height of the text."""
@@ -31,12 +30,9 @@ BATCH = 8
 def rollout_video(
     recordings: Sequence[Recording],
     robot: Robot,
-    goal: Tensor,
-    ground: TopDown,
+    view: MapView,
     path: Path,
-    solid: Tensor | None = None,
-    renderer: Renderer | None = None,
-    sprite: SpriteOverlay | None = None,
+    drawing: Drawing | None = None,
     action_names: Sequence[str] = (),
     fps: int = 6,
 ) -> None:
@@ -45,13 +41,10 @@ def rollout_video(
     Args:
         recordings: the episodes.
         robot: body and camera.
-        goal: [3] x, y and yaw of the goal pose.
-        ground: what the map is drawn on.
+        view: what the map is drawn over.
         path: of the video.
-        solid: [H, W] bool over the ground's picture, what is solid at the height of the body.
-        renderer: renders the ego view large, with the policy's own pixels in its corner; without one those pixels are
+        drawing: draws the ego view large, with the policy's own pixels in its corner; without one those pixels are
             enlarged.
-        sprite: draws the object of the task into the large view, where it was.
         action_names: by the number of an action.
         fps: steps in a second of video.
 
@@ -60,22 +53,21 @@ def rollout_video(
     """
     if not recordings:
         raise ValueError("recordings: expected at least one episode, got none")
-    chart = Chart(ground, solid, goal, robot.body, (WIDEST, PANEL))
-    _encode(_frames(recordings, robot, chart, renderer, sprite, action_names, fps), path, fps)
+    chart = Chart(view, robot.body, (WIDEST, PANEL))
+    _encode(_frames(recordings, robot, chart, drawing, action_names, fps), path, fps)
 
 
 def _frames(
     recordings: Sequence[Recording],
     robot: Robot,
     chart: Chart,
-    renderer: Renderer | None,
-    sprite: SpriteOverlay | None,
+    drawing: Drawing | None,
     action_names: Sequence[str],
     fps: int,
 ) -> Iterator[Image.Image]:
     for number, recording in enumerate(recordings, 1):
         last = len(recording.action)
-        for step, view in enumerate(_views(recording, robot, renderer, sprite)):
+        for step, view in enumerate(_views(recording, robot, drawing)):
             width = view.width + chart.size[0] + 3 * GAP
             page = Image.new("RGB", (width + width % 2, PANEL + 2 * GAP + STRIP), INK)
             page.paste(view, (GAP, GAP))
@@ -91,26 +83,19 @@ def _frames(
                 yield page
 
 
-def _views(
-    recording: Recording, robot: Robot, renderer: Renderer | None, sprite: SpriteOverlay | None
-) -> Iterator[Image.Image]:
+def _views(recording: Recording, robot: Robot, drawing: Drawing | None) -> Iterator[Image.Image]:
     """The ego view at each step, PANEL pixels high."""
     large = replace(robot, image_height=PANEL, image_width=round(PANEL * robot.image_width / robot.image_height))
     size = (large.image_width, PANEL)
     for rows in torch.arange(len(recording.pixels)).split(BATCH):
         seen = views = recording.pixels[rows]
-        if renderer is not None:
-            cameras = large.cameras(recording.body_to_world[rows])
-            if sprite is None or recording.target is None:
-                views = renderer.pixels(cameras).cpu()
-            else:
-                rgb, depth, _ = (values.cpu() for values in renderer.render(cameras))
-                view = (to_pixels(rgb), depth, cameras.camera_to_world, large.K)
-                picture = sprite.sprite.to(rgb.device)
-                views = overlay(*view, recording.target[rows], picture, sprite.size, sprite.near)[0]
+        if drawing is not None:
+            memory = {key: value[rows] for key, value in recording.memory.items()}
+            parts = None if recording.parts is None else recording.parts.rows(rows)
+            views = drawing.draw(large.cameras(recording.body_to_world[rows]), memory, parts).pixels.cpu()
         for own, view in zip(seen.numpy(), views.numpy(), strict=True):
             image = Image.fromarray(view).resize(size, Image.Resampling.NEAREST)
-            if renderer is not None:
+            if drawing is not None:
                 small = Image.fromarray(own).resize((size[0] // 3, PANEL // 3), Image.Resampling.NEAREST)
                 corner = (size[0] - small.width - 6, PANEL - small.height - 6)
                 image.paste("white", (corner[0] - 2, corner[1] - 2, size[0] - 4, PANEL - 4))

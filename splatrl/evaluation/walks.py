@@ -10,13 +10,12 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.curriculum import Plan
-from splatrl.envs.motions import LatticeMotion
-from splatrl.envs.motions.planar import Plane
 from splatrl.envs.robot import Robot
+from splatrl.envs.world import World
 from splatrl.evaluation.clip_files import write_clip
 from splatrl.evaluation.walk_looks import Lens, photographed
 from splatrl.geometry import axis_rotations, rigid
-from splatrl.renderers.base import Renderer, to_pixels
+from splatrl.renderers.base import Renderer
 
 WAVES = 4
 """Sinusoids that a hand's sway is made of: it is bounded by √(2 · WAVES) = 2.8 standard deviations."""
@@ -30,9 +29,6 @@ MARGIN = 0.15
 GLANCES, GLANCE = 6, 12
 """Views of a path that are judged for what they show, and their side in pixels."""
 BATCH = 32
-
-Overlay = Callable[[Tensor, Tensor, Cameras], Tensor]
-"""Draws what is not in the scene: pixels [B, H, W, 3] uint8, depth [B, H, W] metres and cameras -> pixels."""
 
 
 @dataclass(frozen=True)
@@ -72,11 +68,13 @@ class Walk:
     Attributes:
         cameras: T of them.
         planar: [T, 3] float64, where each camera is and looks: x and y in metres, yaw in radians.
+        states: [T, D], the states nearest to these.
         allowed: [T, A] bool, the actions that begin a shortest path from there.
     """
 
     cameras: Cameras
     planar: Tensor
+    states: Tensor
     allowed: Tensor
 
 
@@ -102,7 +100,7 @@ def paths(plan: Plan, starts: Tensor, generator: torch.Generator) -> list[Tensor
     """
     states, lengths = [starts], torch.ones(len(starts), dtype=torch.int64)
     last = torch.full((len(starts), 1), -1)
-    for _ in range(math.ceil(PATIENCE * max(1.0, float(plan.steps_to_go(starts).amax())))):
+    for _ in range(math.ceil(PATIENCE * max(1.0, float(plan.cost_to_go(starts).amax())))):
         allowed = plan.optimal(states[-1]).cpu()
         walks = allowed.any(1) & (lengths == len(states))
         if not walks.any():
@@ -134,7 +132,7 @@ def awkwardness(plan: Plan, states: Tensor) -> float:
     way, ahead = poses[:, :3, 3].diff(dim=0), poses[:-1, :3, 0]
     backwards = (way * ahead).sum(1) < -1e-6
     tight = plan.checker.clearance(poses[:, :3, 3]) < MARGIN
-    stuck = not bool(plan.reached(states[-1:])[0])
+    stuck = not bool(plan.at_goal(states[-1:])[0])
     return float(backwards.double().mean()) + float(tight.double().mean()) + stuck
 
 
@@ -160,36 +158,24 @@ def walk(plan: Plan, robot: Robot, states: Tensor, hand: Hand, generator: torch.
     """Walk a path with an unsteady camera, until the camera is at the goal.
 
     Args:
-        plan: of a ``LatticeMotion`` or a ``Plane`` with discrete actions.
+        plan: of a motion at one height, with discrete actions.
         robot: its camera and the camera's height.
         states: [N, D] of the path.
         hand: how the camera sways.
         generator: sways.
     """
     motion = plan.motion
-    assert isinstance(motion, (LatticeMotion, Plane)), motion
+    assert motion.height is not None
     x, y, yaw = eased(motion.planar(states).cpu(), hand.frames).unbind(1)
     bodies = rigid(axis_rotations(2, yaw), torch.stack([x, y, torch.full_like(x, motion.height)], 1)).float()
     cameras = robot.cameras(bodies, sway(hand, len(bodies), generator))
     poses = cameras.camera_to_world.double()
     yaw = torch.atan2(poses[:, 1, 2], poses[:, 0, 2]) % math.tau
     planar = torch.cat([poses[:, :2, 3], yaw.unsqueeze(1)], 1)
-    states = nearest_states(plan, planar)
-    there = plan.reached(states).nonzero().flatten()
+    states = motion.nearest(planar)
+    there = plan.at_goal(states).nonzero().flatten()
     length = int(there[0]) + 1 if len(there) else len(states)
-    return Walk(cameras[:length], planar[:length], plan.optimal(states[:length]))
-
-
-def nearest_states(plan: Plan, planar: Tensor) -> Tensor:
-    """The states of poses; on a lattice the nearest, counted in steps and turns: [N, 3] -> [N, D]."""
-    if plan.states.is_floating_point():
-        return planar.to(plan.states)
-    motion = plan.motion
-    assert isinstance(motion, LatticeMotion), motion
-    away = (planar.unsqueeze(1) - motion.planar(plan.states).cpu()).abs()
-    turn = torch.minimum(away[..., 2], math.tau - away[..., 2]) / motion.angle_step
-    rows = torch.hypot(away[..., :2].norm(dim=-1) / motion.step, turn).argmin(1)
-    return plan.states[rows]
+    return Walk(cameras[:length], planar[:length], states[:length], plan.optimal(states[:length]))
 
 
 def far_paths(plan: Plan, count: int, generator: torch.Generator, against: Callable[[Tensor], float]) -> list[Tensor]:
@@ -222,32 +208,24 @@ def far_paths(plan: Plan, count: int, generator: torch.Generator, against: Calla
 
 def record_walks(
     folder: Path,
-    plan: Plan,
-    robot: Robot,
-    renderer: Renderer,
-    action_names: Sequence[str],
+    world: World,
     count: int = 12,
     seed: int = 0,
     height: int = 96,
     hand: Hand | None = None,
     lens: Lens | None = None,
-    overlay: Overlay | None = None,
     progress: Callable[[int], object] = lambda clips: None,
 ) -> list[Path]:
     """Write walks as clips; see ``clip_files``. The same arguments give the same bytes.
 
     Args:
         folder: of the clips, made where there is none.
-        plan: in the scene that is shown.
-        robot: its camera.
-        renderer: of the scene that is shown.
-        action_names: of the motion, in the order of its actions.
+        world: in which walks are recorded.
         count: of clips.
         seed: of starts, paths, sway and looks.
         height: of the images, pixels; their shape is that of the robot's.
         hand: how the camera sways.
         lens: what the cameras are like.
-        overlay: draws what is not in the scene.
         progress: called with the number of clips that were just written.
 
     Returns:
@@ -256,7 +234,8 @@ def record_walks(
     Raises:
         ValueError: for a motion whose poses or actions cannot be walked, or where a clip of that name exists.
     """
-    if not isinstance(plan.motion, (LatticeMotion, Plane)) or len(action_names) != len(plan.actions):
+    plan, robot = world.plan, world.robot
+    if plan.motion.height is None or not plan.motion.action_names:
         name = type(plan.motion).__name__
         raise ValueError(f"task: expected named steps on the ground, as of ForwardMotion or LatticeMotion, got {name}")
     if count < 1 or height < 1:
@@ -264,7 +243,7 @@ def record_walks(
     camera = replace(robot, image_height=height, image_width=round(height * robot.image_width / robot.image_height))
 
     def against(states: Tensor) -> float:
-        return awkwardness(plan, states) + emptiness(plan, states, robot, renderer)
+        return awkwardness(plan, states) + emptiness(plan, states, robot, world.drawing.renderer)
 
     walked_paths = far_paths(plan, count, torch.Generator().manual_seed(seed), against)
     folder.mkdir(parents=True, exist_ok=True)
@@ -272,19 +251,20 @@ def record_walks(
     for number, states in enumerate(walked_paths):
         generator = torch.Generator().manual_seed(1_000_003 * (seed + 1) + number)
         walked = walk(plan, camera, states, hand or Hand(), generator)
-        images = photographed(seen(walked.cameras, renderer, overlay), lens or Lens(), generator)
+        images = photographed(seen(walked, world), lens or Lens(), generator)
         written.append(folder / f"walk-{number:02}")
-        write_clip(written[-1], images, walked.allowed, action_names)
+        write_clip(written[-1], images, walked.allowed, plan.motion.action_names)
         progress(1)
     return written
 
 
-def seen(cameras: Cameras, renderer: Renderer, overlay: Overlay | None) -> Tensor:
-    """What cameras see, with what is drawn over it: [T, H, W, 3] uint8."""
+def seen(walked: Walk, world: World) -> Tensor:
+    """What the camera of a walk sees, with what the task places in the picture: [T, H, W, 3] uint8."""
+    start = world.plan.starts[:1]
+    begun = world.task.begin(start, lambda: start)  # an object stands where it does in an episode from the first start
     images = []
-    for rows in torch.arange(len(cameras)).split(BATCH):
-        some = cameras[rows]
-        output = renderer.render(some)
-        pixels = to_pixels(output.rgb)
-        images.append(pixels if overlay is None else overlay(pixels, output.depth, some))
+    for rows in torch.arange(len(walked.cameras)).split(BATCH):
+        memory = {key: value.cpu().expand(len(rows), *value.shape[1:]) for key, value in begun.items()}
+        parts = world.task.parts(walked.states[rows], memory)
+        images.append(world.drawing.draw(walked.cameras[rows], memory, parts).pixels)
     return torch.cat(images)

@@ -1,18 +1,18 @@
 """Experiments: many trainings, run and reported together."""
 
 from splatrl.experiments.budget import budget, statement
+from splatrl.experiments.conduct import check_settings, report_all, score, train_all
 from splatrl.experiments.experiment import Experiment, Run, Selection, planned
-from splatrl.experiments.report import write_joint_report, write_report
-from splatrl.experiments.running import train
 
 __all__ = [
     "Experiment",
     "Run",
     "Selection",
     "budget",
+    "check_settings",
     "planned",
+    "report_all",
+    "score",
     "statement",
-    "train",
-    "write_joint_report",
-    "write_report",
+    "train_all",
 ]

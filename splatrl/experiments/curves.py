@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
-from splatrl.evaluation.figures import BLUE, DPI, GOAL, MISSED, PARTLY, REACHED, _column, _save
+from splatrl.evaluation.figures import BLUE, DPI, GOAL, MISSED, PARTLY, REACHED, column, save_figure
 from splatrl.experiments.results import Entry
 
 COLORS = (BLUE, MISSED, REACHED, PARTLY, GOAL)
@@ -56,7 +56,7 @@ def learning_curves(group: Sequence[Entry], path: Path) -> None:
     panels[-1].xaxis.set_major_formatter(EngFormatter(sep=""))
     figure.align_ylabels(panels)
     figure.legend(handles=handles, loc="outside upper center", ncols=min(len(handles), 3), frameon=False)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _band(axes: Axes, entry: Entry, key: str, color: str, marker: str = "") -> None:
@@ -65,7 +65,7 @@ def _band(axes: Axes, entry: Entry, key: str, color: str, marker: str = "") -> N
     if not histories:
         return
     length = min(map(len, histories))
-    frames = _column(histories[0][:length], "frames")
+    frames = column(histories[0][:length], "frames")
     seeds = np.stack([_values(rows[:length], key) for rows in histories])
     known = ~np.isnan(seeds).any(0)
     frames, seeds = frames[known], seeds[:, known]
@@ -75,12 +75,12 @@ def _band(axes: Axes, entry: Entry, key: str, color: str, marker: str = "") -> N
 
 def _values(rows: Sequence[dict[str, float]], key: str) -> NDArray[np.float64]:
     """A column as it is drawn: success in training as its mean over the last twelfth, levels from 1."""
-    values = _column(rows, key)
+    values = column(rows, key)
     if key == "level":
         return values + 1
     if key != "success":
         return values
-    weights = np.where(np.isnan(values), 0.0, np.nan_to_num(_column(rows, "episodes"), nan=1.0))
+    weights = np.where(np.isnan(values), 0.0, np.nan_to_num(column(rows, "episodes"), nan=1.0))
     window = np.ones(math.ceil(len(values) / 12))
     sums, counts = (np.convolve(part, window)[: len(values)] for part in (weights * np.nan_to_num(values), weights))
     return np.divide(sums, counts, out=np.full(len(values), math.nan), where=counts > 0)

@@ -10,12 +10,8 @@ from typing import Any, Literal
 from splatrl.experiments.experiment import Run
 
 Status = Literal["finished", "begun", "new"]
-SPEED_ONLY = {"threads", "renderer.views.threads", "resume", "collector.cuda_graph", "optim.compile"}
+SPEED_ONLY = {"threads", "renderer.threads", "resume", "collector.cuda_graph", "optim.compile"}
 """Keys of a config that change no result."""
-OF_DEVICES = ("renderer.gpu.", "collision.gpu.")
-"""Beginnings of keys that say what is used on a GPU; older folders have none."""
-RENAMED = {"torchrl.envs.CatFrames": "splatrl.envs.transforms.FrameStack"}
-"""What older folders say, and what is the same today."""
 VIDEO = "rollouts.mp4"
 """The last file that a run writes."""
 
@@ -56,12 +52,8 @@ def differences(asked: Mapping[str, Any], found: Mapping[str, Any]) -> list[str]
     return [
         f"{key}: asked for {wanted.get(key, 'nothing')}, found {there.get(key, 'nothing')}"
         for key in sorted(wanted.keys() | there.keys())
-        if key not in SPEED_ONLY and not key.startswith(OF_DEVICES) and wanted.get(key) != _today(there.get(key))
+        if key not in SPEED_ONLY and wanted.get(key) != there.get(key)
     ]
-
-
-def _today(value: Any) -> Any:
-    return RENAMED.get(value, value) if isinstance(value, str) else value
 
 
 def _flat(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -4,7 +4,6 @@ import fcntl
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -12,6 +11,7 @@ from typing import BinaryIO
 
 from tqdm import tqdm
 
+from splatrl.configuration import quoted
 from splatrl.experiments.experiment import Run
 from splatrl.experiments.folders import frames_done, status
 
@@ -26,28 +26,29 @@ class BusyError(RuntimeError):
     """Another process trains in a run folder."""
 
 
-def command(run: Run, threads: int) -> list[str]:
+def command(run: Run, threads: int, program: Sequence[str]) -> list[str]:
     """The command that begins a training, or goes on with it.
 
     Args:
         run: the training.
         threads: of the renderer.
+        program: what trains, with Hydra's overrides as its arguments: ``splatrl-train``.
     """
-    line = [sys.executable, "-m", "splatrl.train"]
+    line = list(program)
     if status(run) == "new":
-        line += [*run.overrides, f"hydra.run.dir={_quoted(run.folder)}"]
+        line += [*run.overrides, f"hydra.run.dir={quoted(run.folder)}"]
     else:
-        line += [f"resume={_quoted(run.folder)}"]
-    views = run.config.get("renderer", {}).get("views", {})
-    return [*line, f"renderer.views.threads={threads}"] if "threads" in views else line
+        line += [f"resume={quoted(run.folder)}"]
+    return [*line, f"renderer.threads={threads}"] if "threads" in run.config.get("renderer", {}) else line
 
 
-def start(run: Run, threads: int) -> subprocess.Popen[bytes]:
+def start(run: Run, threads: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
     """Start a training that writes what it says to its log, and holds its folder until it ends.
 
     Args:
         run: the training.
         threads: of the renderer.
+        program: what trains.
 
     Raises:
         BusyError: where another process trains in its folder, such as one that outlived its command.
@@ -57,7 +58,7 @@ def start(run: Run, threads: int) -> subprocess.Popen[bytes]:
     with (run.folder / LOG).open("ab") as log:
         _hold(run, log)
         return subprocess.Popen(
-            command(run, threads),
+            command(run, threads, program),
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
@@ -78,7 +79,8 @@ def train(
     runs: Sequence[Run],
     jobs: int,
     threads: int,
-    begin: Callable[[Run, int], subprocess.Popen[bytes]] = start,
+    program: Sequence[str],
+    begin: Callable[[Run, int, Sequence[str]], subprocess.Popen[bytes]] = start,
     poll: float = POLL,
 ) -> list[Run]:
     """Train all that is not finished, with a progress bar over all frames; a run that fails leaves the others going.
@@ -87,6 +89,7 @@ def train(
         runs: the trainings.
         jobs: at a time.
         threads: of the renderer of each.
+        program: what trains.
         begin: starts a training.
         poll: seconds between looks.
 
@@ -108,7 +111,7 @@ def train(
                 while waiting and len(running) < jobs:
                     run = waiting.popleft()
                     try:
-                        running[run] = begin(run, threads)
+                        running[run] = begin(run, threads, program)
                     except BusyError as error:
                         failed.append(run)
                         bar.write(f"failed: {error}")
@@ -143,9 +146,3 @@ def stop(processes: Iterable[subprocess.Popen[bytes]]) -> None:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-
-
-def _quoted(value: object) -> str:
-    """A value in Hydra's grammar, whatever it holds."""
-    text = str(value).replace("'", "\\'")
-    return f"'{text}'"

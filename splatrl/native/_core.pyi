@@ -78,7 +78,7 @@ class Collider:
     def shape(self) -> tuple[float, float, float, float, float, float, float]:
         """The body with what counts as a touch: half extents, half length, radius, inner and outer radius, voxels."""
     def collides(self, poses: int, out: int, count: int, threads: int, /) -> int: ...  # [B, 4, 4] float32 -> bool
-    def touched_fraction(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...  # -> float32
+    def free_fraction(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...  # -> float32
     def sweeps(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...  # -> bool
     def clearance(self, points: int, out: int, count: int, threads: int, /) -> int: ...  # [B, 3] float32 -> float32
 

@@ -57,7 +57,7 @@ SPLAT_INLINE Turn turn_of(const Shape& shape, const Mat3& from, const Mat3& to) 
 // With `any`, what is returned below 1 says only that something is touched. Ask first whether the move `passes`: it is
 // not asked here again.
 template <class Contact>
-HOST_DEVICE inline double touched_fraction(const Grid& grid, const Shape& shape, const Pose& start, const Pose& end,
+HOST_DEVICE inline double free_fraction(const Grid& grid, const Shape& shape, const Pose& start, const Pose& end,
                                            bool any, const Contact& contact) {
     const Vec3 way = between(start.position, end.position);
     const Turn turn = turn_of(shape, start.rotation, end.rotation);

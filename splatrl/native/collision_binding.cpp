@@ -142,13 +142,13 @@ public:
                 }
                 for (size_t i = 0; i < open; ++i) {
                     const size_t row = first + left[i];
-                    answer(row, splatrl::touched_fraction(grid_, shape_, pose_of(grid_, from + 16 * row),
+                    answer(row, splatrl::free_fraction(grid_, shape_, pose_of(grid_, from + 16 * row),
                                                           pose_of(grid_, to + 16 * row), any, FirstContact{grid_}));
                 }
             });
     }
 
-    int64_t touched_fraction(uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) const {
+    int64_t free_fraction(uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) const {
         auto* fractions = reinterpret_cast<float*>(out);
         return moves(starts, ends, count, threads, false, [&](size_t i, double fraction) {
             fractions[i] = rounded_down(fraction);  // what is touched stays below 1
@@ -222,7 +222,7 @@ void bind_collision(nb::module_& m) {
                                                shape.outer);
                      })
         .def("collides", &Collider::collides)
-        .def("touched_fraction", &Collider::touched_fraction)
+        .def("free_fraction", &Collider::free_fraction)
         .def("sweeps", &Collider::sweeps)
         .def("clearance", &Collider::clearance);
 }

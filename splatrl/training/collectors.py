@@ -9,9 +9,9 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 
-from splatrl.envs.layers import layers
+from splatrl.envs.nesting import layers
 from splatrl.envs.restart import restart
-from splatrl.training.captured import Captured
+from splatrl.training.cuda_graph import CudaGraph
 from splatrl.training.memory import STATE
 
 SEEN = ("pixels", STATE, "is_init")
@@ -73,7 +73,7 @@ class DeviceCollector:
     before the reset.
 
     Args:
-        env: a ``SplatEnv`` that resets by mask, bare or under transforms.
+        env: a ``SplatEnv``, bare or under transforms.
         model: actor and critic.
         steps: T, of each batch.
         capture: makes the call that does a step from the function that does it; None takes the function itself.
@@ -152,8 +152,8 @@ def device_collector(env: EnvBase, model: ActorValueOperator, steps: int, cuda_g
     if cuda_graph and not possible:
         raise ValueError(
             "collector.cuda_graph: expected an env on a CUDA device with CudaRenderer and CudaChecker (or no checker), "
-            f"got {type(base.renderer).__name__} and {type(base.checker).__name__} on {env.device}"
+            f"got {type(base.drawing.renderer).__name__} and {type(base.checker).__name__} on {env.device}"
         )
     if cuda_graph is False or not possible:
         return DeviceCollector(env, model, steps)
-    return DeviceCollector(env, model, steps, lambda step: Captured(step, [base.generator]))
+    return DeviceCollector(env, model, steps, lambda step: CudaGraph(step, [base.generator]))

@@ -32,8 +32,8 @@ class Learner:
         self.entropy_coeff = loss.entropy_coeff
         self.parameters = list(model.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, lr=optim.lr, eps=optim.eps, fused=True)
-        shrink, trunk, *memory = model.module[0].module
-        self._shrink, self._trunk, self._memory = shrink.module, trunk.module, memory
+        pool, trunk, *memory = model.module[0].module
+        self._pool, self._trunk, self._memory = pool.module, trunk.module, memory
         self._measured = torch.compile(self._losses) if optim.compile else self._losses
         self._policy, self._value = model.get_policy_head(), model.get_value_head().module
 
@@ -100,7 +100,7 @@ class Learner:
         for rows in torch.randperm(count, device=device).split(size):
             some = {key: value.index_select(0, rows) for key, value in frames.items()}
             if view == "pixels":
-                some["image"] = self._shrink(some.pop("pixels"))
+                some["image"] = self._pool(some.pop("pixels"))
             yield some
 
     def step(self, frames: dict[str, Tensor]) -> Tensor:

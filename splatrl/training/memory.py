@@ -7,8 +7,6 @@ from torchrl.data import Unbounded
 from torchrl.envs import InitTracker, TensorDictPrimer, Transform
 from torchrl.modules import GRUModule
 
-from splatrl.envs.transforms.reset_rows import resets_by_mask
-
 STATE = "recurrent_state"
 
 
@@ -47,12 +45,10 @@ class Memory(GRUModule):
         return torch.gru_cell(features, torch.where(is_init, 0.0, state), *weights)
 
 
-class Forgetting(TensorDictPrimer):
-    """TorchRL's primer with zeros, which over an env that resets by mask does not ask the host whether any is reset."""
+class RecurrentReset(TensorDictPrimer):
+    """TorchRL's primer with zeros, which does not ask the host whether any row is reset."""
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        if not resets_by_mask(self):
-            return super()._reset(tensordict, tensordict_reset)
         batch = tensordict_reset.batch_size
         for key, spec in self.primers.items(True, True):
             shape = spec.shape[-2:]
@@ -87,4 +83,4 @@ def memory_transforms(memory: int) -> list[Transform]:
     """
     if not memory:
         return []
-    return [InitTracker(), Forgetting({STATE: Unbounded(shape=(1, memory))}, expand_specs=True)]
+    return [InitTracker(), RecurrentReset({STATE: Unbounded(shape=(1, memory))}, expand_specs=True)]

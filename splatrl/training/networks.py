@@ -15,7 +15,7 @@ GAIN = 2**0.5
 """Of first weights before a ReLU."""
 
 
-class Shrink(nn.Module):
+class PoolPixels(nn.Module):
     """Averages uint8 images over square cells: the part of the network that learns nothing, and so runs once a frame.
 
     Args:
@@ -27,7 +27,7 @@ class Shrink(nn.Module):
         self.pool = nn.AvgPool2d(pool)
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """Shrink images: [..., H, W, C] uint8 -> [..., H // pool, W // pool, C] float32 in [−0.5, 0.5]."""
+        """Pool images: [..., H, W, C] uint8 -> [..., H // pool, W // pool, C] float32 in [−0.5, 0.5]."""
         images = pixels.reshape(-1, *pixels.shape[-3:]).permute(0, 3, 1, 2).float()
         images = (self.pool(images) / 255.0 - 0.5).permute(0, 2, 3, 1)
         return images.reshape(*pixels.shape[:-3], *images.shape[1:])
@@ -95,7 +95,7 @@ def actor_critic(
     trunk = Trunk(height // pool, width // pool, depth, channels, features)
     seen = "features" if memory else "hidden"
     layers: list[TensorDictModuleBase] = [
-        TensorDictModule(Shrink(pool), in_keys=["pixels"], out_keys=["image"]),
+        TensorDictModule(PoolPixels(pool), in_keys=["pixels"], out_keys=["image"]),
         TensorDictModule(trunk, in_keys=["image"], out_keys=[seen]),
     ]
     if memory:

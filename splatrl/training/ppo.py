@@ -7,7 +7,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 
-from splatrl.envs.layers import layers
+from splatrl.envs.nesting import layers
 from splatrl.envs.tasks import Outcome
 from splatrl.faults import Faulty
 from splatrl.training.collectors import Collector, HostCollector, device_collector

@@ -66,7 +66,7 @@ def assert_same_moves(checker: CudaChecker, native: NativeChecker, start: Tensor
     there = There(checker)
     found = verify_sweeps(there, native, start, end)
     assert not found.beyond(SURE), str(found)
-    free, expected = there.touched_fraction(start, end), native.touched_fraction(start, end)
+    free, expected = there.free_fraction(start, end), native.free_fraction(start, end)
     hits = free < 1
     assert torch.equal(hits, there.sweeps(start, end))
     both = hits & (expected < 1)
@@ -149,7 +149,7 @@ def test_an_answer_depends_on_nothing_else_in_the_batch(make, scenes, monkeypatc
     assert 0 < expected.sum() < 2500
     assert torch.equal(there.sweeps(start[rows], end[rows]), there.sweeps(start, end)[rows])
     assert torch.equal(there.collides(start[rows]), there.collides(start)[rows])
-    assert torch.equal(there.touched_fraction(start[rows], end[rows]), there.touched_fraction(start, end)[rows])
+    assert torch.equal(there.free_fraction(start[rows], end[rows]), there.free_fraction(start, end)[rows])
     assert torch.equal(there.clearance(start[rows, :3, 3]), there.clearance(start[:, :3, 3])[rows])
     assert torch.equal(there.sweeps(start, end), expected)
 
@@ -158,9 +158,9 @@ def test_an_answer_depends_on_nothing_else_in_the_batch(make, scenes, monkeypatc
 def test_the_order_of_threads_changes_no_answer(scenes, seed):
     start, end = moves_in(scenes["fine"], 300, turning=True)
     checker = emulated_checker(scenes["fine"], BODIES[0])
-    fraction, hits = checker.touched_fraction(start, end), checker.collides(start)
+    fraction, hits = checker.free_fraction(start, end), checker.collides(start)
     checker._kernels.seed = seed
-    assert torch.equal(checker.touched_fraction(start, end), fraction)
+    assert torch.equal(checker.free_fraction(start, end), fraction)
     assert torch.equal(checker.collides(start), hits)
 
 
@@ -170,7 +170,7 @@ def test_nothing_is_hit_where_nothing_is_solid_nor_outside_the_grid(make, body):
     for empty in (Occupancy.empty(), Occupancy(np.zeros((3, 4, 5), bool), (0, 0, 0), 0.1)):
         there = There(make(empty, body))
         assert not there.collides(poses).any()
-        assert (there.touched_fraction(poses, poses.flip(0)) == 1.0).all()
+        assert (there.free_fraction(poses, poses.flip(0)) == 1.0).all()
         assert not there.sweeps(poses, poses.flip(0)).any()
         assert there.clearance(poses[:, :3, 3]).isinf().all()
     far = at((1e6, 0.0, 0.0), (0.0, -1e6, 0.0), (0.0, 0.0, 3e30))
@@ -184,7 +184,7 @@ def test_no_queries_get_no_answers(make):
     there, none = There(make(CUBE, BODIES[0])), torch.empty(0, 4, 4)
     assert (there.collides(none).shape, there.collides(none).dtype) == ((0,), torch.bool)
     assert there.sweeps(none, none).shape == (0,)
-    assert there.touched_fraction(none, none).dtype == torch.float32
+    assert there.free_fraction(none, none).dtype == torch.float32
     assert there.clearance(torch.empty(0, 3)).shape == (0,)
 
 
@@ -213,7 +213,7 @@ def test_a_pose_that_is_none_is_a_hit_until_its_row_is_told(make, how):
         with pytest.raises(ValueError, match=told):
             checker.raise_faults()
         checker.raise_faults()
-    fraction = checker.touched_fraction(good, bad)
+    fraction = checker.free_fraction(good, bad)
     assert fraction[[41, 66]].tolist() == [0.0, 0.0]
     assert fraction.sum() == 68
     with pytest.raises(ValueError, match=told):
@@ -256,7 +256,7 @@ def test_wrong_shapes_and_bodies_are_refused_at_once(make):
     with pytest.raises(ValueError, match=r"end: expected shape \[B, 4, 4\], got \[3, 3, 4\]"):
         checker.sweeps(poses, poses[:, :3])
     with pytest.raises(ValueError, match="end: expected as many poses as start, 3, got 2"):
-        checker.touched_fraction(poses, poses[:2])
+        checker.free_fraction(poses, poses[:2])
     with pytest.raises(ValueError, match=r"points: expected shape \[B, 3\], got \[3, 4\]"):
         checker.clearance(torch.zeros(3, 4))
     with pytest.raises(ValueError, match="body: expected a Box, a Sphere or a Capsule, got 'box'"):
@@ -297,7 +297,7 @@ def test_tensors_elsewhere_make_the_way_and_are_refused_at_once(make, scenes, mo
 def test_queries_wait_for_nothing_and_can_be_recorded(cuda_device, scenes, body):
     checker = CudaChecker(scenes["rooms"], body, cuda_device)
     start, end = (poses.to(cuda_device) for poses in moves_in(scenes["rooms"], 500, turning=True))
-    expected = checker.touched_fraction(start, end), checker.sweeps(start, end), checker.collides(start)
+    expected = checker.free_fraction(start, end), checker.sweeps(start, end), checker.collides(start)
     try:
         torch.cuda.set_sync_debug_mode("error")
         checker.sweeps(start, end), checker.collides(start), checker.clearance(start[:, :3, 3])
@@ -306,7 +306,7 @@ def test_queries_wait_for_nothing_and_can_be_recorded(cuda_device, scenes, body)
     graph = torch.cuda.CUDAGraph()
     given = start.flip(0).clone(), end.flip(0).clone()
     with torch.cuda.graph(graph):
-        answers = checker.touched_fraction(*given), checker.sweeps(*given), checker.collides(given[0])
+        answers = checker.free_fraction(*given), checker.sweeps(*given), checker.collides(given[0])
     for to, values in zip(given, (start, end), strict=True):
         to.copy_(values)
     graph.replay()

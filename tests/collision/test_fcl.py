@@ -116,7 +116,7 @@ def test_nothing_collides_where_nothing_is_solid(empty, body):
     checker = FclChecker(empty, body)
     poses = random_poses(7, (-1, -1, -1), (1, 1, 1))
     assert not checker.collides(poses).any()
-    assert (checker.touched_fraction(poses, poses.flip(0)) == 1.0).all()
+    assert (checker.free_fraction(poses, poses.flip(0)) == 1.0).all()
     assert not checker.sweeps(poses, poses.flip(0)).any()
     assert checker.clearance(torch.zeros(3, 3)).isinf().all()
 
@@ -125,7 +125,7 @@ def test_empty_batches_give_empty_answers():
     checker = FclChecker(CUBE, Sphere(0.1))
     none = torch.zeros(0, 4, 4)
     assert checker.collides(none).shape == (0,)
-    assert checker.touched_fraction(none, none).shape == (0,)
+    assert checker.free_fraction(none, none).shape == (0,)
     assert checker.clearance(torch.zeros(0, 3)).shape == (0,)
 
 
@@ -133,7 +133,7 @@ def test_answers_have_the_promised_dtypes():
     checker = FclChecker(CUBE, Sphere(0.1))
     pose = at((0.3, 0.0, 0.0))
     assert checker.collides(pose).dtype == torch.bool
-    assert checker.touched_fraction(pose, pose).dtype == torch.float32
+    assert checker.free_fraction(pose, pose).dtype == torch.float32
     assert checker.sweeps(pose, pose).dtype == torch.bool
     assert checker.clearance(torch.zeros(2, 3)).dtype == torch.float32
 
@@ -144,7 +144,7 @@ def test_poses_that_fcl_would_take_for_free_are_refused():
     with pytest.raises(ValueError, match=r"body_to_world: expected finite numbers, got .* in row 1"):
         checker.collides(poses)
     with pytest.raises(ValueError, match=r"end: expected finite numbers, got .* in row 1"):
-        checker.touched_fraction(at(*[(0.0, 0.0, 0.0)] * 3), poses)
+        checker.free_fraction(at(*[(0.0, 0.0, 0.0)] * 3), poses)
     mirrored = torch.diag(torch.tensor([1.0, 1.0, -1.0, 1.0]))[None]
     with pytest.raises(ValueError, match="start: expected a rotation, not a reflection"):
         checker.sweeps(mirrored, mirrored)
@@ -171,12 +171,12 @@ def test_a_turn_sweeps_what_lies_between():
     assert checker.sweeps(right, back).tolist() == [False]
 
 
-def test_touched_fraction_is_where_the_last_free_step_ends():
+def test_free_fraction_is_where_the_last_free_step_ends():
     wall = Occupancy(np.ones((1, 20, 20), bool), (10, -10, -10), 0.05)  # from x = 0.5
     checker = FclChecker(wall, Box((0.2, 0.1, 0.1)))  # so the origin is stopped at x = 0.4
     start = at((0.0, 0.01, 0.0), (0.0, 0.01, 0.0), (0.45, 0.01, 0.0), (0.0, 0.01, 0.0))
     end = at((1.0, 0.01, 0.0), (0.41, 0.01, 0.0), (0.0, 0.01, 0.0), (0.39, 0.01, 0.0))
-    fraction = checker.touched_fraction(start, end)
+    fraction = checker.free_fraction(start, end)
     steps = 40  # 1 m in steps of half a voxel
     assert 0.4 - 1 / steps <= fraction[0] <= 0.4
     assert 0.41 * fraction[1] <= 0.4 < 0.41
@@ -186,11 +186,11 @@ def test_touched_fraction_is_where_the_last_free_step_ends():
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_the_pose_at_the_touched_fraction_is_free(body):
+def test_the_pose_at_the_free_fraction_is_free(body):
     checker = FclChecker(clutter(), body)
     start, end = (random_poses(200, (-0.8, 0.2, -0.3), (0.8, 1.5, 0.7), seed) for seed in (4, 5))
     end[:, :3, :3] = start[:, :3, :3]
-    fraction = checker.touched_fraction(start, end)
+    fraction = checker.free_fraction(start, end)
     stopped = start.clone()
     stopped[:, :3, 3] += fraction[:, None] * (end - start)[:, :3, 3]
     assert ((fraction > 0) & (fraction < 1)).any()
@@ -241,7 +241,7 @@ def test_an_octree_a_block_gives_the_same_answers_as_one_octree(body, blocks):
     hits = one.collides(poses)
     assert 0 < hits.sum() < len(hits)
     assert torch.equal(many.collides(poses), hits)
-    assert torch.equal(many.touched_fraction(poses[:40], ends[:40]), one.touched_fraction(poses[:40], ends[:40]))
+    assert torch.equal(many.free_fraction(poses[:40], ends[:40]), one.free_fraction(poses[:40], ends[:40]))
 
 
 def test_every_block_with_a_voxel_in_it_has_an_octree():

@@ -130,7 +130,7 @@ def test_no_straight_sweep_differs_from_the_readable_twin(scenes, name, body):
     assert not found.beyond(1e-6), str(found)
     same = torch.ones(len(start), dtype=torch.bool)
     same[[one.row for one in found.disagreements]] = False
-    short = (twin.touched_fraction(start, end) - native.touched_fraction(start, end))[same]
+    short = (twin.free_fraction(start, end) - native.free_fraction(start, end))[same]
     assert short.min() > -1e-5
     assert short.max() < 2e-3  # a micrometre of slack is this much of the way where a body comes in at a slant
 
@@ -146,11 +146,11 @@ def test_a_turning_sweep_hits_what_the_readable_twin_does_but_within_a_fifth_of_
 
 @pytest.mark.parametrize("turning", [False, True])
 @pytest.mark.parametrize("body", BODIES)
-def test_the_touched_fraction_is_free_and_less_than_1_exactly_where_something_is_hit(scenes, body, turning):
+def test_the_free_fraction_is_free_and_less_than_1_exactly_where_something_is_hit(scenes, body, turning):
     occupancy = scenes["rooms"]
     checker = NativeChecker(occupancy, body)
     start, end = moves_in(occupancy, 1000, turning, seed=7)
-    fraction = checker.touched_fraction(start, end)
+    fraction = checker.free_fraction(start, end)
     assert torch.equal(fraction < 1, checker.sweeps(start, end))
     assert ((fraction >= 0) & (fraction <= 1)).all()
     assert (fraction[checker.collides(start)] == 0).all()
@@ -206,7 +206,7 @@ def test_neither_threads_nor_the_size_of_a_batch_change_an_answer(scenes, thread
     start, end = moves_in(scenes["rooms"], 5000, turning=False)
     assert torch.equal(many.collides(start[:count]), one.collides(start)[:count])
     assert torch.equal(many.sweeps(start[:count], end[:count]), one.sweeps(start, end)[:count])
-    assert torch.equal(many.touched_fraction(start[:count], end[:count]), one.touched_fraction(start, end)[:count])
+    assert torch.equal(many.free_fraction(start[:count], end[:count]), one.free_fraction(start, end)[:count])
 
 
 @pytest.mark.parametrize("body", BODIES)
@@ -215,7 +215,7 @@ def test_nothing_is_hit_where_nothing_is_solid_nor_outside_the_grid(body):
     for empty in (Occupancy.empty(), Occupancy(np.zeros((3, 4, 5), bool), (0, 0, 0), 0.1)):
         checker = NativeChecker(empty, body)
         assert not checker.collides(poses).any()
-        assert (checker.touched_fraction(poses, poses.flip(0)) == 1.0).all()
+        assert (checker.free_fraction(poses, poses.flip(0)) == 1.0).all()
         assert not checker.sweeps(poses, poses.flip(0)).any()
     far = at((1e6, 0.0, 0.0), (0.0, -1e6, 0.0), (0.0, 0.0, 3e30))
     checker = NativeChecker(CUBE, body)
@@ -233,7 +233,7 @@ def test_a_move_up_a_tall_column_meets_the_voxel_at_any_height(body, height):
     start, end = at((0.05, 0.05, -1.0)), at((0.05, 0.05, 27.0))
     assert checker.sweeps(start, end).all()
     assert checker.sweeps(end, start).all()
-    free = checker.touched_fraction(start, end).item() * 28.0
+    free = checker.free_fraction(start, end).item() * 28.0
     reach = body.size[2] / 2 if isinstance(body, Box) else body.radius
     assert free == pytest.approx(1.0 + 0.1 * height - reach, abs=1e-3)
 
@@ -277,7 +277,7 @@ def test_poses_that_are_not_rigid_are_refused_by_row():
         with pytest.raises(ValueError, match=f"body_to_world: expected {message}, got .* in row 1"):
             checker.collides(bad)
         with pytest.raises(ValueError, match=f"end: expected {message}, got .* in row 1"):
-            checker.touched_fraction(good, bad)
+            checker.free_fraction(good, bad)
         with pytest.raises(ValueError, match=f"start: expected {message}, got .* in row 1"):
             checker.sweeps(bad, good)
     with pytest.raises(ValueError, match="expected a rotation, not a reflection"):

@@ -20,11 +20,11 @@ def test_nothing_is_touched_where_another_checker_finds_a_wall() -> None:
     assert nothing.body == BODY
     for found in (nothing.collides(start), nothing.sweeps(start, end)):
         assert found.tolist() == [False] * 3 and found.dtype == torch.bool
-    fraction, clearance = nothing.touched_fraction(start, end), nothing.clearance(start[:, :3, 3])
+    fraction, clearance = nothing.free_fraction(start, end), nothing.clearance(start[:, :3, 3])
     assert fraction.tolist() == [1.0] * 3 and fraction.dtype == torch.float32
     assert clearance.isinf().all() and clearance.shape == (3,) and (clearance > 0).all()
 
 
 def test_no_pose_is_no_answer() -> None:
     nothing, none = NoChecker(None, Box((0.1, 0.1, 0.1))), torch.zeros(0, 4, 4)
-    assert nothing.collides(none).shape == nothing.touched_fraction(none, none).shape == (0,)
+    assert nothing.collides(none).shape == nothing.free_fraction(none, none).shape == (0,)

@@ -61,7 +61,7 @@ def test_a_straight_sweep_is_the_union_of_many_poses(body):
 def test_a_move_stops_just_before_the_first_contact(body):
     checker = TorchChecker(clutter(), body)
     start, end = moves(200, 5, turning=False)
-    fraction = checker.touched_fraction(start, end)
+    fraction = checker.free_fraction(start, end)
     some = (fraction > 0) & (fraction < 1)
     assert some.sum() > 50
     assert not checker.collides(between(start, end, fraction))[some].any()
@@ -92,7 +92,7 @@ def test_a_turn_stops_before_what_lies_between():
     rod = Box((0.8, 0.04, 0.04))
     checker = TorchChecker(Occupancy.from_keys([[2, 2, 0]], 0.1), rod)  # 45° to the left
     turns = [at((0.0, 0.0, 0.05), rotation=axis_rotations(2, torch.tensor(yaw))) for yaw in (0.2, 1.4, -1.2)]
-    fraction = checker.touched_fraction(torch.cat([turns[0], turns[0]]), torch.cat(turns[1:]))
+    fraction = checker.free_fraction(torch.cat([turns[0], turns[0]]), torch.cat(turns[1:]))
     assert fraction[1] == 1.0
     # the rod's upper edge, 0.02 m off its middle, meets the corner at (0.3, 0.2)
     yaw = math.atan2(0.2, 0.3) - math.asin(0.02 / math.hypot(0.2, 0.3))
@@ -118,10 +118,10 @@ def test_a_capsule_meets_a_corner_where_its_parallelogram_does():
 def test_the_size_of_a_chunk_changes_nothing(body, monkeypatch):
     start, end = moves(60, 8, turning=True)
     checker = TorchChecker(clutter(), body)
-    expected = checker.collides(start), checker.touched_fraction(start, end)
+    expected = checker.collides(start), checker.free_fraction(start, end)
     monkeypatch.setattr(torch_checker, "_PAIRS", 97)
     assert torch.equal(checker.collides(start), expected[0])
-    assert torch.equal(checker.touched_fraction(start, end), expected[1])
+    assert torch.equal(checker.free_fraction(start, end), expected[1])
 
 
 @pytest.mark.parametrize("body", BODIES)
@@ -130,12 +130,12 @@ def test_nothing_is_hit_where_nothing_is_solid_nor_in_an_empty_batch(body):
     for empty in (Occupancy.empty(), Occupancy(np.zeros((3, 4, 5), bool), (0, 0, 0), 0.1)):
         checker = TorchChecker(empty, body)
         assert not checker.collides(poses).any()
-        assert (checker.touched_fraction(poses, poses.flip(0)) == 1.0).all()
+        assert (checker.free_fraction(poses, poses.flip(0)) == 1.0).all()
         assert not checker.sweeps(poses, poses.flip(0)).any()
         assert checker.clearance(torch.zeros(3, 3)).isinf().all()
     none = torch.zeros(0, 4, 4)
     checker = TorchChecker(CUBE, body)
-    assert checker.collides(none).shape == checker.touched_fraction(none, none).shape == (0,)
+    assert checker.collides(none).shape == checker.free_fraction(none, none).shape == (0,)
     assert checker.sweeps(none, none).dtype == torch.bool
     assert checker.clearance(torch.zeros(0, 3)).shape == (0,)
 
@@ -174,9 +174,9 @@ def test_a_gpu_answers_as_the_cpu_does(body):
     checker = TorchChecker(clutter(), body)
     start, end = moves(200, 4, turning=True)
     device = torch.device("cuda")
-    fraction = checker.touched_fraction(start.to(device), end.to(device))
+    fraction = checker.free_fraction(start.to(device), end.to(device))
     assert fraction.device.type == "cuda"
-    torch.testing.assert_close(fraction.cpu(), checker.touched_fraction(start, end), atol=1e-6, rtol=0)
+    torch.testing.assert_close(fraction.cpu(), checker.free_fraction(start, end), atol=1e-6, rtol=0)
     assert not verify(checker, FclChecker(checker.occupancy, body), start).beyond(1e-5)
 
 
@@ -254,7 +254,7 @@ def test_a_move_that_ends_in_a_touch_hits_and_one_that_ends_before_does_not(name
     start[:, :3, 3] += torch.tensor(out).float()
     for checker in (NativeChecker(VOXEL, body), TorchChecker(VOXEL, body)):
         assert checker.sweeps(start, end).tolist() == [True, False, True][: len(gaps)]
-        assert (checker.touched_fraction(start, end)[::2] > 0.999).all()
+        assert (checker.free_fraction(start, end)[::2] > 0.999).all()
 
 
 def test_what_slides_along_a_wall_touches_it_and_what_slides_beside_it_does_not():

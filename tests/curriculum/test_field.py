@@ -26,7 +26,7 @@ class Fence(BlockChecker):
     def collides(self, body_to_world: Tensor) -> Tensor:
         return torch.zeros(len(body_to_world), dtype=torch.bool)
 
-    def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+    def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
         return torch.where((start[:, 0, 3] < 0.3) != (end[:, 0, 3] < 0.3), 0.5, 1.0)
 
 
@@ -217,7 +217,7 @@ def test_a_scene_without_a_free_pose_or_a_goal_is_refused(drive: bool) -> None:
 
 def test_a_goal_that_no_start_can_walk_to_is_refused() -> None:
     class Frozen(Fence):
-        def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+        def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
             return torch.zeros(len(start))
 
     motion = ForwardMotion(HEIGHT, 0.25, 90.0, **BOUNDS)

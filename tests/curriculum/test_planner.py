@@ -23,7 +23,7 @@ class FenceChecker(BlockChecker):
     def collides(self, body_to_world: Tensor) -> Tensor:
         return torch.zeros(len(body_to_world), dtype=torch.bool)
 
-    def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+    def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
         crosses = (start[:, 0, 3] < 0.25) != (end[:, 0, 3] < 0.25)
         return torch.where(crosses, 0.5, 1.0)
 
@@ -140,7 +140,7 @@ def test_a_goal_outside_the_lattice_is_refused() -> None:
 
 def test_a_goal_without_a_way_to_it_is_refused() -> None:
     class Frozen(FenceChecker):
-        def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+        def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
             return torch.zeros(len(start))
 
     task = tiny_task()

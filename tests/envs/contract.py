@@ -185,7 +185,7 @@ class EnvContract(ABC):
             start = alone.reset(batch[row : row + 1, 0].select("state"), set_state=True)
             assert torch.equal(start["pixels"], batch["pixels"][row : row + 1, 0])
             step = alone.step(start.set("action", batch["action"][row : row + 1, 0]))["next"]
-            for key in ("pixels", "state", "reward", "done", "outcome", "touched_fraction"):
+            for key in ("pixels", "state", "reward", "done", "outcome", "free_fraction"):
                 assert torch.equal(step[key], batch["next", key][row : row + 1, 0]), key
 
     def test_it_runs_in_a_serial_env(self) -> None:

@@ -112,7 +112,7 @@ class SquareChecker:
     def collides(self, body_to_world: Tensor) -> Tensor:
         return (body_to_world[:, :2, 3].abs() < self.reach).all(1)
 
-    def touched_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+    def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
         return torch.where(self.collides(end), 0.5, 1.0)
 
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:

@@ -92,7 +92,7 @@ def test_robots_go_where_they_go_on_a_cpu(make: Make, name: str) -> None:
     for ours, theirs in zip(here, there, strict=True):
         for key in ("outcome", "reward", "done", "terminated", "truncated", "step_count"):
             assert torch.equal(ours[key], theirs[key]), key
-        for key in ("state", "touched_fraction", "episode_return"):
+        for key in ("state", "free_fraction", "episode_return"):
             torch.testing.assert_close(ours[key], theirs[key], atol=1e-5, rtol=1e-5)
         assert ((ours["pixels"].int() - theirs["pixels"].int()).abs() <= 1).float().mean() > 0.999
 

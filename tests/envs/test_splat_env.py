@@ -78,7 +78,7 @@ def test_a_blocked_robot_stays_where_it_was_and_tells_how_far_it_was_free() -> N
     assert after["outcome"].flatten().tolist() == [Outcome.COLLISION, Outcome.OUT_OF_BOUNDS, Outcome.RUNNING]
     assert after["terminated"].flatten().tolist() == [True, True, False]
     assert after["reward"].flatten().tolist() == pytest.approx([-10.0, -10.0, -0.2])
-    torch.testing.assert_close(after["touched_fraction"].flatten(), torch.tensor([0.3, 1.0, 1.0]))
+    torch.testing.assert_close(after["free_fraction"].flatten(), torch.tensor([0.3, 1.0, 1.0]))
     poses = tiny_motion().body_to_world(after["state"])
     robot = tiny_env([3]).robot
     assert torch.equal(after["pixels"], tiny_renderer().pixels(robot.cameras(poses)))
@@ -180,7 +180,7 @@ def test_the_checker_of_these_tests_is_right_by_hand() -> None:
     checker, motion = BlockChecker(), tiny_motion()
     start = motion.body_to_world(torch.tensor([[1, 3, 0], [3, 3, 0], [2, 1, 0], [2, 4, 0], [1, 1, 0], [2, 3, 0]]))
     end = motion.body_to_world(torch.tensor([[2, 3, 0], [2, 3, 0], [2, 2, 0], [2, 3, 0], [2, 1, 0], [2, 3, 1]]))
-    fraction = checker.touched_fraction(start, end)
+    fraction = checker.free_fraction(start, end)
     torch.testing.assert_close(fraction, torch.tensor([0.3, 0.3, 1.0, 0.3, 1.0, 0.0]))
     assert checker.sweeps(start, end).tolist() == [True, True, False, True, False, True]
     assert checker.collides(end).tolist() == [True, True, False, True, False, True]

@@ -133,7 +133,7 @@ def test_the_report_counts_the_episodes_of_the_batch() -> None:
     ended = batch["next"][batch["next", "done"].squeeze(-1)]
     assert report["episodes"] == len(ended)
     assert report["success"] == pytest.approx((ended["reward"] > 40).float().mean().item())
-    assert report["collision"] == pytest.approx((ended["touched_fraction"] < 1).float().mean().item())
+    assert report["collision"] == pytest.approx((ended["free_fraction"] < 1).float().mean().item())
     assert report["return"] == pytest.approx(ended["episode_return"].mean().item())
     assert report["success"] > 0 and report["collision"] > 0  # else this shows too little
 

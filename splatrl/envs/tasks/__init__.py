@@ -1,12 +1,13 @@
 """Tasks: what a robot is rewarded for."""
 
 from splatrl.envs.tasks.apple import Apple
-from splatrl.envs.tasks.base import Motion, Outcome, SeenGoal, Task, Verdict
+from splatrl.envs.tasks.base import Mark, Memory, Outcome, Step, Task, TaskModule, Verdict
 from splatrl.envs.tasks.drive import Drive
 from splatrl.envs.tasks.fps import Fps
 from splatrl.envs.tasks.grid import Grid
 from splatrl.envs.tasks.orbit import Orbit
 from splatrl.envs.tasks.poster import Poster
+from splatrl.envs.tasks.rewards import OutcomeTask, Rewards
 from splatrl.envs.tasks.sim2real import Sim2Real
 from splatrl.envs.tasks.snake import Snake
 
@@ -15,13 +16,17 @@ __all__ = [
     "Drive",
     "Fps",
     "Grid",
-    "Motion",
+    "Mark",
+    "Memory",
     "Orbit",
     "Outcome",
+    "OutcomeTask",
     "Poster",
-    "SeenGoal",
+    "Rewards",
     "Sim2Real",
     "Snake",
+    "Step",
     "Task",
+    "TaskModule",
     "Verdict",
 ]

@@ -5,20 +5,21 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torchrl.data import TensorSpec, Unbounded
 
-from splatrl.envs.motions import ForwardMotion
-from splatrl.envs.tasks.base import Outcome, Verdict
-from splatrl.envs.tasks.rewards import OutcomeRewards
+from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
+from splatrl.envs.tasks.rewards import PUBLISHED, OutcomeTask, Rewards
+from splatrl.motions import ForwardMotion
 
 BRIGHT, PURE = 102, 1.6
 """A pixel is clearly red when R ≥ 0.4 (102 of 255) and R is at least 1.6 times G and 1.6 times B."""
 
 
-class Apple(OutcomeRewards):
+class Apple(OutcomeTask):
     """Walk up to an apple until it fills the view.
 
-    Experiment III of "Robotic Learning in your Backyard". The apple is a sprite at a fixed place (``SpriteOverlay``);
-    whether it is seen is judged by the overlaid image (``ImageGoal``).
+    Experiment III of "Robotic Learning in your Backyard". The apple is a sprite at a fixed place, which the
+    env's drawing puts into the image (``SpriteDrawing``); whether it is seen is judged by that image.
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view with the apple in it.
     Action: [B] int64, one of forward, back, left, right (``ForwardMotion``).
@@ -44,19 +45,15 @@ class Apple(OutcomeRewards):
         mean_red: if given, the mean red channel that is enough, in [0, 1], in place of ``red_share``.
         facing_deg: for planning alone, which has no image: the apple is taken to be seen where it is no farther than
             this from the middle of the view.
-        goal_reward: reward at the goal.
-        step_reward: reward of any other step.
-        collision_reward: reward of touching something.
-        bounds_reward: reward of leaving the bounds.
+        rewards: by outcome.
         max_steps: an episode is truncated after this many steps.
 
     Raises:
         ValueError: for a place that is not three finite numbers, or shares out of range.
     """
 
-    ends_at_goal = True
+    motion: ForwardMotion
     place: Tensor  # [3] float32
-    goal: Tensor  # [3] float64
 
     def __init__(
         self,
@@ -66,13 +63,10 @@ class Apple(OutcomeRewards):
         red_share: float = 0.3,
         mean_red: float | None = None,
         facing_deg: float = 20.0,
-        goal_reward: float = 50.0,
-        step_reward: float = -0.2,
-        collision_reward: float = -10.0,
-        bounds_reward: float = -10.0,
+        rewards: Rewards = PUBLISHED,
         max_steps: int = 200,
     ):
-        super().__init__(motion, goal_reward, step_reward, collision_reward, bounds_reward, max_steps)
+        super().__init__(motion, rewards, max_steps)
         if place is None or len(place) != 3 or not all(math.isfinite(value) for value in place):
             raise ValueError(
                 f"task.place: expected x, y and z in metres, got {place if place is None else list(place)}"
@@ -83,29 +77,37 @@ class Apple(OutcomeRewards):
         self.reach, self.red_share, self.mean_red = reach * motion.step, red_share, mean_red
         self.facing = math.radians(facing_deg)
         self.register_buffer("place", torch.tensor(tuple(place), dtype=torch.float32), persistent=False)
-        goal = torch.tensor([place[0], place[1], math.nan], dtype=torch.float64)
-        self.register_buffer("goal", goal, persistent=False)
+
+    @property
+    def memory_spec(self) -> dict[str, TensorSpec]:
+        """``target`` [3] float32, where the apple is, world, metres."""
+        return {"target": Unbounded(shape=(3,), dtype=torch.float32)}
+
+    def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
+        """The apple stands at ``place``; see ``Task.begin``."""
+        return {"target": self.place.repeat(len(state), 1)}
 
     def reached(self, state: Tensor) -> Tensor:
-        """Whether robots are near the apple and face it: [B, 3] -> [B] bool."""
+        """Whether robots are near the apple and face it, since planning has no image: [B, 3] -> [B] bool."""
         planar = self.motion.planar(state)
-        away = self.goal[:2] - planar[:, :2]
+        away = self.place[:2].double() - planar[:, :2]
         bearing = torch.atan2(away[:, 1], away[:, 0]) - planar[:, 2]
         faces = torch.cos(bearing) >= math.cos(self.facing) - 1e-6
         return self._near(state, self.place) & faces
 
-    def judge(self, state: Tensor, action: Tensor, next_state: Tensor, hit: Tensor) -> Verdict:
-        """Judge all but the goal; see ``Task.judge``."""
-        outcome = self._blocked(next_state, hit, torch.zeros_like(hit, dtype=torch.int64)).unsqueeze(1)
-        return Verdict(self.outcome_rewards[outcome], outcome != Outcome.RUNNING, outcome)
+    def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
+        """Judge a step by where the robot is and by what it sees; see ``Task.judge``."""
+        outcome = self._outcome(step, self._found(step)).unsqueeze(1)
+        return Verdict(self.outcome_rewards[outcome], outcome != Outcome.RUNNING, outcome, step.memory)
 
-    def targets(self, states: Tensor) -> Tensor:
-        """The apple's one place, for each of [N, ...]: [N, 3] float32."""
-        return self.place.expand(len(states), 3)
+    def marks(self, memory: Memory | None = None) -> list[Mark]:
+        """The apple, where it is; see ``Task.marks``."""
+        x, y, _ = (self.place if memory is None else memory["target"]).tolist()
+        return [Mark("apple", torch.tensor([x, y, math.nan], dtype=torch.float64))]
 
-    def seen(self, state: Tensor, target: Tensor, pixels: Tensor) -> Tensor:
-        """Whether robots are near the apple and see enough red; see ``SeenGoal.seen``."""
-        return self._near(state, target) & self._red(pixels)
+    def _found(self, step: Step) -> Tensor:
+        """Whether robots are near the apple and see enough red: [B] bool."""
+        return self._near(step.move.state, step.memory["target"]) & self._red(step.pixels)
 
     def _near(self, state: Tensor, target: Tensor) -> Tensor:
         away = self.motion.planar(state)[:, :2] - target[..., :2]

@@ -1,10 +1,22 @@
 """What every task promises."""
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol
 
+import torch
 from torch import Tensor
 from torchrl.data import TensorSpec
+
+from splatrl.motions.base import Motion, Move
+from splatrl.renderers.parts import Parts
+
+Memory = Mapping[str, Tensor]
+"""What a task remembers of each robot, by key: [B, ...] tensors that travel in the TensorDict."""
+NOTHING: Memory = {}
+Anywhere = Callable[[], Tensor]
+"""Draws a state for each robot from the whole start set, whatever the level: [B, ...]."""
 
 
 class Outcome(IntEnum):
@@ -17,100 +29,151 @@ class Outcome(IntEnum):
     TIMEOUT = 4
 
 
+class Step(NamedTuple):
+    """One step of each robot, carried out and drawn.
+
+    Attributes:
+        before: [B, ...] states before it.
+        action: [B, ...].
+        move: what the motion made of the action, the states after it among that.
+        memory: what the task remembered before it.
+        pixels: [B, H, W, 3] uint8, what the robots see after it.
+    """
+
+    before: Tensor
+    action: Tensor
+    move: Move
+    memory: Memory
+    pixels: Tensor
+
+
 class Verdict(NamedTuple):
     """A task's judgement of one step of each robot.
 
     Attributes:
         reward: [B, 1] float32.
         terminated: [B, 1] bool.
-        outcome: [B, 1] int64, an Outcome; never TIMEOUT, which is the env's to say.
+        outcome: [B, 1] int64, an ``Outcome``; never TIMEOUT, which is the env's to say.
+        memory: what the task remembers from now on, with the keys of ``Task.memory_spec``.
     """
 
     reward: Tensor
     terminated: Tensor
     outcome: Tensor
+    memory: Memory = NOTHING
 
 
-class Motion(Protocol):
-    """How actions change a task's state; states are [B, ...] tensors of any kind."""
+@dataclass(frozen=True)
+class Mark:
+    """Something that a map shows.
 
-    @property
-    def action_spec(self) -> TensorSpec:
-        """Spec of one robot's action."""
-        ...
+    Attributes:
+        name: for the legend.
+        planar: [3] float64, x and y in metres and yaw in radians; the yaw is NaN where there is no direction.
+    """
 
-    @property
-    def state_spec(self) -> TensorSpec:
-        """Spec of one robot's state."""
-        ...
-
-    def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unhindered action leads."""
-        ...
-
-    def inside(self, state: Tensor) -> Tensor:
-        """Whether states are within the bounds: [B] bool."""
-        ...
-
-    def planar(self, state: Tensor) -> Tensor:
-        """Position and heading of states: [B, 3] float64, x and y in metres, yaw in radians."""
-        ...
-
-    def body_to_world(self, state: Tensor) -> Tensor:
-        """Poses of states: [B, 4, 4] float32."""
-        ...
+    name: str
+    planar: Tensor
 
 
 class Task(Protocol):
-    """Owns the goal: motion, goal test, rewards and the limit of steps."""
+    """What robots are rewarded for, by what motion, and when an episode ends.
+
+    A task judges each step once, after the robots' views were drawn, so a goal may be in the image. It may remember
+    something of each robot, have one goal, several or none, and place things in the picture. ``TaskModule`` has
+    the plain answers to all but the reward.
+
+    Attributes:
+        motion: of the robots.
+        max_steps: an episode is truncated after this many steps.
+    """
 
     motion: Motion
-    goal: Tensor  # x and y in metres and yaw in radians of the goal pose, [3] float64; yaw is NaN where any will do
     max_steps: int
 
-    def reached(self, state: Tensor) -> Tensor:
-        """Whether states are at the goal: [B] bool."""
+    @property
+    def memory_spec(self) -> Mapping[str, TensorSpec]:
+        """Spec of what is remembered of one robot, by key; empty for a task that remembers nothing."""
         ...
 
-    def judge(self, state: Tensor, action: Tensor, next_state: Tensor, hit: Tensor) -> Verdict:
-        """Judge one step, before anything is rendered.
+    def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
+        """What is remembered when episodes begin.
 
         Args:
-            state: [B, ...] before the step.
-            action: [B, ...].
-            next_state: [B, ...] where the unhindered action leads.
-            hit: [B] bool, whether the body touches something on the way there.
+            state: [B, ...] in which they begin.
+            anywhere: draws states, for what is placed at random.
         """
         ...
 
-
-@runtime_checkable
-class SeenGoal(Protocol):
-    """A task whose goal is an object that must be seen: judged by the ``ImageGoal`` transform, behind the overlay."""
-
-    goal_reward: float
-    ends_at_goal: bool
-
-    def targets(self, states: Tensor) -> Tensor:
-        """Places for the object at the beginning of episodes.
+    def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
+        """Judge one step.
 
         Args:
-            states: [N, D], drawn from the whole start set, one for each place.
-
-        Returns:
-            [N, 3] float32, world, metres.
+            step: what happened, and what is seen now.
+            anywhere: draws states, for what is placed at random.
         """
         ...
 
-    def seen(self, state: Tensor, target: Tensor, pixels: Tensor) -> Tensor:
-        """Whether robots are at the object and see it.
+    def reached(self, state: Tensor) -> Tensor | None:
+        """Whether states are at a goal, as far as the state tells: [B, ...] -> [B] bool; None without goal states.
 
-        Args:
-            state: [B, ...].
-            target: [B, 3] where the object is, world, metres.
-            pixels: [B, H, W, 3] uint8, with the object in them.
-
-        Returns:
-            [B] bool.
+        Paths are planned to these states, and starts are ordered by the way to them.
         """
         ...
+
+    def parts(self, state: Tensor, memory: Memory) -> Parts | None:
+        """What is drawn of each robot's world: [B, M] placed models; None is the scene alone, where it stands."""
+        ...
+
+    def marks(self, memory: Memory | None = None) -> list[Mark]:
+        """What a map shows of the task.
+
+        Args:
+            memory: of one robot at one step, without a batch; None asks for what every episode has in common.
+        """
+        ...
+
+    def to(self, device: torch.device | str) -> "Task":
+        """The task with its tensors, and those of its motion, on a device."""
+        ...
+
+
+class TaskModule(torch.nn.Module):
+    """A task that remembers nothing, places nothing and has no goal states: what subclasses do not say otherwise.
+
+    Args:
+        motion: of the robots; one that is a module moves to a device with the task.
+        max_steps: an episode is truncated after this many steps.
+
+    Raises:
+        ValueError: for a limit below one step.
+    """
+
+    motion: Motion
+
+    def __init__(self, motion: Motion, max_steps: int):
+        super().__init__()
+        if max_steps < 1:
+            raise ValueError(f"task.max_steps: expected at least 1, got {max_steps}")
+        self.motion, self.max_steps = motion, max_steps
+
+    @property
+    def memory_spec(self) -> Mapping[str, TensorSpec]:
+        """Nothing is remembered."""
+        return {}
+
+    def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
+        """Nothing is remembered."""
+        return NOTHING
+
+    def reached(self, state: Tensor) -> Tensor | None:
+        """There are no goal states."""
+        return None
+
+    def parts(self, state: Tensor, memory: Memory) -> Parts | None:
+        """The scene alone."""
+        return None
+
+    def marks(self, memory: Memory | None = None) -> list[Mark]:
+        """Nothing to show."""
+        return []

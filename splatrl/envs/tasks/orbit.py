@@ -6,12 +6,16 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from splatrl.envs.motions import OrbitMotion
+from splatrl.envs.tasks.base import Mark, Memory
 from splatrl.envs.tasks.pose_goal import SLACK
-from splatrl.envs.tasks.rewards import OutcomeRewards
+from splatrl.envs.tasks.rewards import OutcomeTask, Rewards
+from splatrl.motions import OrbitMotion
 
 
-class Orbit(OutcomeRewards):
+UNIT = Rewards(step=0.0, goal=1.0, collision=-1.0, out_of_bounds=-1.0)
+
+
+class Orbit(OutcomeTask):
     """Reach an azimuth, a distance and an elevation about an origin that the camera always looks at.
 
     Three tasks of the published code by the ranges of the motion: on a circle the azimuth alone varies, on a polar
@@ -25,7 +29,7 @@ class Orbit(OutcomeRewards):
     Truncation: after ``max_steps`` steps.
     State: [B, 3] int64, lattice indices of azimuth, distance and elevation.
 
-    The published code asks for less than one step, gives −0.2 a step (``step_reward``), and holds the elevation at its
+    The published code asks for less than one step, gives −0.2 a step (``rewards.step``), and holds the elevation at its
     limits where here such a step ends the episode.
 
     Example:
@@ -39,10 +43,7 @@ class Orbit(OutcomeRewards):
         azimuth_deg: of the goal, degrees.
         distance: of the goal, metres.
         elevation_deg: of the goal, degrees.
-        goal_reward: reward at the goal.
-        step_reward: reward of any other step.
-        collision_reward: reward of touching something.
-        bounds_reward: reward of leaving the range of distances or elevations.
+        rewards: by outcome; out of bounds is out of the range of distances or elevations.
         max_steps: an episode is truncated after this many steps.
     """
 
@@ -56,13 +57,10 @@ class Orbit(OutcomeRewards):
         azimuth_deg: float = 180.0,
         distance: float = 0.8,
         elevation_deg: float = 0.0,
-        goal_reward: float = 1.0,
-        step_reward: float = 0.0,
-        collision_reward: float = -1.0,
-        bounds_reward: float = -1.0,
+        rewards: Rewards = UNIT,
         max_steps: int = 200,
     ):
-        super().__init__(motion, goal_reward, step_reward, collision_reward, bounds_reward, max_steps)
+        super().__init__(motion, rewards, max_steps)
         values: Sequence[float] = (math.radians(azimuth_deg), distance, math.radians(elevation_deg))
         sphere = torch.tensor(values, dtype=torch.float64)
         if not sphere.isfinite().all():
@@ -82,3 +80,7 @@ class Orbit(OutcomeRewards):
         turn = offset[:, 0] % math.tau
         offset[:, 0] = torch.minimum(turn, math.tau - turn)
         return (offset <= self.motion.steps * (1 + SLACK)).all(1)
+
+    def marks(self, memory: Memory | None = None) -> list[Mark]:
+        """The goal pose, seen from above; see ``Task.marks``."""
+        return [Mark("goal pose", self.goal)]

@@ -2,35 +2,25 @@
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
 
 import torch
 from torch import Tensor
 
-from splatrl.envs.tasks.base import Motion
-from splatrl.envs.tasks.rewards import OutcomeRewards
+from splatrl.envs.tasks.base import Mark, Memory
+from splatrl.envs.tasks.rewards import PUBLISHED, OutcomeTask, Rewards
+from splatrl.motions.base import Motion
 
 SLACK = 1e-4
 """Share of a step by which rounding may carry a pose over the inclusive bounds of the goal."""
 
 
-class SteppingMotion(Motion, Protocol):
-    """A motion with a longest step and a largest turn."""
-
-    step: float
-    angle_step: float
-
-
-class PoseGoal(OutcomeRewards):
+class PoseGoal(OutcomeTask):
     """Reach a pose to within one step along x, one along y and one angle step, each by itself.
 
     Args:
         motion: of the robots.
         goal: x and y in metres and yaw in degrees of the goal pose, which is the pose that *sees* the object.
-        goal_reward: reward at the goal.
-        step_reward: reward of any other step.
-        collision_reward: reward of touching something.
-        bounds_reward: reward of leaving the bounds.
+        rewards: by outcome.
         max_steps: an episode is truncated after this many steps.
 
     Raises:
@@ -42,15 +32,12 @@ class PoseGoal(OutcomeRewards):
 
     def __init__(
         self,
-        motion: SteppingMotion,
+        motion: Motion,
         goal: Sequence[float],
-        goal_reward: float = 50.0,
-        step_reward: float = -0.2,
-        collision_reward: float = -10.0,
-        bounds_reward: float = -10.0,
+        rewards: Rewards = PUBLISHED,
         max_steps: int = 200,
     ):
-        super().__init__(motion, goal_reward, step_reward, collision_reward, bounds_reward, max_steps)
+        super().__init__(motion, rewards, max_steps)
         if goal is None or len(goal) != 3 or not all(math.isfinite(value) for value in goal):
             got = goal if goal is None else list(goal)
             raise ValueError(f"task.goal: expected finite x, y (metres) and yaw (degrees), got {got}")
@@ -65,3 +52,7 @@ class PoseGoal(OutcomeRewards):
         turn = offset[:, 2] % math.tau
         offset[:, 2] = torch.minimum(turn, math.tau - turn)
         return (offset <= self.tolerance * (1 + SLACK)).all(1)
+
+    def marks(self, memory: Memory | None = None) -> list[Mark]:
+        """The goal pose; see ``Task.marks``."""
+        return [Mark("goal pose", self.goal)]

@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
-from splatrl.envs.motions import ForwardMotion
 from splatrl.envs.tasks.fps import Fps
+from splatrl.envs.tasks.rewards import PUBLISHED, Rewards
+from splatrl.motions import ForwardMotion
 
 
 class Poster(Fps):
@@ -26,15 +26,18 @@ class Poster(Fps):
     Args:
         motion: as for ``Fps``.
         goal: x, y, z in metres and roll, pitch, yaw in degrees, as published.
-        **rewards: rewards and ``max_steps``, as for ``Fps``.
+        rewards: by outcome.
+        max_steps: an episode is truncated after this many steps.
 
     Raises:
         ValueError: for a goal that is not six finite numbers.
     """
 
-    def __init__(self, motion: ForwardMotion, goal: Sequence[float], **rewards: Any):
+    def __init__(
+        self, motion: ForwardMotion, goal: Sequence[float], rewards: Rewards = PUBLISHED, max_steps: int = 200
+    ):
         if goal is None or len(goal) != 6 or not all(math.isfinite(value) for value in goal):
             got = goal if goal is None else list(goal)
             raise ValueError(f"task.goal: expected finite x, y, z (metres), roll, pitch and yaw (degrees), got {got}")
         x, y, _, _, _, yaw_deg = goal
-        super().__init__(motion, [x, y, yaw_deg + 90.0], **rewards)
+        super().__init__(motion, [x, y, yaw_deg + 90.0], rewards, max_steps)

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from splatrl.envs.tasks.apple import Apple
-from splatrl.envs.tasks.base import Verdict
+from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
 
 
 class Snake(Apple):
@@ -27,13 +27,22 @@ class Snake(Apple):
         False
     """
 
-    ends_at_goal = False
+    def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
+        """The first apple stands anywhere; see ``Task.begin``."""
+        return {"target": self._targets(anywhere())}
 
-    def judge(self, state: Tensor, action: Tensor, next_state: Tensor, hit: Tensor) -> Verdict:
-        """Judge all but the goal; see ``Task.judge``."""
-        verdict = super().judge(state, action, next_state, hit)
-        return verdict._replace(terminated=torch.zeros_like(verdict.terminated))
+    def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
+        """Judge a step and place the next apple; see ``Task.judge``."""
+        outcome = self._outcome(step, self._found(step)).unsqueeze(1)
+        fresh, old = self._targets(anywhere()), step.memory["target"]
+        target = torch.where(outcome == Outcome.GOAL, fresh, old)
+        never = torch.zeros_like(outcome, dtype=torch.bool)
+        return Verdict(self.outcome_rewards[outcome], never, outcome, {"target": target})
 
-    def targets(self, states: Tensor) -> Tensor:
-        """An apple where each state is, at the height of ``place``: [N, 3] -> [N, 3] float32."""
+    def marks(self, memory: Memory | None = None) -> list[Mark]:
+        """The apple that stands there now; no place is the same in every episode."""
+        return [] if memory is None else super().marks(memory)
+
+    def _targets(self, states: Tensor) -> Tensor:
+        """An apple where each state is, at the height of ``place``: [B, 3] -> [B, 3] float32."""
         return torch.cat([states[:, :2], self.place[2].expand(len(states), 1)], 1)

@@ -8,7 +8,6 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
 from splatrl.envs.transforms.randomness import RandomTransform
-from splatrl.envs.transforms.reset_rows import transform_reset_rows
 
 NEUTRAL = (0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
 """The appearance that changes nothing."""
@@ -66,12 +65,16 @@ class Appearance(RandomTransform):
         self.register_buffer("neutral", torch.tensor(NEUTRAL), persistent=False)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        drawn = self._draw(
-            tensordict_reset.batch_size
-        )  # drawn even if not used: what else is drawn must not depend on it
+        drawn = self._draw(tensordict_reset.batch_size)  # even if not used: what else is drawn must not depend on it
         given = tensordict.get("appearance", None)
         tensordict_reset.set("appearance", drawn if given is None else given.clone())
-        return transform_reset_rows(self, self._change, tensordict, tensordict_reset)
+        mask = tensordict.get("_reset", None)
+        if mask is None or mask.device.type != "cpu":
+            return self._change(tensordict_reset)
+        rows = mask.reshape(tensordict_reset.batch_size)  # the images of the others are TorchRL's to replace
+        pixels = tensordict_reset["pixels"].clone()
+        pixels[rows] = self._change(tensordict_reset.select("pixels", "appearance")[rows])["pixels"]
+        return tensordict_reset.set("pixels", pixels)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return self._change(next_tensordict.set("appearance", tensordict["appearance"].clone()))

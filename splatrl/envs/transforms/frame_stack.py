@@ -5,13 +5,11 @@ from tensordict import TensorDictBase
 from torch.nn.parameter import UninitializedBuffer
 from torchrl.envs import CatFrames
 
-from splatrl.envs.transforms.reset_rows import resets_by_mask
-
 
 class FrameStack(CatFrames):
     """TorchRL's ``CatFrames`` over [B, H, W, C] images, which begins an episode with its first view repeated.
 
-    Over an env that resets by mask it does not ask the host where episodes begin, as ``CatFrames`` does.
+    It does not ask the host where episodes begin, as ``CatFrames`` does.
 
     Args:
         N: how many views.
@@ -28,8 +26,6 @@ class FrameStack(CatFrames):
         super().__init__(N, dim, in_keys=list(in_keys))
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        if not resets_by_mask(self):
-            return super()._reset(tensordict, tensordict_reset)
         mask = tensordict.get("_reset", None)
         for key, out_key in zip(self.in_keys, self.out_keys, strict=True):
             view, name = tensordict_reset[key], f"_cat_buffers_{key}"
@@ -37,6 +33,6 @@ class FrameStack(CatFrames):
             if isinstance(stack, UninitializedBuffer):
                 stack = self._make_missing_buffer(view, name)
             begun = torch.cat([view] * self.N, -1)
-            stack.copy_(begun if mask is None else torch.where(mask.view(-1, 1, 1, 1), begun, stack))
+            stack.copy_(begun if mask is None else torch.where(mask.view(*mask.shape, 1, 1), begun, stack))
             tensordict_reset.set(out_key, stack.clone())
         return tensordict_reset

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
-from splatrl.envs.layers import layers
+from splatrl.envs.nesting import layers
 
 
 class RandomTransform(Transform):

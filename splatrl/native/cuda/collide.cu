@@ -94,7 +94,7 @@ SPLAT_INLINE void answer_moves(const Grid& grid, const Shape& shape, const Queri
         if (lane() == 0) search.start = pose_of(grid, matrix_in(queries.start, row).at);
         if (lane() == 1) search.end = pose_of(grid, matrix_in(queries.end, row).at);
         __syncwarp();
-        const double free = touched_fraction(grid, shape, search.start, search.end, ANY, WarpContact{grid, search});
+        const double free = free_fraction(grid, shape, search.start, search.end, ANY, WarpContact{grid, search});
         if (lane() == 0) write(row, free);
     };
     each_query(queries, settled, answer);

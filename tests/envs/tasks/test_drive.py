@@ -52,4 +52,4 @@ def test_a_blocked_robot_stays_where_it_was_with_its_heading() -> None:
     assert after["outcome"].flatten().tolist() == [Outcome.COLLISION, Outcome.OUT_OF_BOUNDS, Outcome.RUNNING]
     expected = torch.tensor([[-0.5, 0.0, 0.0], [0.9, 0.0, 0.0], [-0.5, 1.0, 0.0]])
     torch.testing.assert_close(after["state"], expected)
-    assert after["touched_fraction"][0] < 1 and (after["touched_fraction"][1:] == 1).all()
+    assert after["free_fraction"][0] < 1 and (after["free_fraction"][1:] == 1).all()

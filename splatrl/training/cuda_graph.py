@@ -8,7 +8,7 @@ WARM_UP = 3
 """Calls before the capture, in which libraries choose their kernels and take their memory."""
 
 
-class Captured:
+class CudaGraph:
     """Calls a function; after a few calls it is captured, and from then on its kernels are launched all at once.
 
     The function has no arguments and returns nothing: it reads and writes tensors in place, on one CUDA device, asks

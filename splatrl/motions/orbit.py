@@ -6,12 +6,12 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from splatrl.envs.motions.indices import Indices
-from splatrl.envs.motions.lattice import whole_steps
 from splatrl.geometry import axis_rotations, rigid
+from splatrl.motions.finite import FiniteMotion
+from splatrl.motions.lattice import whole_steps
 
 
-class OrbitMotion(Indices):
+class OrbitMotion(FiniteMotion):
     """Looks at an origin from a lattice of azimuths, distances and elevations.
 
     A state is [..., 3] int64: the indices of azimuth, distance and elevation. Azimuth 0 stands at +x of the origin and
@@ -53,9 +53,9 @@ class OrbitMotion(Indices):
         tiers = _count("task.motion.elevation_deg", elevation_deg, angle_step_deg)
         shape = (turns, rings, tiers)
         axes = [(name, axis) for name, axis in (("azimuth", 0), ("elevation", 2), ("distance", 1)) if shape[axis] > 1]
-        super().__init__(shape, [[sign * (axis == i) for i in range(3)] for _, axis in axes for sign in (1, -1)])
-        self.step, self.angle_step = distance_step, math.radians(angle_step_deg)
-        self.action_names = tuple(f"{sign}{name}" for name, _ in axes for sign in "+-")
+        moves = [[sign * (axis == i) for i in range(3)] for _, axis in axes for sign in (1, -1)]
+        names = [f"{sign}{name}" for name, _ in axes for sign in "+-"]
+        super().__init__(shape, moves, names, distance_step, math.radians(angle_step_deg), None)
         smallest = [0.0, distance[0], math.radians(elevation_deg[0])]
         self.register_buffer("smallest", torch.tensor(smallest, dtype=torch.float64), persistent=False)
         steps = torch.tensor([self.angle_step, distance_step, self.angle_step], dtype=torch.float64)

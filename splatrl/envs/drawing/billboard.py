@@ -6,7 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from splatrl.envs.transforms.sprite import TAPS, Sprite
+from splatrl.envs.drawing.sprite import TAPS, Sprite
 
 ALPHA_STEPS = 65536
 """Alpha is summed in whole steps of this many, so that the order of summation does not matter."""
@@ -35,6 +35,7 @@ def overlay(
     sprite: Sprite,
     size: float,
     near: float = 0.05,
+    only: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Draw a sprite at a place in the world, hidden where something is nearer.
 
@@ -52,6 +53,7 @@ def overlay(
         sprite: what to draw.
         size: of the sprite across its width, metres.
         near: a sprite nearer than this along the optical axis, or behind the camera, is not drawn, metres.
+        only: [...] bool, over which images to draw; None draws over all.
 
     Returns:
         The images [..., H, W, 3] uint8, and the share of each that the sprite covers [..., 1] float32: the sum of alpha
@@ -62,7 +64,7 @@ def overlay(
     assert depth.shape == pixels.shape[:-1], (depth.shape, pixels.shape)
     places = target.expand(*batch, 3).reshape(count, 3)
     column, row, distance = _project(camera_to_world.reshape(count, 4, 4), K, places)
-    shown = distance >= near
+    shown = distance >= near if only is None else (distance >= near) & only.reshape(count)
     distance = distance.clamp_min(near)
     wide, high = K[0, 0] * size / distance, K[1, 1] * size * sprite.aspect / distance  # pixels, [B]
     level = _level(sprite, wide, high)

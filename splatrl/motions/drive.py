@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torchrl.data import Bounded
 
-from splatrl.envs.motions.planar import Plane, along
+from splatrl.motions.planar import PlanarMotion, along
 
 CELL = 0.05
 """Metres between the positions at which paths are computed."""
@@ -15,7 +15,7 @@ HEADINGS_A_TURN = 4
 """How many headings paths are computed at for the largest turn of a time step."""
 
 
-class DriveMotion(Plane):
+class DriveMotion(PlanarMotion):
     """Two driven wheels: an action is a linear and an angular velocity, reached at once and held for a time step.
 
     A state is [..., 3] float32: x and y in metres and yaw in radians. The robot follows the exact arc; what it touches
@@ -59,9 +59,9 @@ class DriveMotion(Plane):
             )
         angular = math.radians(angular_deg)
         angle_cell = math.tau / math.ceil(HEADINGS_A_TURN * math.tau / (angular * time_step) - 1e-9)
-        super().__init__(height, lower, upper, spacing, headings, CELL, angle_cell)
+        step, turn = linear[1] * time_step, angular * time_step
+        super().__init__((), step, turn, height, lower, upper, spacing, headings, CELL, angle_cell)
         self.time_step = time_step
-        self.step, self.angle_step = linear[1] * time_step, angular * time_step
         limits = torch.tensor([[linear[0], -angular], [linear[1], angular]], dtype=torch.float32)
         self.register_buffer("limits", limits, persistent=False)
 

@@ -4,22 +4,27 @@ import math
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torchrl.data import Bounded
 
 from splatrl.geometry import axis_rotations, rigid
+from splatrl.motions.base import SweptMotion, Taps
+from splatrl.motions.pose_grid import PoseGrid
 
 EDGE = 1e-5
 """Metres by which rounding may carry a robot over an inclusive bound."""
 
 
-class Plane(nn.Module):
+class PlanarMotion(SweptMotion):
     """A state is [..., 3] float32: x and y in metres and yaw in radians in [0, τ).
 
     Episodes begin on a lattice of positions, ``spacing`` apart within the bounds, and ``headings`` directions; from
-    there robots may come to stand anywhere.
+    there robots may come to stand anywhere. Paths are computed at the nodes of a ``PoseGrid`` and interpolated.
 
     Args:
+        action_names: a name for each discrete action; empty where actions are continuous.
+        step: the longest way of an action, metres.
+        angle_step: the largest turn of an action, radians.
         height: z of every pose, metres.
         lower: smallest x and y, metres.
         upper: largest x and y, metres.
@@ -35,8 +40,13 @@ class Plane(nn.Module):
     lower: Tensor  # [2] float32
     upper: Tensor  # [2] float32
 
+    height: float
+
     def __init__(
         self,
+        action_names: Sequence[str],
+        step: float,
+        angle_step: float,
         height: float,
         lower: Sequence[float],
         upper: Sequence[float],
@@ -50,6 +60,7 @@ class Plane(nn.Module):
             raise ValueError(f"task.motion: expected lower < upper in x and y, got {list(lower)} and {list(upper)}")
         if not spacing > 0 or headings < 1:
             raise ValueError(f"task.motion: expected spacing > 0 and headings ≥ 1, got {spacing} and {headings}")
+        self.action_names, self.step, self.angle_step = tuple(action_names), step, angle_step
         self.height, self.spacing, self.headings = height, spacing, headings
         self.cell, self.angle_cell = cell, angle_cell
         self.register_buffer("lower", torch.tensor(tuple(lower), dtype=torch.float32), persistent=False)
@@ -75,6 +86,23 @@ class Plane(nn.Module):
         """Whether states are within the bounds, which are inclusive: [B, 3] -> [B] bool."""
         place = state[:, :2]
         return ((place >= self.lower - EDGE) & (place <= self.upper + EDGE)).all(1)
+
+    @property
+    def grid(self) -> PoseGrid:
+        """The nodes at which paths are computed."""
+        return PoseGrid.over(self.lower, self.upper, self.cell, self.angle_cell)
+
+    def nodes(self) -> Tensor:
+        """The nodes of ``grid``: [C, 3] float32."""
+        return self.grid.nodes()
+
+    def taps(self, state: Tensor) -> Taps:
+        """The eight nodes around states: [N, 3] -> taps of [N, 8]."""
+        return self.grid.taps(state)
+
+    def nearest(self, planar: Tensor) -> Tensor:
+        """Positions and headings as states, which they are: [N, 3] float64 -> [N, 3] float32."""
+        return planar.to(self.lower)
 
     def planar(self, state: Tensor) -> Tensor:
         """Position and heading of states: [B, 3] -> [B, 3] float64, x and y in metres, yaw in radians."""

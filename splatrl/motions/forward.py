@@ -7,13 +7,13 @@ import torch
 from torch import Tensor
 from torchrl.data import Categorical
 
-from splatrl.envs.motions.planar import Plane, along
+from splatrl.motions.planar import PlanarMotion, along
 
 CELL = 0.05
 """Least distance between the positions at which paths are computed, metres."""
 
 
-class ForwardMotion(Plane):
+class ForwardMotion(PlanarMotion):
     """Forward and back by a step along the heading, left and right by an angle, off any lattice.
 
     A state is [..., 3] float32: x and y in metres and yaw in radians. The four actions, in the published order, are
@@ -32,7 +32,6 @@ class ForwardMotion(Plane):
         ValueError: for a step that is not positive, an angle that does not divide a turn, or bounds without area.
     """
 
-    action_names = ("forward", "back", "left", "right")
     lengths: Tensor  # [4] float32
     turns: Tensor  # [4] float32
 
@@ -52,8 +51,9 @@ class ForwardMotion(Plane):
             raise ValueError(f"task.motion.angle_step_deg: expected a divisor of 360, got {angle_step_deg}")
         angle_step = math.tau / headings
         spacing = step if spacing is None else spacing
-        super().__init__(height, lower, upper, spacing, headings, max(0.5 * step, CELL), angle_step)
-        self.step, self.angle_step = step, angle_step
+        names = ("forward", "back", "left", "right")
+        cell = max(0.5 * step, CELL)
+        super().__init__(names, step, angle_step, height, lower, upper, spacing, headings, cell, angle_step)
         self.register_buffer("lengths", torch.tensor([step, -step, 0.0, 0.0]), persistent=False)
         self.register_buffer("turns", torch.tensor([0.0, 0.0, angle_step, -angle_step]), persistent=False)
 

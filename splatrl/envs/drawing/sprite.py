@@ -9,7 +9,7 @@ from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate, pad
 
-from splatrl.envs.transforms.apple import apple
+from splatrl.envs.drawing.apple_picture import apple
 
 TAPS = 3
 """Texels along an axis that a pixel reads; smaller levels are stored with empty texels to that many."""

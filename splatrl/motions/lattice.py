@@ -6,11 +6,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from splatrl.envs.motions.indices import Indices
 from splatrl.geometry import axis_rotations, rigid
+from splatrl.motions.finite import FiniteMotion
 
 
-class LatticeMotion(Indices):
+class LatticeMotion(FiniteMotion):
     """Steps on a lattice of positions and headings: the motion of the grid task.
 
     A state is [..., 3] int64: the indices of x, y and heading. Positions stand ``step`` apart from the lower to the
@@ -28,7 +28,7 @@ class LatticeMotion(Indices):
         ValueError: for a step that does not divide the bounds or an angle that does not divide a turn.
     """
 
-    action_names = ("+x", "-x", "+y", "-y", "+spin", "-spin")
+    height: float
     rotations: Tensor  # [headings, 3, 3]
     origin: Tensor  # [2] float64
 
@@ -46,8 +46,8 @@ class LatticeMotion(Indices):
             for axis, low, high in zip("xy", lower, upper, strict=True)
         )
         moves = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
-        super().__init__((columns, rows, headings), moves)
-        self.height, self.step, self.angle_step = height, step, math.tau / headings
+        names = ("+x", "-x", "+y", "-y", "+spin", "-spin")
+        super().__init__((columns, rows, headings), moves, names, step, math.tau / headings, height)
         yaws = torch.arange(headings, dtype=torch.float64) * self.angle_step
         self.register_buffer("rotations", axis_rotations(2, yaws).float(), persistent=False)
         self.register_buffer("origin", torch.tensor(tuple(lower), dtype=torch.float64), persistent=False)

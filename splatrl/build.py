@@ -1,0 +1,177 @@
+"""From configs to objects: the one place that knows which node builds what."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+from torch import Tensor
+from torchrl.envs import EnvBase, Transform
+from torchrl.modules import ActorValueOperator
+
+from splatrl.bodies import Body
+from splatrl.collision import NativeChecker
+from splatrl.collision.base import Checker
+from splatrl.configuration import load_config, require_values
+from splatrl.curriculum import Plan, plan
+from splatrl.device import AUTO, chosen_device
+from splatrl.envs.tasks import Task
+from splatrl.envs.world import World
+from splatrl.evaluation.rollouts import run_episodes, spread
+from splatrl.scenes.scene import Bounds
+from splatrl.training import PPO, Trainer, memory_transforms
+
+
+def build_world(cfg: DictConfig) -> World:
+    """Build scene, robot, task, collision, drawing and plan from a config, for the device that it names.
+
+    Paths are planned on the CPU, with the checker of the CPU.
+
+    Raises:
+        ValueError: for a value that is still to be given, or that one of them refuses.
+    """
+    require_values(cfg)
+    device = chosen_device(cfg.device)
+    cfg = cfg.copy()
+    cfg.device = str(device)  # what nodes mean by ${device}
+    scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
+    occupancy = instantiate(cfg.collision.occupancy)(scene, *_start_region(task, robot.body))
+    checker = _constructor(cfg, "collision", device)(occupancy, robot.body)
+    renderer = _constructor(cfg, "renderer", device)(scene)
+    if cfg.renderer.cache is not None and device.type == "cpu":
+        renderer = instantiate(cfg.renderer.cache)(renderer)
+    planner = checker if device.type == "cpu" else instantiate(cfg.collision.cpu)(occupancy, robot.body)
+    solid = NativeChecker(occupancy, robot.body)
+    return World(
+        scene,
+        occupancy,
+        checker,
+        instantiate(cfg.drawing)(renderer),
+        robot,
+        task,
+        _plan(task, planner, cfg.starts.farthest, partial(_fits, scene.bounds, solid)),
+        partial(_make_transforms, cfg.transforms, cfg.network.get("memory", 0)),
+        device,
+    )
+
+
+def _constructor(cfg: DictConfig, group: str, device: torch.device) -> Callable[..., Any]:
+    """What a config group builds on a kind of device.
+
+    Raises:
+        ValueError: where the group has nothing for it.
+    """
+    node = cfg[group].get(device.type)
+    if node is None:
+        others = [kind for kind in ("cpu", "cuda") if cfg[group].get(kind) is not None]
+        raise ValueError(f"{group}: expected device={' or '.join(others)} for this choice, got device={device}")
+    return instantiate(node)
+
+
+def _plan(
+    task: Task, checker: Checker, farthest: int | None, fits: Callable[[Tensor], Tensor]
+) -> Plan:
+    """Paths of a task; one without goal states has none."""
+    motion: Any = task.motion
+    some = motion.states()[:1]
+    reached: Any = None if task.reached(some) is None else task.reached
+    return plan(motion, checker, reached, farthest, fits)
+
+
+def _fits(bounds: Bounds, solid: Checker, body_to_world: Tensor) -> Tensor:
+    """Whether robots could begin at poses: within the scene, and in nothing solid; [S, 4, 4] -> [S] bool."""
+    lower, upper = (body_to_world.new_tensor(corner[:2]) for corner in bounds)
+    place = body_to_world[:, :2, 3]
+    return ((place >= lower) & (place <= upper)).all(1) & ~solid.collides(body_to_world)
+
+
+def _make_transforms(nodes: DictConfig, memory: int) -> list[Transform]:
+    """New transforms for an env, the innermost first.
+
+    Raises:
+        ValueError: for an order that names none, or leaves one out.
+    """
+    order, names = list(nodes.order), [str(name) for name in nodes if name != "order"]
+    unknown = [name for name in order if name not in names]
+    if unknown:
+        raise ValueError(f"transforms.order: expected some of {', '.join(names)}, got {', '.join(map(str, unknown))}")
+    left_out = [name for name in names if nodes[name] and name not in order]
+    if left_out:
+        raise ValueError(f"transforms.order: expected a place for {', '.join(left_out)}, got {order}")
+    return [*(instantiate(nodes[name]) for name in order if nodes[name]), *memory_transforms(memory)]
+
+
+def _start_region(task: Task, body: Body) -> tuple[Tensor, tuple[list[float], list[float]]]:
+    """Places that robots reach, positions [N, 3] in metres, and the corners of the box in which their bodies are.
+
+    The places are those of the goal, or of all states where a task has none.
+    """
+    motion: Any = task.motion
+    states = motion.states()
+    places = motion.body_to_world(states)[:, :3, 3]
+    reached = task.reached(states)
+    lower, upper = places.amin(0) - body.radius, places.amax(0) + body.radius
+    return places if reached is None else places[reached], (lower.tolist(), upper.tolist())
+
+
+def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
+    """Build the actor and critic for an env; its first weights come from PyTorch's global generator."""
+    image_shape = env.observation_spec["pixels"].shape[1:]
+    return instantiate(cfg.network)(image_shape, env.action_spec).to(env.device)
+
+
+def build_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
+    """Build the learner and the loop around it.
+
+    Args:
+        cfg: the whole config.
+        world: what the envs share.
+        folder: the run folder.
+    """
+    curriculum = instantiate(cfg.curriculum)(world.plan)
+    env = world.env(cfg.env.num_envs, curriculum, cfg.seed)
+    torch.manual_seed(cfg.seed)
+    model = build_model(cfg, env)
+    loss, optim, collector = instantiate(cfg.loss), instantiate(cfg.optim), cfg.collector
+    ppo = PPO(
+        env, model, loss, optim, collector.frames_per_batch, collector.total_frames, _cuda_graph(collector.cuda_graph)
+    )
+    starts = world.plan.states[spread(world.plan.start_rows, cfg.logger.num_test_episodes)]
+    test_env = world.env(min(cfg.env.num_envs, len(starts)), seed=cfg.seed)
+
+    def test() -> float:
+        episodes = run_episodes(test_env, model.get_policy_operator(), starts, seed=cfg.evaluation.seed)
+        return episodes.success.double().mean().item()
+
+    logger, checkpoint = cfg.logger, cfg.checkpoint
+    return Trainer(ppo, folder, test, logger.test_interval, checkpoint.interval, logger.backend, logger.exp_name)
+
+
+def _cuda_graph(choice: bool | str) -> bool | None:
+    """Whether to capture steps; None where that is left to what there is.
+
+    Raises:
+        ValueError: for anything but true, false and auto.
+    """
+    if choice == AUTO:
+        return None
+    if not isinstance(choice, bool):
+        raise ValueError(f"collector.cuda_graph: expected true, false or auto, got {choice}")
+    return choice
+
+
+def make_env(overrides: Sequence[str] = (), batch_size: Sequence[int] | None = None, seed: int = 0) -> EnvBase:
+    """Make an env from names and paths alone, so that a worker process can.
+
+    Args:
+        overrides: in Hydra's grammar, such as ``["scene=kitchen", "scene.path=kitchen.spz"]``.
+        batch_size: [B]; None takes ``env.num_envs``.
+        seed: of the env's generator.
+    """
+    cfg = load_config(overrides)
+    world = build_world(cfg)
+    curriculum = instantiate(cfg.curriculum)(world.plan)
+    return world.env(batch_size[0] if batch_size else cfg.env.num_envs, curriculum, seed)

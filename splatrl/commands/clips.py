@@ -1,0 +1,48 @@
+"""``splatrl-clips``: compare what trained policies do in labelled clips with the labels, and record such clips."""
+
+import sys
+from pathlib import Path
+
+import hydra
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, ListConfig
+
+from splatrl.build import build_world
+from splatrl.configuration import command_line, conf_dir, require_values, run_config
+from splatrl.evaluation.clips import REPORT, write_report
+from splatrl.experiments.clip_scores import altered, record_clips, score_run
+
+
+@hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="clips")
+def run(cfg: DictConfig) -> None:
+    """Record clips, score the runs of ``cfg.run`` on clips, or first the one and then the other."""
+    require_values(cfg)
+    runs = [str(one) for one in cfg.run] if isinstance(cfg.run, ListConfig) else [str(cfg.run)]
+    if cfg.record is None and cfg.clips is None:
+        raise ValueError("clips: expected a folder of clips, or record: one to record some into, got neither")
+    if len(set(runs)) < len(runs) or not runs:
+        raise ValueError(f"run: expected different run folders, got {', '.join(runs) or 'none'}")
+    if cfg.record is not None:
+        own = run_config(Path(runs[0]))
+        own.device = cfg.device or own.device
+        torch.set_num_threads(own.threads)
+        world = build_world(altered(own, cfg.seed))
+        settings = (cfg.count, cfg.seed, cfg.height, instantiate(cfg.hand), instantiate(cfg.lens))
+        written = record_clips(world, Path(cfg.record), *settings)
+        print(f"{len(written)} clips in {cfg.record}")
+    if cfg.clips is not None:
+        results = {name: score_run(Path(name), Path(cfg.clips), cfg.checkpoint, cfg.device) for name in runs}
+        folder = Path(cfg.output or cfg.clips)
+        print(write_report(results, folder))
+        print(f"{folder / REPORT}.md, {folder / REPORT}.json")
+
+
+def main() -> None:
+    """Entry point of the command."""
+    sys.argv[1:] = command_line("clips", sys.argv[1:])
+    run()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""``splatrl-evaluate``: evaluate a finished or interrupted run from every pose of its start set."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import hydra
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from splatrl.configuration import command_line, conf_dir, require_values, run_config
+from splatrl.envs.world import World
+from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
+from splatrl.runs import load_policy
+
+
+def evaluate_run(cfg: DictConfig, folder: Path, world: World | None = None) -> dict[str, Any]:
+    """Evaluate a run folder with a config and print what came out.
+
+    Args:
+        cfg: of the run, with the settings of the evaluation.
+        folder: the run folder.
+        world: built from ``cfg``, where there is one already.
+    """
+    trained = load_policy(folder, cfg=cfg, world=world)
+    settings = EvaluationSettings(**cfg.evaluation)
+    policy, checkpoint = trained.policy, trained.checkpoint
+    summary, files = evaluate(trained.world, policy, checkpoint, folder, settings, cfg.seed, cfg.logger.video)
+    print("\n".join(summary_lines(summary)))
+    print(f"pictures in {folder}: {', '.join(path.name for path in files)}")
+    return summary
+
+
+@hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="evaluate")
+def run(cfg: DictConfig) -> None:
+    """Evaluate the run folder ``cfg.run`` with its own config."""
+    require_values(cfg)
+    folder = Path(cfg.run)
+    own = run_config(folder)
+    for key in ("checkpoint", "repeats", "seed"):
+        if cfg[key] is not None:
+            OmegaConf.update(own, f"evaluation.{key}", cfg[key])
+    own.logger.video = cfg.video
+    own.device = cfg.device or own.device
+    torch.set_num_threads(own.threads)
+    evaluate_run(own, folder)
+
+
+def main() -> None:
+    """Entry point of the command."""
+    sys.argv[1:] = command_line("evaluate", sys.argv[1:])
+    run()
+
+
+if __name__ == "__main__":
+    main()

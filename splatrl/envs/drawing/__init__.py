@@ -1,0 +1,8 @@
+"""What robots see: the scene, and what is drawn into it."""
+
+from splatrl.envs.drawing.base import Drawing, SceneDrawing, View
+from splatrl.envs.drawing.billboard import overlay
+from splatrl.envs.drawing.sprite import Sprite, load_sprite
+from splatrl.envs.drawing.sprite_drawing import SpriteDrawing
+
+__all__ = ["Drawing", "SceneDrawing", "Sprite", "SpriteDrawing", "View", "load_sprite", "overlay"]

@@ -1,0 +1,88 @@
+"""An object that is not in the scene: a picture that stands at a place in it."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torchrl.data import Bounded, TensorSpec
+
+from splatrl.cameras import Cameras
+from splatrl.envs.drawing.base import NO_MEMORY, View
+from splatrl.envs.drawing.billboard import overlay
+from splatrl.envs.drawing.sprite import Sprite, load_sprite
+from splatrl.renderers.base import Renderer, to_pixels
+from splatrl.renderers.parts import Parts
+
+HAZE = 0.5
+"""A pixel that Gaussians cover less than this shows what is behind them, and hides no sprite."""
+
+
+class SpriteDrawing:
+    """Draws the scene and a picture at a place in the world, hidden where the scene is nearer (``overlay``).
+
+    Beside the pixels it tells ``sprite_share`` [B, 1] float32, the share of the image that the sprite covers: 0 where
+    nothing of it is seen.
+
+    Args:
+        renderer: of the scene.
+        sprite: ``"apple"``, the path of a PNG with alpha, or a ``Sprite``.
+        size: of the picture across its width, metres.
+        position: x, y and z of its centre, world, metres; None takes ``target`` of the task's memory.
+        near: a sprite nearer than this along the optical axis is not drawn, metres.
+
+    Raises:
+        ValueError: for values other than these.
+    """
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        sprite: str | Path | Sprite = "apple",
+        size: float = 0.16,
+        position: Sequence[float] | None = None,
+        near: float = 0.05,
+    ):
+        for name, value in {"size": size, "near": near}.items():
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"drawing.{name}: expected positive metres, got {value}")
+        if position is not None and not (len(position) == 3 and all(math.isfinite(value) for value in position)):
+            raise ValueError(f"drawing.position: expected finite x, y and z in metres, got {list(position)}")
+        self.renderer = renderer
+        self.sprite = sprite if isinstance(sprite, Sprite) else load_sprite(sprite)
+        self._sprites = {self.sprite.texels.device: self.sprite}
+        self.size, self.near = size, near
+        self.position = None if position is None else torch.tensor([float(value) for value in position])
+
+    @property
+    def specs(self) -> Mapping[str, TensorSpec]:
+        """``sprite_share``."""
+        return {"sprite_share": Bounded(0.0, 1.0, shape=(1,), dtype=torch.float32)}
+
+    def draw(
+        self,
+        cameras: Cameras,
+        memory: Mapping[str, Tensor] = NO_MEMORY,
+        parts: Parts | None = None,
+        only: Tensor | None = None,
+    ) -> View:
+        """Draw the views of cameras; see ``Drawing``.
+
+        Raises:
+            ValueError: where neither ``position`` nor the task says where the sprite is.
+        """
+        rgb, depth, alpha = self.renderer.render(cameras, parts, only)
+        target = memory.get("target") if self.position is None else self.position.to(rgb.device)
+        if target is None:
+            raise ValueError("drawing.position: expected x, y and z in metres beside a task without a target, got None")
+        solid = depth.masked_fill(alpha < HAZE, 0.0)
+        view = (to_pixels(rgb), solid, cameras.camera_to_world, cameras.K[0])
+        pixels, share = overlay(*view, target, self._sprite_on(rgb.device), self.size, self.near, only)
+        return View(pixels, {"sprite_share": share})
+
+    def _sprite_on(self, device: torch.device) -> Sprite:
+        """The sprite on a device, copied there once and kept: a captured graph goes on reading it."""
+        if device not in self._sprites:
+            self._sprites[device] = self.sprite.to(device)
+        return self._sprites[device]

@@ -1,0 +1,72 @@
+"""What the envs of one place and task share."""
+
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass
+
+import torch
+from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
+
+from splatrl.collision.base import Checker
+from splatrl.collision.occupancy import Occupancy
+from splatrl.curriculum import Curriculum, Plan
+from splatrl.envs.drawing.base import Drawing
+from splatrl.envs.robot import Robot
+from splatrl.envs.splat_env import SplatEnv
+from splatrl.envs.tasks.base import Task
+from splatrl.scenes.scene import Scene
+
+
+@dataclass(frozen=True)
+class World:
+    """Everything that envs of one configuration share.
+
+    Attributes:
+        scene: Gaussians in the world frame.
+        occupancy: what is solid.
+        checker: tests the robot's body against it.
+        drawing: makes the pixels; its renderer may remember them.
+        robot: body and camera.
+        task: motion, goals and rewards.
+        plan: free poses and shortest paths.
+        make_transforms: makes new transforms for an env, the innermost first.
+        device: of its envs, unless they are given another.
+    """
+
+    scene: Scene
+    occupancy: Occupancy
+    checker: Checker
+    drawing: Drawing
+    robot: Robot
+    task: Task
+    plan: Plan
+    make_transforms: Callable[[], list[Transform]]
+    device: torch.device
+
+    def env(
+        self,
+        num_envs: int,
+        curriculum: Curriculum | None = None,
+        seed: int | None = 0,
+        device: torch.device | str | None = None,
+    ) -> EnvBase:
+        """A batch of robots in this world, under its transforms.
+
+        Args:
+            num_envs: number of robots.
+            curriculum: where episodes begin; None lets them begin anywhere in the start set.
+            seed: of the env's generator.
+            device: of its tensors; None takes the world's.
+        """
+        env = SplatEnv(
+            self.drawing,
+            self.checker,
+            self.robot,
+            deepcopy(self.task),  # an env takes its task along to its device; the plan stays
+            curriculum or Curriculum(self.plan, first=None),
+            [num_envs],
+            seed,
+            self.device if device is None else device,
+        )
+        transforms = self.make_transforms()
+        return TransformedEnv(env, Compose(*transforms)) if transforms else env

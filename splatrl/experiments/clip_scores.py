@@ -1,0 +1,101 @@
+"""What trained policies do in labelled clips, and clips of a world that training never saw."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+from tqdm import tqdm
+
+from splatrl.build import build_world
+from splatrl.configuration import run_config
+from splatrl.envs.world import World
+from splatrl.evaluation.clip_files import new_folder, read_clips
+from splatrl.evaluation.clips import ClipResult, match
+from splatrl.evaluation.walk_looks import Lens
+from splatrl.evaluation.walks import Hand, record_walks
+from splatrl.experiments.experiment import Run
+from splatrl.runs import load_policy
+
+
+def altered(cfg: DictConfig, seed: int) -> DictConfig:
+    """The config of a run in a scene that training never saw so.
+
+    A generated scene gets other leaves and grass, and its small things stand elsewhere; any scene is drawn in the
+    classic way, and every Gaussian of it.
+
+    Args:
+        cfg: of the run.
+        seed: from 0; each gives another generated scene.
+    """
+    cfg = cfg.copy()
+    for node, changes in (
+        (cfg.scene, {"seed": cfg.scene.get("seed", 0) + 1000 + seed, "clutter": 1 + seed}),
+        (cfg.renderer, {"antialiased": False, "tolerance": 0.0}),
+    ):
+        for key, value in changes.items():
+            if key in node:
+                node[key] = value
+    return cfg
+
+
+def record_clips(
+    world: World,
+    folder: Path,
+    count: int = 12,
+    seed: int = 0,
+    height: int = 96,
+    hand: Hand | None = None,
+    lens: Lens | None = None,
+) -> list[Path]:
+    """Record walks in a world as clips, with a progress bar; see ``record_walks``."""
+    with tqdm(total=count, unit="clip", desc="record", dynamic_ncols=True) as bar:
+        return record_walks(folder, world, count, seed, height, hand, lens, bar.update)
+
+
+def score_run(folder: Path, clips: Path, checkpoint: str | None = None, device: str | None = None) -> list[ClipResult]:
+    """Show clips to the policy of a run folder.
+
+    Args:
+        folder: of the run.
+        clips: folder of clips.
+        checkpoint: last or best; None takes the run's own setting.
+        device: of the policy; None takes the run's own setting.
+
+    Raises:
+        ValueError: for a task whose actions have no names.
+    """
+    cfg = run_config(folder)
+    torch.set_num_threads(cfg.threads)
+    trained = load_policy(folder, checkpoint, device, cfg)
+    motion, policy, begun = trained.world.task.motion, trained.policy, trained.beginning()
+    if not motion.action_names:
+        raise ValueError(f"task: expected actions with names, got {type(motion).__name__}")
+    found = read_clips(clips, motion.action_names)
+    known = begun.select(*(key for key in policy.in_keys if key != "pixels"), strict=False)
+    with tqdm(unit="frame", desc=folder.name, dynamic_ncols=True) as bar:
+        return match(policy, motion.action_names, found, begun["pixels"].shape[1:], known, bar.update)
+
+
+def score_experiment(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
+    """Score finished runs on recorded clips of their scenes, which are recorded where there are none yet.
+
+    Args:
+        runs: trained in one or several scenes, with the same task.
+        folder: of the experiment; clips are in ``clips/<scene>``.
+
+    Returns:
+        A row a run and clip: ``run`` (name of its folder), ``clip``, ``frames``, ``matches`` and ``mass``.
+    """
+    rows = []
+    for run in runs:
+        clips = folder / "clips" / run.scene
+        if not clips.is_dir():
+            clips.parent.mkdir(parents=True, exist_ok=True)
+            with new_folder(clips) as whole:
+                record_clips(build_world(altered(run_config(run.folder), 0)), whole)
+        for one in score_run(run.folder, clips):
+            rows.append({"run": run.folder.name, "clip": one.name, **asdict(one)})
+    return rows

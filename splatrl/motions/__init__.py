@@ -1,0 +1,23 @@
+"""How actions move a robot."""
+
+from splatrl.motions.base import Motion, Move, PlannedMotion, SweptMotion, Taps
+from splatrl.motions.drive import DriveMotion
+from splatrl.motions.finite import FiniteMotion
+from splatrl.motions.forward import ForwardMotion
+from splatrl.motions.lattice import LatticeMotion
+from splatrl.motions.orbit import OrbitMotion
+from splatrl.motions.planar import PlanarMotion
+
+__all__ = [
+    "DriveMotion",
+    "FiniteMotion",
+    "ForwardMotion",
+    "LatticeMotion",
+    "Motion",
+    "Move",
+    "OrbitMotion",
+    "PlanarMotion",
+    "PlannedMotion",
+    "SweptMotion",
+    "Taps",
+]

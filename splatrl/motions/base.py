@@ -1,0 +1,150 @@
+"""What every motion promises: how actions change a robot's state."""
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor, nn
+from torchrl.data import TensorSpec
+
+from splatrl.collision.base import Checker
+
+
+class Move(NamedTuple):
+    """One action of each robot, carried out.
+
+    Attributes:
+        state: [B, ...] after it.
+        body_to_world: [B, 4, 4] float32, poses of ``state``, metres.
+        free_fraction: [B] float32 in [0, 1], how much of the action was done before the body touched something; 1 where
+            it touched nothing.
+        inside: [B] bool, whether the action stayed within the motion's bounds.
+    """
+
+    state: Tensor
+    body_to_world: Tensor
+    free_fraction: Tensor
+    inside: Tensor
+
+
+class Taps(NamedTuple):
+    """The nodes that states lie between, by which values at nodes are interpolated.
+
+    Attributes:
+        node: [N, K] int64, indices of nodes.
+        weight: [N, K] float32, summing to 1.
+    """
+
+    node: Tensor
+    weight: Tensor
+
+
+class Motion(Protocol):
+    """How actions change a robot's state; states are [B, ...] tensors of any kind.
+
+    Attributes:
+        action_names: a name for each discrete action, in their order; empty where actions are continuous.
+        step: the longest way of an action, metres.
+        angle_step: the largest turn of an action, radians.
+        height: z of every pose, metres; None where poses leave one height or lean.
+    """
+
+    action_names: tuple[str, ...]
+    step: float
+    angle_step: float
+    height: float | None
+
+    @property
+    def action_spec(self) -> TensorSpec:
+        """Spec of one robot's action."""
+        ...
+
+    @property
+    def state_spec(self) -> TensorSpec:
+        """Spec of one robot's state."""
+        ...
+
+    def move(self, state: Tensor, action: Tensor, checker: Checker) -> Move:
+        """Carry out one action of each robot.
+
+        Args:
+            state: [B, ...] before it.
+            action: [B, ...].
+            checker: tells what the body touches; a motion with contacts of its own need not ask it.
+        """
+        ...
+
+    def planar(self, state: Tensor) -> Tensor:
+        """Position and heading of states: [B, ...] -> [B, 3] float64, x and y in metres, yaw in radians."""
+        ...
+
+    def body_to_world(self, state: Tensor) -> Tensor:
+        """Poses of states: [B, ...] -> [B, 4, 4] float32."""
+        ...
+
+
+class PlannedMotion(Motion, Protocol):
+    """A motion over which shortest paths can be found: where an action leads does not depend on what it touches.
+
+    Costs are kept at nodes and interpolated between them. A motion with finitely many states has a node for each.
+    """
+
+    def states(self) -> Tensor:
+        """The states in which episodes may begin: [S, ...]."""
+        ...
+
+    def actions(self) -> Tensor:
+        """The actions that paths are made of: [A, ...]."""
+        ...
+
+    def advance(self, state: Tensor, action: Tensor) -> Tensor:
+        """Where an unhindered action leads; it can be outside the bounds: [B, ...], [B, ...] -> [B, ...]."""
+        ...
+
+    def inside(self, state: Tensor) -> Tensor:
+        """Whether states are within the bounds, which are inclusive: [B, ...] -> [B] bool."""
+        ...
+
+    def nodes(self) -> Tensor:
+        """The states at which costs are kept: [C, ...]."""
+        ...
+
+    def taps(self, state: Tensor) -> Taps:
+        """The nodes that states inside the bounds lie between."""
+        ...
+
+    def nearest(self, planar: Tensor) -> Tensor:
+        """The states nearest to positions and headings, [N, 3] float64 x, y and yaw -> [N, ...]."""
+        ...
+
+
+class SweptMotion(nn.Module, ABC):
+    """A motion whose robots move straight to where the action leads, or stay: no action is carried out in part.
+
+    A robot stays where it was when the swept body touches something, or when the action leads out of the bounds.
+    """
+
+    @abstractmethod
+    def advance(self, state: Tensor, action: Tensor) -> Tensor:
+        """Where an unhindered action leads; see ``PlannedMotion``."""
+
+    @abstractmethod
+    def inside(self, state: Tensor) -> Tensor:
+        """Whether states are within the bounds; see ``PlannedMotion``."""
+
+    @abstractmethod
+    def body_to_world(self, state: Tensor) -> Tensor:
+        """Poses of states; see ``Motion``."""
+
+    def move(self, state: Tensor, action: Tensor, checker: Checker) -> Move:
+        """Carry out one action of each robot; see ``Motion``."""
+        ahead = self.advance(state, action)
+        start, end = self.body_to_world(state), self.body_to_world(ahead)
+        free_fraction, inside = checker.free_fraction(start, end), self.inside(ahead)
+        stays = (free_fraction < 1) | ~inside
+        return Move(
+            state=torch.where(stays.view(-1, *[1] * (state.ndim - 1)), state, ahead),
+            body_to_world=torch.where(stays.view(-1, 1, 1), start, end),
+            free_fraction=free_fraction,
+            inside=inside,
+        )

@@ -1,0 +1,89 @@
+"""Finitely many states that are counted by indices: what the motions on a lattice share."""
+
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torchrl.data import Bounded, Categorical
+
+from splatrl.motions.base import SweptMotion, Taps
+
+
+class FiniteMotion(SweptMotion):
+    """States are [..., D] int64 indices, from 0 to below ``shape``; an action adds one of ``moves``.
+
+    Shortest paths over it are exact: every state is a node.
+
+    Args:
+        shape: how many values each index has.
+        moves: [A][D], what each action adds.
+        action_names: a name for each action.
+        step: the longest way of an action, metres.
+        angle_step: the largest turn of an action, radians.
+        height: z of every pose, metres; None where poses leave one height.
+    """
+
+    moves: Tensor  # [A, D] int64
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        moves: Sequence[Sequence[int]],
+        action_names: Sequence[str],
+        step: float,
+        angle_step: float,
+        height: float | None,
+    ):
+        super().__init__()
+        assert len(action_names) == len(moves), (action_names, moves)
+        self.shape, self.action_names = tuple(shape), tuple(action_names)
+        self.step, self.angle_step, self.height = step, angle_step, height
+        self.register_buffer("moves", torch.tensor(moves, dtype=torch.int64), persistent=False)
+
+    @property
+    def action_spec(self) -> Categorical:
+        """One of the moves; no batch."""
+        return Categorical(len(self.moves), shape=(), dtype=torch.int64)
+
+    @property
+    def state_spec(self) -> Bounded:
+        """Indices [D]; no batch."""
+        high = torch.tensor(self.shape) - 1
+        return Bounded(low=torch.zeros_like(high), high=high, shape=high.shape, dtype=torch.int64)
+
+    def states(self) -> Tensor:
+        """Every state, in the order of ``index``: [S, D] int64."""
+        return torch.cartesian_prod(*(torch.arange(n, device=self.moves.device) for n in self.shape))
+
+    def actions(self) -> Tensor:
+        """The actions that paths are made of, which are all: [A] int64."""
+        return torch.arange(len(self.moves), device=self.moves.device)
+
+    def index(self, state: Tensor) -> Tensor:
+        """The row of each state in ``states()``: [..., D] int64, inside the lattice -> [...] int64."""
+        row = state[..., 0]
+        for axis, count in enumerate(self.shape[1:], 1):
+            row = row * count + state[..., axis]
+        return row
+
+    def nodes(self) -> Tensor:
+        """Every state: [S, D] int64."""
+        return self.states()
+
+    def taps(self, state: Tensor) -> Taps:
+        """The one node that is the state: [N, D] int64, inside the lattice -> taps of [N, 1]."""
+        node = self.index(state).unsqueeze(1)
+        return Taps(node, torch.ones_like(node, dtype=torch.float32))
+
+    def nearest(self, planar: Tensor) -> Tensor:
+        """The nearest states, counted in steps and turns: [N, 3] float64 x, y and yaw -> [N, D] int64."""
+        states = self.states()
+        away = (planar.unsqueeze(1) - self.planar(states).to(planar.device)).abs()
+        turn = torch.minimum(away[..., 2], math.tau - away[..., 2]) / self.angle_step
+        return states[torch.hypot(away[..., :2].norm(dim=-1) / self.step, turn).argmin(1)]
+
+    @abstractmethod
+    def planar(self, state: Tensor) -> Tensor:
+        """Position and heading of states; see ``Motion``."""

@@ -1,0 +1,71 @@
+"""Nodes at positions and headings on a plane, and interpolation between them."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from splatrl.motions.base import Taps
+
+PLACES = 1024
+"""A pose within half of this part of a cell from a node lies on it: rounding must not spread it over eight."""
+
+
+@dataclass(frozen=True)
+class PoseGrid:
+    """Nodes at positions ``cell`` apart and headings ``angle_cell`` apart.
+
+    Attributes:
+        lower: [2] position of the first node, metres.
+        shape: number of columns (x), rows (y) and headings.
+        cell: metres.
+        angle_cell: radians.
+    """
+
+    lower: Tensor
+    shape: tuple[int, int, int]
+    cell: float
+    angle_cell: float
+
+    @classmethod
+    def over(cls, lower: Tensor, upper: Tensor, cell: float, angle_cell: float) -> "PoseGrid":
+        """The grid over bounds.
+
+        Args:
+            lower: [2] smallest x and y, metres.
+            upper: [2] largest x and y, metres.
+            cell: distance between neighbouring positions, metres.
+            angle_cell: angle between neighbouring headings, radians; rounded to divide a turn.
+        """
+        columns, rows = (((upper - lower) / cell).round().long() + 1).tolist()
+        headings = round(math.tau / angle_cell)
+        return cls(lower, (columns, rows, headings), cell, math.tau / headings)
+
+    def nodes(self) -> Tensor:
+        """The pose of each node: [C, 3] float32, x and y in metres and yaw in radians."""
+        axes = torch.cartesian_prod(*(torch.arange(count, device=self.lower.device) for count in self.shape))
+        return torch.cat([self.lower + self.cell * axes[:, :2], self.angle_cell * axes[:, 2:]], 1)
+
+    def taps(self, state: Tensor) -> Taps:
+        """The eight nodes around poses, with trilinear weights; beyond the grid those of its edge.
+
+        Args:
+            state: [N, 3] float32, x and y in metres and yaw in radians.
+
+        Returns:
+            Taps of [N, 8].
+        """
+        x, y = ((state[:, :2] - self.lower) / self.cell).unbind(1)
+        heading = state[:, 2] / self.angle_cell
+        node = state.new_zeros(len(state), 1, dtype=torch.int64)
+        weight = state.new_ones(len(state), 1)
+        for place, count, wraps in zip((x, y, heading), self.shape, (False, False, True), strict=True):
+            place = (place * PLACES).round() / PLACES
+            low = place.floor()
+            pair = torch.stack([low, low + 1], 1).long()
+            pair = pair % count if wraps else pair.clamp(0, count - 1)
+            share = torch.stack([1 - (place - low), place - low], 1)
+            node = (node.unsqueeze(2) * count + pair.unsqueeze(1)).flatten(1)
+            weight = (weight.unsqueeze(2) * share.unsqueeze(1)).flatten(1)
+        return Taps(node, weight)

@@ -1,0 +1,70 @@
+"""Run folders as data: the policy that a training left, and the world it was trained in."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.modules import ActorValueOperator
+
+from splatrl.build import build_model, build_world
+from splatrl.configuration import run_config
+from splatrl.envs.world import World
+from splatrl.training import load_checkpoint
+
+
+@dataclass(frozen=True)
+class TrainedPolicy:
+    """A policy with all that it was trained with.
+
+    Attributes:
+        cfg: of the run.
+        world: built from it.
+        model: actor and critic with the checkpoint's weights.
+        checkpoint: what was saved: ``ppo``, ``history``, ``best`` and ``seconds``.
+    """
+
+    cfg: DictConfig
+    world: World
+    model: ActorValueOperator
+    checkpoint: dict[str, Any]
+
+    @property
+    def policy(self) -> TensorDictModuleBase:
+        """Reads an observation, writes ``action``."""
+        return self.model.get_policy_operator()
+
+    def beginning(self) -> TensorDictBase:
+        """An observation with which an episode of one robot begins, [1]."""
+        return self.world.env(1).reset()
+
+
+def load_policy(
+    run: Path,
+    checkpoint: str | None = None,
+    device: str | None = None,
+    cfg: DictConfig | None = None,
+    world: World | None = None,
+) -> TrainedPolicy:
+    """Load the policy of a run folder.
+
+    Args:
+        run: the run folder.
+        checkpoint: last or best; None takes the run's own setting.
+        device: auto, cpu or cuda; None takes the run's own setting.
+        cfg: of the run, where it was read or changed already.
+        world: built from ``cfg``, where there is one already.
+
+    Raises:
+        FileNotFoundError: where the folder holds no run, or no such checkpoint.
+        ValueError: for a damaged checkpoint.
+    """
+    cfg = run_config(run) if cfg is None else cfg
+    cfg.device = device or cfg.device
+    state = load_checkpoint(run / "checkpoints" / f"{checkpoint or cfg.evaluation.checkpoint}.pt")
+    world = build_world(cfg) if world is None else world
+    model = build_model(cfg, world.env(1))
+    model.load_state_dict(state["ppo"]["model"])
+    return TrainedPolicy(cfg, world, model, state)
