@@ -255,8 +255,8 @@ class SplatEnv(EnvBase):
         """What robots at some poses observe with their cameras, by key; ``only`` as for ``Renderer``."""
         cameras = self.robot.cameras(body_to_world, camera_offset)
         if not self.depth:
-            return {"pixels": self.renderer.pixels(cameras, only)}
-        rgb, depth, alpha = self.renderer.render(cameras, only)
+            return {"pixels": self.renderer.pixels(cameras, only=only)}
+        rgb, depth, alpha = self.renderer.render(cameras, only=only)
         solid = depth.masked_fill(alpha < HAZE, 0.0)
         return {"pixels": to_pixels(rgb), "depth": solid, "camera_to_world": cameras.camera_to_world}
 
