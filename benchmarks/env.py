@@ -26,7 +26,7 @@ from tqdm import tqdm
 
 import splatrl
 from splatrl.cameras import Cameras, intrinsics
-from splatrl.renderers import NativeRenderer, Renderer, RenderOutput
+from splatrl.renderers import NativeRenderer, Parts, Renderer, RenderOutput
 
 SIZE = 64
 """Width and height, pixels."""
@@ -53,12 +53,12 @@ class TimedRenderer:
     def __init__(self, renderer: Renderer):
         self.renderer, self.seconds = renderer, 0.0
 
-    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
-        return self.renderer.render(cameras, only)
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
+        return self.renderer.render(cameras, parts, only)
 
-    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         start = time.perf_counter()
-        pixels = self.renderer.pixels(cameras, only)
+        pixels = self.renderer.pixels(cameras, parts, only)
         self.seconds += time.perf_counter() - start
         return pixels
 

@@ -18,7 +18,7 @@ from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs.layers import layers
 from splatrl.envs.restart import restart
-from splatrl.renderers import Renderer, RenderOutput
+from splatrl.renderers import Parts, Renderer, RenderOutput
 from splatrl.train import make_trainer
 from splatrl.training.captured import Captured
 from splatrl.world import World
@@ -60,14 +60,14 @@ class Recording:
     renderer: Renderer
     cameras: list[Cameras] = field(default_factory=list)
 
-    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
-        return self.renderer.render(cameras, only)
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
+        return self.renderer.render(cameras, parts, only)
 
-    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         if only is None:  # a step; a reset draws only some
             pose, K = cameras.camera_to_world.clone(), cameras.K.clone()
             self.cameras.append(Cameras(pose, K, cameras.width, cameras.height))
-        return self.renderer.pixels(cameras, only)
+        return self.renderer.pixels(cameras, parts, only)
 
 
 def stepper(env: EnvBase) -> Callable[[], None]:

@@ -16,6 +16,8 @@ CAMERA_TO_BODY = torch.tensor(
     [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
 """[4, 4] float32: a camera at the body's origin that looks along the body's +x."""
+ORTHONORMAL = 1e-3
+"""How far R Rᵀ may be from the identity in a rigid transform."""
 
 
 def rigid(rotation: Tensor, translation: Tensor) -> Tensor:
@@ -47,6 +49,32 @@ def invert_rigid(transform: Tensor) -> Tensor:
     """
     rotation = transform[..., :3, :3].transpose(-1, -2)
     return rigid(rotation, -(rotation @ transform[..., :3, 3:]).squeeze(-1))
+
+
+def first_not_rigid(transforms: Tensor) -> tuple[int, str] | None:
+    """Find the first of some transforms that is not rigid.
+
+    Args:
+        transforms: [N, 4, 4].
+
+    Returns:
+        Its row and what was expected of it; None where all are rigid.
+    """
+    rotation = transforms[:, :3, :3]
+    error = (rotation @ rotation.mT - torch.eye(3).to(rotation)).abs().amax((1, 2))
+    volume = (torch.linalg.cross(rotation[:, 0], rotation[:, 1]) * rotation[:, 2]).sum(1)
+    bottom = (transforms[:, 3] - torch.tensor([0.0, 0.0, 0.0, 1.0]).to(rotation)).abs().amax(1)
+    faults = {
+        "finite numbers": ~transforms.isfinite().flatten(1).all(1),
+        "an orthonormal rotation": ~(error <= ORTHONORMAL),
+        "a rotation, not a reflection": ~(volume > 0),
+        "a bottom row of 0, 0, 0, 1": ~(bottom <= ORTHONORMAL),
+    }
+    bad = torch.stack(list(faults.values()))
+    if not bad.any():
+        return None
+    row = int(bad.any(0).int().argmax())
+    return row, list(faults)[int(bad[:, row].int().argmax())]
 
 
 def quats_to_rotations(quats: Tensor) -> Tensor:

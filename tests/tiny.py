@@ -16,7 +16,7 @@ from splatrl.cameras import Cameras
 from splatrl.curriculum import Curriculum, Plan, plan
 from splatrl.envs import LatticeMotion, Robot, SplatEnv
 from splatrl.envs.tasks import Grid
-from splatrl.renderers import ReferenceRenderer, Renderer, RenderOutput
+from splatrl.renderers import Parts, ReferenceRenderer, Renderer, RenderOutput
 from splatrl.renderers.base import draw_only
 from splatrl.scenes import write_gaussians
 from splatrl.scenes.gaussians import Gaussians
@@ -106,13 +106,13 @@ class CountingRenderer:
     def __init__(self, renderer: Renderer):
         self.renderer, self.rendered = renderer, 0
 
-    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         self._count(cameras, only)
-        return self.renderer.render(cameras, only)
+        return self.renderer.render(cameras, parts, only)
 
-    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         self._count(cameras, only)
-        return self.renderer.pixels(cameras, only)
+        return self.renderer.pixels(cameras, parts, only)
 
     def _count(self, cameras: Cameras, only: Tensor | None) -> None:
         self.rendered += len(cameras) if only is None else int(only.sum())
@@ -125,13 +125,14 @@ class RememberingRenderer:
         self.renderer = renderer
         self.views: dict[bytes, Tensor] = {}
 
-    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
-        return self.renderer.render(cameras, only)
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
+        return self.renderer.render(cameras, parts, only)
 
-    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
-        return draw_only(self._views, cameras, only)
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
+        return draw_only(self._views, cameras, parts, only)
 
-    def _views(self, cameras: Cameras) -> Tensor:
+    def _views(self, cameras: Cameras, parts: Parts | None) -> Tensor:
+        assert parts is None, "views are remembered by the camera alone"
         views = [self._view(cameras[row : row + 1]) for row in range(len(cameras))]
         return torch.stack(views) if views else torch.empty(0, cameras.height, cameras.width, 3, dtype=torch.uint8)
 

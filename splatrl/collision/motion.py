@@ -3,10 +3,7 @@
 import torch
 from torch import Tensor
 
-from splatrl.geometry import quats_to_rotations, rigid, rotations_to_quats
-
-_ORTHONORMAL = 1e-3
-"""How far R Rᵀ may be from the identity in a rigid pose."""
+from splatrl.geometry import first_not_rigid, quats_to_rotations, rigid, rotations_to_quats
 
 
 def checked_poses(name: str, body_to_world: Tensor) -> Tensor:
@@ -25,19 +22,9 @@ def checked_poses(name: str, body_to_world: Tensor) -> Tensor:
     if body_to_world.ndim != 3 or body_to_world.shape[1:] != (4, 4):
         raise ValueError(f"{name}: expected shape [B, 4, 4], got {list(body_to_world.shape)}")
     poses = body_to_world.detach().to("cpu", torch.float64)
-    rotation = poses[:, :3, :3]
-    error = (rotation @ rotation.mT - torch.eye(3, dtype=poses.dtype)).abs().amax((1, 2))
-    bottom = (poses[:, 3] - torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=poses.dtype)).abs().amax(1)
-    faults = {
-        "finite numbers": ~poses.isfinite().flatten(1).all(1),
-        "an orthonormal rotation": ~(error <= _ORTHONORMAL),
-        "a rotation, not a reflection": ~(torch.linalg.det(rotation) > 0),
-        "a bottom row of 0, 0, 0, 1": ~(bottom <= _ORTHONORMAL),
-    }
-    bad = torch.stack(list(faults.values()))
-    if bad.any():
-        row = int(bad.any(0).int().argmax())
-        expected = list(faults)[int(bad[:, row].int().argmax())]
+    fault = first_not_rigid(poses)
+    if fault is not None:
+        row, expected = fault
         raise ValueError(f"{name}: expected {expected}, got {body_to_world[row].tolist()} in row {row}")
     return poses
 

@@ -87,24 +87,29 @@ class Renderer:
 
     def __init__(
         self,
-        means: Tensor,  # [N, 3] float32, metres, world frame
+        antialiased: bool,
+        background: tuple[float, float, float],
+        tolerance: float,  # pixels
+    ) -> None: ...
+    def add_model(
+        self,
+        means: Tensor,  # [N, 3] float32, metres, the model's own frame
         axes: Tensor,  # [N, 3, 3] float32, columns: the axes of the Gaussian times its standard deviations
         opacities: Tensor,  # [N] float32
         sh: Tensor,  # [N, (degree + 1)², 3] float32
         degree: int,
-        antialiased: bool,
-        background: tuple[float, float, float],
         levels: dict[str, NDArray[np.float32] | NDArray[np.uint32]] | None,  # those of build_levels; None draws exactly
-        tolerance: float,  # pixels
     ) -> None:
-        """
+        """Add a model; the first is model 0.
+
         Raises:
             ValueError: for levels that are not of these Gaussians.
         """
 
     def render(
         self,
-        camera_to_world: Tensor,  # [B, 4, 4] float32
+        models: Tensor | None,  # [B, M] int64, -1 for none; None draws model 0, M = 1
+        camera_to_models: Tensor,  # [B, M, 4, 4] float32, each in the frame of its model
         K: Tensor,  # [B, 3, 3] float32
         rgb: Tensor,  # [B, H, W, 3] float32, written
         depth: Tensor,  # [B, H, W] float32, written
@@ -114,7 +119,8 @@ class Renderer:
     ) -> None: ...
     def pixels(
         self,
-        camera_to_world: Tensor,  # [B, 4, 4] float32
+        models: Tensor | None,  # [B, M] int64
+        camera_to_models: Tensor,  # [B, M, 4, 4] float32
         K: Tensor,  # [B, 3, 3] float32
         pixels: Tensor,  # [B, H, W, 3] uint8, written
         efforts: Tensor,  # [B, 6] float32, written

@@ -1,6 +1,7 @@
 // What the portable part of the renderer and the kernels of each instruction set say to each other: plain memory.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 
 #include "splat.h"
@@ -58,7 +59,21 @@ constexpr uint16_t LARGE = 0xffff;
 // What decides between splats whose depths are the same number of single precision.
 struct Tie {
     float depth_rest;         // what single precision leaves of the depth
-    uint32_t original_index;  // in the scene: it decides between what is still equal
+    uint32_t original_index;  // in all that a row draws: it decides between what is still equal
+};
+
+// A model as a camera of the batch sees it.
+struct Part {
+    const SceneView* scene;
+    Camera camera;         // in the frame of the model
+    uint32_t first_index;  // of its Gaussians in all that the row draws
+};
+
+// What is drawn into one image: parts, and what is behind them all.
+struct Row {
+    const Part* parts;
+    size_t count;
+    const float* background;
 };
 
 // Accumulated per block: [CHANNELS][BLOCK · BLOCK] floats.
@@ -67,9 +82,9 @@ enum Channel { RED, GREEN, BLUE, TRANSMITTANCE, DEPTH, ALPHA, CHANNELS };
 constexpr uint32_t SPARE = 16;  // items at the end of an array that may be touched without being counted
 constexpr uint32_t LIST = SLAB + 2 * SPARE;  // not a power of two, so that lists do not share cache sets
 
-// Memory that a worker keeps from frame to frame. The arrays of splats hold [groups · GROUP + SPARE].
+// Memory that a worker keeps from frame to frame. The arrays of splats hold [groups · GROUP + SPARE], of all parts.
 struct Scratch {
-    uint32_t* groups;        // [groups + SPARE] in view
+    uint32_t* groups;        // [groups + SPARE] in view, of one part at a time
     Splat* splats;
     Patch* patches;
     Tie* ties;
@@ -93,8 +108,7 @@ struct Effort {
 };
 
 // Renders a tile of a frame into scratch.pixels.
-using RenderTile = Effort (*)(const SceneView&, const Camera&, const Tile&, bool antialiased, bool with_depth,
-                               const Scratch&);
+using RenderTile = Effort (*)(const Row&, const Tile&, bool antialiased, bool with_depth, const Scratch&);
 
 namespace portable { extern const RenderTile render_tile; }
 namespace baseline { extern const RenderTile render_tile; }

@@ -20,6 +20,12 @@ LANE_INLINE IntLanes load_ints(const uint32_t* from) {
     return out;
 }
 
+LANE_INLINE IntLanes plus(const IntLanes& a, uint32_t b) {
+    IntLanes out;
+    FOR_PARTS out.part[p] = a.part[p] + int32_t(b);
+    return out;
+}
+
 // Truncated, for |a| < 2^31.
 LANE_INLINE IntLanes to_ints(const Lanes& a) {
     IntLanes out;

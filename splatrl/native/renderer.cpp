@@ -51,6 +51,8 @@ struct Renderer::Workspace {
     Buffer<SlabSplat> slab = make_buffer<SlabSplat>(SLAB);
     Buffer<uint16_t> lists = make_buffer<uint16_t>(LISTS * LIST);
     Buffer<float> pixels = make_buffer<float>(BLOCKS * CHANNELS * BLOCK * BLOCK);
+    std::vector<Part> parts;
+    size_t capacity;  // Gaussians of a row
 
     explicit Workspace(size_t capacity)
         : groups(make_buffer<uint32_t>(capacity / GROUP + SPARE)),
@@ -59,7 +61,8 @@ struct Renderer::Workspace {
           patches(make_buffer<Patch>(capacity + SPARE)),
           ties(make_buffer<Tie>(capacity + SPARE)),
           keys(make_buffer<uint64_t>(capacity + SPARE)),
-          sorted(make_buffer<uint64_t>(capacity + SPARE)) {}
+          sorted(make_buffer<uint64_t>(capacity + SPARE)),
+          capacity(capacity) {}
 
     Scratch scratch() const {
         return {groups.get(), splats.get(), patches.get(), ties.get(), keys.get(), sorted.get(),
@@ -70,14 +73,15 @@ struct Renderer::Workspace {
 // A workspace borrowed for one call.
 class Renderer::Loan {
 public:
-    explicit Loan(Renderer& owner) : owner_(owner) {
+    Loan(Renderer& owner, size_t capacity) : owner_(owner) {
         const std::lock_guard<std::mutex> lock(owner.mutex_);
-        if (owner.idle_.empty()) {
-            workspace_ = std::make_unique<Workspace>(owner.scene_.capacity());
-        } else {
+        if (!owner.idle_.empty()) {
             workspace_ = std::move(owner.idle_.back());
             owner.idle_.pop_back();
         }
+        if (workspace_ && workspace_->capacity >= capacity) return;
+        workspace_.reset();  // before there is a larger one
+        workspace_ = std::make_unique<Workspace>(capacity);
     }
     ~Loan() {
         const std::lock_guard<std::mutex> lock(owner_.mutex_);
@@ -93,33 +97,68 @@ private:
     std::unique_ptr<Workspace> workspace_;
 };
 
-Renderer::Renderer(Scene scene, bool antialiased, float tolerance, Isa isa)
-    : scene_(std::move(scene)), antialiased_(antialiased),
-      tolerance_(held_tolerance(tolerance, antialiased)), render_tile_(kernel_of(isa)) {}
+Renderer::Renderer(std::array<float, 3> background, bool antialiased, float tolerance, Isa isa)
+    : background_(background), antialiased_(antialiased), tolerance_(held_tolerance(tolerance, antialiased)),
+      render_tile_(kernel_of(isa)) {}
 
 Renderer::~Renderer() = default;
 
-void Renderer::render(const float* camera_to_world, const float* K, size_t batch, int width, int height,
-                      size_t threads, const Images& images, Effort* efforts) {
-    const size_t area = size_t(width) * size_t(height);
-    const std::vector<Tile> tiles = tiles_of(batch, width, height, threads);
-    const size_t workers = std::max<size_t>(1, std::min(threads, batch * tiles.size()));
+void Renderer::add(const GaussianArrays& gaussians, const Levels& levels) {
+    scenes_.emplace_back(gaussians, levels, background_, antialiased_);
+}
+
+// The most Gaussians that the parts of a row have together.
+size_t Renderer::capacity_of(const Batch& batch) const {
+    constexpr size_t MOST = ~uint32_t(0);  // that keys and ties can number
+    size_t most = 0;
+    for (size_t row = 0; row < batch.rows; ++row) {
+        size_t sum = 0;
+        for (size_t part = 0; part < batch.parts; ++part) {
+            const int64_t model = batch.model(row, part);
+            sum += model < 0 ? 0 : scenes_.at(size_t(model)).capacity();
+        }
+        most = std::max(most, sum);
+    }
+    if (most > MOST) throw std::length_error("parts: expected at most 2^32 Gaussians in a row");
+    return most;
+}
+
+// The parts that a row draws.
+void Renderer::place(const Batch& batch, size_t row, const SceneView* views, std::vector<Part>& parts) const {
+    parts.clear();
+    uint32_t first_index = 0;
+    for (size_t part = 0; part < batch.parts; ++part) {
+        const int64_t model = batch.model(row, part);
+        if (model < 0) continue;
+        const float* pose = batch.camera_to_models + 16 * (row * batch.parts + part);
+        parts.push_back({views + model, camera_of(pose, batch.K + 9 * row, batch.width, batch.height), first_index});
+        first_index += uint32_t(scenes_[size_t(model)].capacity());
+    }
+}
+
+void Renderer::render(const Batch& batch, size_t threads, const Images& images, Effort* efforts) {
+    const size_t area = size_t(batch.width) * size_t(batch.height), capacity = capacity_of(batch);
+    const std::vector<Tile> tiles = tiles_of(batch.rows, batch.width, batch.height, threads);
+    const size_t workers = std::max<size_t>(1, std::min(threads, batch.rows * tiles.size()));
     std::vector<std::unique_ptr<Loan>> loans;
-    for (size_t worker = 0; worker < workers; ++worker) loans.push_back(std::make_unique<Loan>(*this));
-    const SceneView view = scene_.view(tolerance_);
-    std::vector<Effort> parts(batch * tiles.size());
-    parallel_for(parts.size(), workers, [&](size_t worker, size_t item) {
+    for (size_t worker = 0; worker < workers; ++worker) loans.push_back(std::make_unique<Loan>(*this, capacity));
+    std::vector<SceneView> views;
+    for (const Scene& scene : scenes_) views.push_back(scene.view(tolerance_));
+    std::vector<Effort> taken(batch.rows * tiles.size());
+    parallel_for(taken.size(), workers, [&](size_t worker, size_t item) {
         const size_t row = item / tiles.size();
         const Tile& tile = tiles[item % tiles.size()];
-        const Scratch scratch = (**loans[worker]).scratch();
-        const Camera camera = camera_of(camera_to_world + 16 * row, K + 9 * row, width, height);
-        parts[item] = render_tile_(view, camera, tile, antialiased_, images.depth != nullptr, scratch);
+        Workspace& workspace = **loans[worker];
+        const Scratch scratch = workspace.scratch();
+        place(batch, row, views.data(), workspace.parts);
+        const Row drawn{workspace.parts.data(), workspace.parts.size(), background_.data()};
+        taken[item] = render_tile_(drawn, tile, antialiased_, images.depth != nullptr, scratch);
         const Images own{offset(images.rgb, 3 * area * row), offset(images.depth, area * row),
                          offset(images.alpha, area * row), offset(images.pixels, 3 * area * row)};
-        write_images(scratch.pixels, width, tile, own);
+        write_images(scratch.pixels, batch.width, tile, own);
     });
-    std::fill(efforts, efforts + batch, Effort{});
-    for (size_t item = 0; item < parts.size(); ++item) efforts[item / tiles.size()] += parts[item];
+    std::fill(efforts, efforts + batch.rows, Effort{});
+    for (size_t item = 0; item < taken.size(); ++item) efforts[item / tiles.size()] += taken[item];
 }
 
 }  // namespace splatrl

@@ -1,6 +1,7 @@
 // Renders batches of cameras over threads, frame by frame, with the kernels of one instruction set.
 #pragma once
 
+#include <array>
 #include <memory>
 #include <mutex>
 #include <vector>
@@ -11,21 +12,36 @@
 
 namespace splatrl {
 
+// What the rows of a batch draw, row-major.
+struct Batch {
+    const int64_t* models;          // [rows, parts], -1 for none; null: model 0 in each row
+    const float* camera_to_models;  // [rows, parts, 4, 4], not looked at where there is no model
+    const float* K;                 // [rows, 3, 3]
+    size_t rows, parts;
+    int width, height;
+
+    int64_t model(size_t row, size_t part) const { return models == nullptr ? 0 : models[row * parts + part]; }
+};
+
 class Renderer {
 public:
-    Renderer(Scene scene, bool antialiased, float tolerance, Isa isa);
+    Renderer(std::array<float, 3> background, bool antialiased, float tolerance, Isa isa);
     ~Renderer();
 
-    // camera_to_world [batch, 4, 4] and K [batch, 3, 3] row-major; the images of the batch lie one after another.
-    // efforts [batch] takes what each frame took.
-    void render(const float* camera_to_world, const float* K, size_t batch, int width, int height, size_t threads,
-                const Images& images, Effort* efforts);
+    void add(const GaussianArrays& gaussians, const Levels& levels);
+
+    // The images of the batch lie one after another; efforts [rows] takes what each frame took.
+    void render(const Batch& batch, size_t threads, const Images& images, Effort* efforts);
 
 private:
     struct Workspace;
     class Loan;
 
-    Scene scene_;
+    size_t capacity_of(const Batch& batch) const;
+    void place(const Batch& batch, size_t row, const SceneView* views, std::vector<Part>& parts) const;
+
+    std::vector<Scene> scenes_;
+    std::array<float, 3> background_;
     bool antialiased_;
     float tolerance_;
     RenderTile render_tile_;

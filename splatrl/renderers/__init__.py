@@ -1,18 +1,21 @@
-"""Renderers: from cameras to images of one scene."""
+"""Renderers: from cameras to images of a scene, or of several placed models."""
 
 from splatrl.renderers.base import Renderer, RenderOutput
 from splatrl.renderers.cuda import CudaRenderer
 from splatrl.renderers.gsplat import GsplatRenderer
 from splatrl.renderers.lattice import LatticeRenderer
 from splatrl.renderers.native import Effort, NativeRenderer
+from splatrl.renderers.parts import ABSENT, Parts
 from splatrl.renderers.reference import ReferenceRenderer
 
 __all__ = [
+    "ABSENT",
     "CudaRenderer",
     "Effort",
     "GsplatRenderer",
     "LatticeRenderer",
     "NativeRenderer",
+    "Parts",
     "ReferenceRenderer",
     "RenderOutput",
     "Renderer",

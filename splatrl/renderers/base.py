@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
+from splatrl.renderers.parts import Parts, require_parts_of
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
@@ -27,16 +28,18 @@ class RenderOutput(NamedTuple):
 
 
 class Renderer(Protocol):
-    """Turns cameras into images of one scene. Frame i has the same bytes whatever else is in the batch.
+    """Turns cameras into images of placed models. Frame i has the same bytes whatever else is in the batch.
 
-    Where ``only`` [B] bool is given, the other rows are not drawn and are zero.
+    A renderer takes one model or a sequence, which ``Parts.model`` indexes. Each row draws its ``parts``, all into one
+    image; where there are none given, every row draws model 0 where it stands. Where ``only`` [B] bool is given, the
+    other rows are not drawn and are zero.
     """
 
-    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera."""
         ...
 
-    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         """What an observation is: [B, H, W, 3] uint8, ``round(255 · rgb)``."""
         ...
 
@@ -55,24 +58,29 @@ def checked_only(only: Tensor, cameras: Cameras) -> Tensor:
     return only
 
 
-def draw_only(draw: Callable[[Cameras], Drawn], cameras: Cameras, only: Tensor | None) -> Drawn:
+def draw_only(
+    draw: Callable[[Cameras, Parts | None], Drawn], cameras: Cameras, parts: Parts | None, only: Tensor | None
+) -> Drawn:
     """Draw some rows of a batch and leave the others zero, by reading the mask: for renderers that the host drives.
 
     Args:
-        draw: makes images of cameras, [N, ...] each.
+        draw: makes images of cameras and their parts, [N, ...] each.
         cameras: B views.
+        parts: of the B rows; None draws model 0 where it stands.
         only: [B] bool, which to draw; None draws all.
 
     Returns:
         What ``draw`` gives, [B, ...].
 
     Raises:
-        ValueError: for an ``only`` of another shape or type.
+        ValueError: for ``parts`` or an ``only`` of another shape or type.
     """
+    if parts is not None:
+        require_parts_of(parts, cameras)
     if only is None:
-        return draw(cameras)
+        return draw(cameras, parts)
     rows = checked_only(only, cameras).nonzero().squeeze(1)
-    drawn = draw(cameras[rows])
+    drawn = draw(cameras[rows], None if parts is None else parts.rows(rows))
 
     def placed(images: Tensor) -> Tensor:
         return images.new_zeros(len(only), *images.shape[1:]).index_copy(0, rows.to(images.device), images)
@@ -88,6 +96,18 @@ def to_pixels(rgb: Tensor) -> Tensor:
 def gaussians_of(scene: Scene | Gaussians) -> Gaussians:
     """The Gaussians that a renderer is given, in a scene or bare."""
     return scene.gaussians if isinstance(scene, Scene) else scene
+
+
+def models_of(scene: Scene | Gaussians | Sequence[Scene | Gaussians]) -> list[Scene | Gaussians]:
+    """The models that a renderer is given: one or several.
+
+    Raises:
+        ValueError: where there are none.
+    """
+    models = [scene] if isinstance(scene, Scene | Gaussians) else list(scene)
+    if not models:
+        raise ValueError("scene: expected a model or several, got none")
+    return models
 
 
 def require_finite(cameras: Cameras) -> None:

@@ -8,7 +8,16 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.geometry import invert_rigid
-from splatrl.renderers.base import RenderOutput, checked_background, draw_only, gaussians_of, require_finite, to_pixels
+from splatrl.renderers.base import (
+    RenderOutput,
+    checked_background,
+    draw_only,
+    gaussians_of,
+    models_of,
+    require_finite,
+    to_pixels,
+)
+from splatrl.renderers.parts import Parts
 from splatrl.renderers.reference import DILATION, NEAR
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
@@ -32,7 +41,7 @@ class GsplatRenderer:
     - Colours may exceed 1 until they are blended, as in ours, and the image is clamped here.
 
     Args:
-        scene: the scene, or its Gaussians; values are copied as float32.
+        scene: the scene, or its Gaussians: one model. Values are copied as float32.
         antialiased: keep the energy of Gaussians smaller than a pixel; False is the classic 3DGS image.
         background: colour behind the Gaussians, in [0, 1].
         device: a CUDA device.
@@ -41,12 +50,13 @@ class GsplatRenderer:
         packed: whether gsplat keeps only what a camera sees, which takes less memory and is usually faster here.
 
     Raises:
+        ValueError: for several models, or, when it draws, for parts.
         ImportError: where gsplat is not installed, or has found no nvcc to compile its kernels with.
     """
 
     def __init__(
         self,
-        scene: Scene | Gaussians,
+        scene: Scene | Gaussians | Sequence[Scene | Gaussians],
         antialiased: bool = True,
         background: Sequence[float] = (0.0, 0.0, 0.0),
         *,
@@ -55,7 +65,10 @@ class GsplatRenderer:
         packed: bool = True,
     ) -> None:
         self._rasterization = _rasterization()
-        gaussians, self.device = gaussians_of(scene), torch.device(device)
+        model, *others = models_of(scene)
+        if others:
+            raise ValueError(f"scene: expected one model, since gsplat places none, got {1 + len(others)}")
+        gaussians, self.device = gaussians_of(model), torch.device(device)
         fields = {"means": gaussians.means, "quats": gaussians.quats, "scales": gaussians.scales}
         fields |= {"opacities": gaussians.opacities, "colors": gaussians.sh}
         self._scene = {name: self._here(value) for name, value in fields.items()}
@@ -67,25 +80,27 @@ class GsplatRenderer:
         bytes_each = 128 + 12 * (self._degree + 1) ** 2
         self.at_once = min(MOST_CAMERAS, max(1, memory // (bytes_each * max(1, gaussians.numel()))))
 
-    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera, float32, on the cameras' device; see ``Renderer``."""
-        return draw_only(self._rendered, cameras, only)
+        return draw_only(self._rendered, cameras, parts, only)
 
-    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         """What an observation is: [B, H, W, 3] uint8, on the cameras' device; see ``Renderer``."""
-        return draw_only(self._pixels, cameras, only)
+        return draw_only(self._pixels, cameras, parts, only)
 
-    def _rendered(self, cameras: Cameras) -> RenderOutput:
-        parts = [self._part(part, "RGB+ED") for part in self._parts(cameras)]
-        colors, alphas = (torch.cat(each).to(cameras.camera_to_world.device) for each in zip(*parts, strict=True))
+    def _rendered(self, cameras: Cameras, parts: Parts | None) -> RenderOutput:
+        images = [self._part(some, "RGB+ED") for some in self._cut(cameras, parts)]
+        colors, alphas = (torch.cat(each).to(cameras.camera_to_world.device) for each in zip(*images, strict=True))
         return RenderOutput(colors[..., :3].clamp(0.0, 1.0), colors[..., 3], alphas[..., 0])
 
-    def _pixels(self, cameras: Cameras) -> Tensor:
-        parts = [to_pixels(self._part(part, "RGB")[0].clamp(0.0, 1.0)) for part in self._parts(cameras)]
-        return torch.cat(parts).to(cameras.camera_to_world.device)
+    def _pixels(self, cameras: Cameras, parts: Parts | None) -> Tensor:
+        images = [to_pixels(self._part(some, "RGB")[0].clamp(0.0, 1.0)) for some in self._cut(cameras, parts)]
+        return torch.cat(images).to(cameras.camera_to_world.device)
 
-    def _parts(self, cameras: Cameras) -> list[Cameras]:
-        """As many cameras at a time as memory holds; at least one part, of none where there are none."""
+    def _cut(self, cameras: Cameras, parts: Parts | None) -> list[Cameras]:
+        """As many cameras at a time as memory holds; at least one batch, of none where there are none."""
+        if parts is not None:
+            raise ValueError("parts: expected no parts, since gsplat draws one model where it stands; got Parts")
         require_finite(cameras)
         return [cameras[first : first + self.at_once] for first in range(0, max(1, len(cameras)), self.at_once)]
 

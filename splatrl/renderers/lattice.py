@@ -5,6 +5,7 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.renderers.base import Renderer, RenderOutput, draw_only
+from splatrl.renderers.parts import ABSENT, Parts
 
 
 class _Album:
@@ -40,7 +41,7 @@ class _Album:
 
 
 class LatticeRenderer:
-    """Gives the same bytes as another renderer, and remembers them by the exact bytes of the camera.
+    """Gives the same bytes as another renderer, and remembers them by the exact bytes of the camera and its parts.
 
     Worth it where robots stand on a finite lattice of poses: in time every view is a copy. Where poses are continuous
     or noisy nothing repeats; use the renderer itself. When the memory is full, new views are rendered and not
@@ -69,17 +70,17 @@ class LatticeRenderer:
         """Memory that the remembered images take."""
         return sum(album.bytes_held() for album in self._albums.values())
 
-    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera; nothing is remembered."""
-        return self.renderer.render(cameras, only)
+        return self.renderer.render(cameras, parts, only)
 
-    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         """[B, H, W, 3] uint8: remembered where they were seen before, rendered where not; zero where not ``only``."""
-        return draw_only(self._recalled, cameras, only)
+        return draw_only(self._recalled, cameras, parts, only)
 
-    def _recalled(self, cameras: Cameras) -> Tensor:
+    def _recalled(self, cameras: Cameras, parts: Parts | None) -> Tensor:
         album = self._albums.setdefault((cameras.width, cameras.height), _Album())
-        views = _keys(cameras)
+        views = _keys(cameras, parts)
         if album.images is not None and all(view in album.slots for view in views):
             return _take(album.images, [album.slots[view] for view in views])
 
@@ -88,7 +89,8 @@ class LatticeRenderer:
             first_rows.setdefault(view, row)
         known = [view for view in first_rows if view in album.slots]
         fresh = [view for view in first_rows if view not in album.slots]
-        rendered = self.renderer.pixels(cameras[torch.tensor([first_rows[view] for view in fresh], dtype=torch.long)])
+        rows = torch.tensor([first_rows[view] for view in fresh], dtype=torch.long)
+        rendered = self.renderer.pixels(cameras[rows], None if parts is None else parts.rows(rows))
         sources = rendered
         if album.images is not None:
             sources = torch.cat([rendered, _take(album.images, [album.slots[view] for view in known])])
@@ -103,8 +105,18 @@ def _take(images: Tensor, rows: list[int]) -> Tensor:
     return images.index_select(0, torch.tensor(rows, dtype=torch.long, device=images.device))
 
 
-def _keys(cameras: Cameras) -> list[bytes]:
-    """The exact bytes of each camera's pose and intrinsics."""
-    values = torch.cat([cameras.camera_to_world.flatten(1), cameras.K.flatten(1)], 1).contiguous().cpu().numpy()
-    row_bytes, raw = values.itemsize * values.shape[1], values.tobytes()
-    return [raw[start : start + row_bytes] for start in range(0, len(raw), row_bytes)]
+def _keys(cameras: Cameras, parts: Parts | None) -> list[bytes]:
+    """The exact bytes of each camera's pose and intrinsics, and of the parts that it is shown."""
+    keys = _row_bytes(torch.cat([cameras.camera_to_world.flatten(1), cameras.K.flatten(1)], 1))
+    if parts is None:
+        return keys
+    absent = (parts.model == ABSENT)[..., None, None]
+    poses = parts.model_to_world.masked_fill(absent, 0.0)  # not looked at
+    placed = zip(keys, _row_bytes(parts.model), _row_bytes(poses.flatten(1)), strict=True)
+    return [b"parts".join(key) for key in placed]  # so that none at all is not the scene where it stands
+
+
+def _row_bytes(values: Tensor) -> list[bytes]:
+    """The bytes of each row: [B, N] values."""
+    raw, row_bytes = values.contiguous().cpu().numpy().tobytes(), values.element_size() * values.shape[1]
+    return [raw[row * row_bytes : (row + 1) * row_bytes] for row in range(len(values))]

@@ -9,8 +9,9 @@ from torch import Tensor
 from splatrl.cameras import Cameras
 from splatrl.native import _core
 from splatrl.native.threads import usable_cores
-from splatrl.renderers.base import RenderOutput, checked_background, draw_only, gaussians_of, require_finite
+from splatrl.renderers.base import RenderOutput, checked_background, draw_only, gaussians_of, models_of, require_finite
 from splatrl.renderers.lod import gaussian_arrays, levels_for
+from splatrl.renderers.parts import Parts, camera_to_models, checked_parts
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
@@ -47,7 +48,8 @@ class NativeRenderer:
     it is set.
 
     Args:
-        scene: the scene, whose levels of detail are kept in its cache; or Gaussians. Values are copied.
+        scene: the scene, whose levels of detail are kept in its cache; or Gaussians; or several of them, which
+            ``Parts.model`` indexes. Values are copied.
         antialiased: keep the energy of Gaussians smaller than a pixel; False is the classic 3DGS image.
         background: colour behind the Gaussians, in [0, 1].
         threads: cores that a batch is spread over; None takes all that this process may use.
@@ -60,7 +62,7 @@ class NativeRenderer:
 
     def __init__(
         self,
-        scene: Scene | Gaussians,
+        scene: Scene | Gaussians | Sequence[Scene | Gaussians],
         antialiased: bool = True,
         background: Sequence[float] = (0.0, 0.0, 0.0),
         threads: int | None = None,
@@ -69,61 +71,69 @@ class NativeRenderer:
         if threads is not None and threads < 1:
             raise ValueError(f"threads: expected at least 1, or None for all cores, got {threads}")
         self.threads = threads or usable_cores()
-        gaussians = gaussians_of(scene)
-        arrays = gaussian_arrays(gaussians)
-        self._core = _core.Renderer(
-            **arrays,
-            degree=gaussians.sh_degree,
-            antialiased=antialiased,
-            background=checked_background(background),
-            levels=levels_for(scene, arrays, tolerance),
-            tolerance=tolerance,
-        )
+        models = models_of(scene)
+        self._models = len(models)
+        self._core = _core.Renderer(antialiased, checked_background(background), tolerance)
+        for model in models:
+            gaussians = gaussians_of(model)
+            arrays = gaussian_arrays(gaussians)
+            levels = levels_for(model, arrays, tolerance)
+            self._core.add_model(**arrays, degree=gaussians.sh_degree, levels=levels)
 
-    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera, float32, on the cameras' device."""
-        return draw_only(self._rendered, cameras, only)
+        return draw_only(self._rendered, cameras, checked_parts(parts, cameras, self._models), only)
 
-    def _rendered(self, cameras: Cameras) -> RenderOutput:
+    def _rendered(self, cameras: Cameras, parts: Parts | None) -> RenderOutput:
         shape = (len(cameras), cameras.height, cameras.width)
         rgb, depth, alpha = torch.empty(*shape, 3), torch.empty(shape), torch.empty(shape)
         efforts = torch.empty(len(cameras), len(Effort._fields))
-        self._core.render(*_checked(cameras), rgb, depth, alpha, efforts, self.threads)
+        self._core.render(*_placed(cameras, parts), rgb, depth, alpha, efforts, self.threads)
         device = cameras.camera_to_world.device
         return RenderOutput(rgb.to(device), depth.to(device), alpha.to(device))
 
-    def pixels(self, cameras: Cameras, only: Tensor | None = None, out: Tensor | None = None) -> Tensor:
+    def pixels(
+        self,
+        cameras: Cameras,
+        parts: Parts | None = None,
+        only: Tensor | None = None,
+        out: Tensor | None = None,
+    ) -> Tensor:
         """What an observation is: [B, H, W, 3] uint8.
 
         Args:
             cameras: B views.
+            parts: what each of them is shown; None draws model 0 where it stands.
             only: [B] bool, which to draw; the others are zero. None draws all.
             out: [B, H, W, 3] uint8, contiguous, in main memory: written to in place of a new tensor, whole.
 
         Raises:
-            ValueError: for an ``out`` of another shape, type, layout or device, or with ``only``.
+            ValueError: for parts that are refused, or an ``out`` of another shape, type, layout or device, or with
+                ``only``.
         """
+        parts = checked_parts(parts, cameras, self._models)
         if out is None:
-            return draw_only(self._pixels, cameras, only)
+            return draw_only(self._pixels, cameras, parts, only)
         if only is not None:
             raise ValueError("out: expected no only beside it, since what is not drawn would keep its old pixels")
-        self._draw(cameras, _checked_out(out, cameras))
+        self._draw(cameras, parts, _checked_out(out, cameras))
         return out
 
-    def _pixels(self, cameras: Cameras) -> Tensor:
+    def _pixels(self, cameras: Cameras, parts: Parts | None) -> Tensor:
         pixels = _empty_pixels(cameras)
-        self._draw(cameras, pixels)
+        self._draw(cameras, parts, pixels)
         return pixels.to(cameras.camera_to_world.device)
 
-    def efforts(self, cameras: Cameras) -> Effort:
+    def efforts(self, cameras: Cameras, parts: Parts | None = None) -> Effort:
         """What it takes to draw each view, measured by drawing it."""
-        values = self._draw(cameras, _empty_pixels(cameras)).unbind(1)
+        parts = checked_parts(parts, cameras, self._models)
+        values = self._draw(cameras, parts, _empty_pixels(cameras)).unbind(1)
         return Effort(*(value.int() for value in values[:3]), *values[3:])
 
-    def _draw(self, cameras: Cameras, pixels: Tensor) -> Tensor:
+    def _draw(self, cameras: Cameras, parts: Parts | None, pixels: Tensor) -> Tensor:
         """Draw into ``pixels``; returns the efforts, [B, fields]."""
         efforts = torch.empty(len(cameras), len(Effort._fields))
-        self._core.pixels(*_checked(cameras), pixels, efforts, self.threads)
+        self._core.pixels(*_placed(cameras, parts), pixels, efforts, self.threads)
         return efforts
 
 
@@ -144,7 +154,10 @@ def _cpu_floats(value: Tensor) -> Tensor:
     return value.detach().to("cpu", torch.float32).contiguous()
 
 
-def _checked(cameras: Cameras) -> tuple[Tensor, Tensor]:
-    """Poses and intrinsics as the core reads them, after the checks that it relies on."""
+def _placed(cameras: Cameras, parts: Parts | None) -> tuple[Tensor | None, Tensor, Tensor]:
+    """Models, poses in their frames and intrinsics as the core reads them, after the checks that it relies on."""
     require_finite(cameras)
-    return _cpu_floats(cameras.camera_to_world), _cpu_floats(cameras.K)
+    K = _cpu_floats(cameras.K)
+    if parts is None:
+        return None, _cpu_floats(cameras.camera_to_world).unsqueeze(1), K
+    return parts.model.cpu().contiguous(), _cpu_floats(camera_to_models(cameras, parts)), K

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from splatrl.cameras import Cameras
-from splatrl.geometry import invert_rigid
+from splatrl.geometry import first_not_rigid, rigid
 
 ABSENT = -1
 """The model of a part that shows nothing: rows of a batch may have different numbers of parts."""
@@ -15,7 +15,7 @@ class Parts(NamedTuple):
     """For each row of a batch, up to M models of a renderer and where they stand.
 
     All parts of a row are drawn into one image: their Gaussians are sorted by depth and blended together, so parts hide
-    each other exactly. At equal depths the part that comes first is in front.
+    each other exactly. At equal depths the part that comes first is in front. A row without parts shows the background.
 
     Attributes:
         model: [B, M] int64, which of the renderer's models; ``ABSENT`` (−1) for none.
@@ -30,6 +30,53 @@ class Parts(NamedTuple):
         return Parts(self.model[rows], self.model_to_world[rows])
 
 
+def require_parts_of(parts: Parts, cameras: Cameras) -> None:
+    """Refuse parts that do not belong to a batch of cameras, without looking at their values.
+
+    Raises:
+        ValueError: for another shape or type than [B, M] int64 and [B, M, 4, 4] float32.
+    """
+    model, poses = parts
+    if model.ndim != 2 or len(model) != len(cameras) or model.dtype != torch.int64:
+        raise ValueError(
+            f"parts.model: expected [{len(cameras)}, M] torch.int64, got {list(model.shape)} {model.dtype}"
+        )
+    if poses.shape != (*model.shape, 4, 4) or poses.dtype != torch.float32:
+        expected = [*model.shape, 4, 4]
+        raise ValueError(
+            f"parts.model_to_world: expected {expected} torch.float32, got {list(poses.shape)} {poses.dtype}"
+        )
+
+
+def checked_parts(parts: Parts | None, cameras: Cameras, models: int) -> Parts | None:
+    """Parts as they are, after the checks that every renderer on the host makes.
+
+    Args:
+        parts: of each row; None where model 0 is drawn.
+        cameras: B views.
+        models: how many the renderer has.
+
+    Raises:
+        ValueError: for another shape or type, or by row and part for a model that there is not or a pose that is not
+            rigid.
+    """
+    if parts is None:
+        return None
+    require_parts_of(parts, cameras)
+    unknown = (parts.model < ABSENT) | (parts.model >= models)
+    if unknown.any():
+        row, part = unknown.nonzero()[0].tolist()
+        choices = f"{ABSENT} or a model in [0, {models})"
+        raise ValueError(f"parts.model[{row}, {part}]: expected {choices}, got {int(parts.model[row, part])}")
+    present = (parts.model != ABSENT).nonzero()
+    poses = parts.model_to_world.detach()[present.unbind(1)]
+    fault = first_not_rigid(poses)
+    if fault is not None:
+        row, part = present[fault[0]].tolist()
+        raise ValueError(f"parts.model_to_world[{row}, {part}]: expected {fault[1]}, got {poses[fault[0]].tolist()}")
+    return parts
+
+
 def camera_to_models(cameras: Cameras, parts: Parts) -> Tensor:
     """The pose of each row's camera in the frame of each of its parts: so harmonics need no turning.
 
@@ -38,8 +85,15 @@ def camera_to_models(cameras: Cameras, parts: Parts) -> Tensor:
         parts: of the B rows.
 
     Returns:
-        [B, M, 4, 4] float32, metres, computed in double precision and rounded once; a part that stands at the origin
-        gives ``camera_to_world`` to the bit.
+        [B, M, 4, 4] float32, metres, computed in double precision and rounded once, each by itself whatever the batch;
+        a part that stands at the origin gives ``camera_to_world``.
     """
-    world_to_model = invert_rigid(parts.model_to_world.double())
-    return (world_to_model @ cameras.camera_to_world.double().unsqueeze(1)).float()
+    model_to_world = parts.model_to_world.double()
+    camera_to_world = cameras.camera_to_world.double().unsqueeze(1)
+    axes, to_camera = camera_to_world[..., :3, :3], camera_to_world[..., :3, 3] - model_to_world[..., :3, 3]
+    seen = torch.cat([axes.expand(*to_camera.shape, 3), to_camera.unsqueeze(-1)], -1)  # [B, M, 3, 4]
+    x, y, z = (  # a product of matrices may be summed in another order in another batch
+        model_to_world[..., axis, :3].unsqueeze(-1) * seen[..., axis, :].unsqueeze(-2) for axis in range(3)
+    )
+    turned = x + y + z
+    return rigid(turned[..., :3], turned[..., 3]).float()

@@ -8,7 +8,16 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.geometry import invert_rigid
-from splatrl.renderers.base import RenderOutput, checked_background, draw_only, gaussians_of, require_finite, to_pixels
+from splatrl.renderers.base import (
+    RenderOutput,
+    checked_background,
+    draw_only,
+    gaussians_of,
+    models_of,
+    require_finite,
+    to_pixels,
+)
+from splatrl.renderers.parts import ABSENT, Parts, camera_to_models, checked_parts
 from splatrl.scenes.gaussians import INVISIBLE, Gaussians
 from splatrl.scenes.scene import Scene
 from splatrl.spherical_harmonics import sh_colors
@@ -52,10 +61,11 @@ class Projected(NamedTuple):
 class ReferenceRenderer:
     """Renders Gaussians by elliptical weighted average splatting (Zwicker et al. 2001, Kerbl et al. 2023).
 
-    The conventions are gsplat's. Gradients reach everything in ``gaussians``; the output has their float type.
+    The conventions are gsplat's. Gradients reach the Gaussians of every model, whose float type the output has, and the
+    poses of parts.
 
     Args:
-        scene: the scene, or its Gaussians.
+        scene: the scene, or its Gaussians; or several, which ``Parts.model`` indexes.
         antialiased: keep the energy of Gaussians smaller than a pixel (Mip-Splatting, Yu et al. 2024): what the
             dilation adds in area is taken from the opacity. False is the classic 3DGS image.
         background: colour behind the Gaussians, in [0, 1].
@@ -63,26 +73,26 @@ class ReferenceRenderer:
 
     def __init__(
         self,
-        scene: Scene | Gaussians,
+        scene: Scene | Gaussians | Sequence[Scene | Gaussians],
         antialiased: bool = True,
         background: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> None:
-        self.gaussians = gaussians_of(scene)
+        self.models = [gaussians_of(model) for model in models_of(scene)]
         self.antialiased = antialiased
         self.background = checked_background(background)
         self.invisible = FAINT if antialiased else INVISIBLE
 
-    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera, on the device and in the float type of the Gaussians."""
-        return draw_only(self._rendered, cameras, only)
+        return draw_only(self._rendered, cameras, checked_parts(parts, cameras, len(self.models)), only)
 
-    def _rendered(self, cameras: Cameras) -> RenderOutput:
+    def _rendered(self, cameras: Cameras, parts: Parts | None) -> RenderOutput:
         require_finite(cameras)
         shape = (len(cameras), cameras.height, cameras.width)
-        outputs = self.gaussians.means.new_zeros(*shape, 5)
-        background = self.gaussians.means.new_tensor(self.background)
+        outputs = self.models[0].means.new_zeros(*shape, 5)
+        background = outputs.new_tensor(self.background)
         for row in range(len(cameras)):
-            projected = self.project(cameras, row)
+            projected = self._seen(cameras, parts, row)
             for top in range(0, cameras.height, TILE):
                 for left in range(0, cameras.width, TILE):
                     bottom, right = min(top + TILE, cameras.height), min(left + TILE, cameras.width)
@@ -94,24 +104,47 @@ class ReferenceRenderer:
         depth = torch.where(covered, weighted_depth / torch.where(covered, alpha, 1.0), 0.0)
         return RenderOutput(rgb.clamp(0.0, 1.0), depth, alpha)
 
-    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         """[B, H, W, 3] uint8."""
 
-        def quantised(some: Cameras) -> Tensor:  # before the rows spread out: what is not drawn is zero
-            return to_pixels(self._rendered(some).rgb)
+        def quantised(
+            some: Cameras, their: Parts | None
+        ) -> Tensor:  # before rows spread out: what is not drawn is zero
+            return to_pixels(self._rendered(some, their).rgb)
 
         with torch.no_grad():
-            return draw_only(quantised, cameras, only)
+            return draw_only(quantised, cameras, checked_parts(parts, cameras, len(self.models)), only)
 
-    def project(self, cameras: Cameras, row: int) -> Projected:
-        """Project the Gaussians onto the image of one camera (EWA splatting, eq. 29 to 31 of Zwicker et al. 2001)."""
-        means = self.gaussians.means
+    def _seen(self, cameras: Cameras, parts: Parts | None, row: int) -> Projected:
+        """What one camera sees of its parts; at equal depths, what comes first in the order of parts is in front."""
+        if parts is None:
+            return self.project(self.models[0], cameras, row)
+        one = slice(row, row + 1)
+        poses = camera_to_models(cameras[one], parts.rows(one))[0]  # [M, 4, 4]
+        in_models = Cameras(poses, cameras.K[row], cameras.width, cameras.height)
+        seen = [self.project(self.models[0][:0], cameras, row)]  # nothing: a row may have no parts
+        for part, model in enumerate(parts.model[row].tolist()):
+            if model != ABSENT:
+                seen.append(self.project(self.models[model], in_models, part))
+        joined = [torch.cat(values) for values in zip(*seen, strict=True)]
+        order = joined[-1].argsort(stable=True)
+        return Projected(*(value[order] for value in joined))
+
+    def project(self, gaussians: Gaussians, cameras: Cameras, row: int) -> Projected:
+        """Project a model onto the image of one camera (EWA splatting, eq. 29 to 31 of Zwicker et al. 2001).
+
+        Args:
+            gaussians: of the model.
+            cameras: in the frame of the model.
+            row: which of the cameras.
+        """
+        means = gaussians.means
         camera_to_world, K = cameras.camera_to_world[row].to(means), cameras.K[row].to(means)
         world_to_camera = invert_rigid(camera_to_world)
         seen = world_to_camera[:3, :3] @ means.mT + world_to_camera[:3, 3:]  # [3, N], camera frame
         kept = (seen[2] >= NEAR).nonzero().squeeze(-1)
         kept = kept[seen[2, kept].argsort(stable=True)]
-        visible = self.gaussians[kept]
+        visible = gaussians[kept]
         x, y, z = seen[:, kept]
 
         covariances = project_covariances(

@@ -15,7 +15,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from splatrl.bodies import Body
 from splatrl.cameras import Cameras
-from splatrl.renderers import RenderOutput
+from splatrl.renderers import Parts, RenderOutput
 from tests.tiny import BODY
 
 aten = torch.ops.aten
@@ -87,7 +87,7 @@ def pretend_device(monkeypatch: pytest.MonkeyPatch) -> None:
 class Painter:
     """Paints each view by where its camera is and looks, and keeps no state: a renderer that never asks the host."""
 
-    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         pose = cameras.camera_to_world
         shape = (len(cameras), cameras.height, cameras.width)
         level = torch.sigmoid(pose[:, :3, 3] + pose[:, :3, 2])  # [B, 3], metres and directions
@@ -99,8 +99,8 @@ class Painter:
             return RenderOutput(rgb, depth, alpha)
         return RenderOutput(*(torch.where(only.view(-1, *[1] * (x.ndim - 1)), x, 0.0) for x in (rgb, depth, alpha)))
 
-    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
-        return (255 * self.render(cameras, only).rgb).to(torch.uint8)
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
+        return (255 * self.render(cameras, parts, only).rgb).to(torch.uint8)
 
 
 class SquareChecker:

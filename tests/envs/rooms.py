@@ -13,7 +13,7 @@ from splatrl.curriculum import Curriculum, Plan, plan
 from splatrl.envs import DriveMotion, ForwardMotion, SplatEnv
 from splatrl.envs.tasks import Apple, Drive
 from splatrl.envs.transforms import ImageGoal
-from splatrl.renderers import RenderOutput
+from splatrl.renderers import Parts, RenderOutput
 from splatrl.renderers.base import draw_only
 from tests.tiny import HEIGHT, BlockChecker, tiny_renderer, tiny_robot
 
@@ -25,15 +25,15 @@ PLACE = (0.75, 1.0, HEIGHT)
 class RedEast:
     """Paints a view all red where the camera looks east, and else grey, brighter than any apple."""
 
-    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
-        return draw_only(self._painted, cameras, only)
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
+        return draw_only(self._painted, cameras, parts, only)
 
-    def _painted(self, cameras: Cameras) -> Tensor:
+    def _painted(self, cameras: Cameras, parts: Parts | None) -> Tensor:
         east = cameras.camera_to_world[:, 0, 2] > 0.9
         colors = torch.where(east[:, None], torch.tensor([200, 0, 0]), torch.tensor([230, 230, 230])).to(torch.uint8)
         return colors[:, None, None].expand(len(cameras), cameras.height, cameras.width, 3).clone()
 
-    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         raise NotImplementedError
 
 

@@ -62,6 +62,6 @@ def test_an_env_moves_to_the_gpu_and_goes_on_there(cuda_device: torch.device) ->
     env = tiny_env((5,), max_steps=6)
     moved = env.to(cuda_device)
     assert moved is env and isinstance(env, SplatEnv) and env.generator.device.type == "cuda"
-    env.renderer = CudaRenderer(tiny_env((1,)).renderer.renderer.gaussians, device=cuda_device)
+    env.renderer = CudaRenderer(tiny_env((1,)).renderer.renderer.models[0], device=cuda_device)
     batch = env.rollout(20, break_when_any_done=False)
     assert batch.device.type == "cuda" and batch["next", "done"].any()

@@ -18,6 +18,7 @@ from splatrl.curriculum import Curriculum
 from splatrl.curriculum.planner import successors
 from splatrl.envs import SplatEnv
 from splatrl.envs.tasks import Outcome
+from splatrl.renderers import Parts
 from splatrl.world import World, build_world
 from tests.envs.contract import EnvContract
 from tests.tiny import (
@@ -132,9 +133,9 @@ def test_the_curriculum_hears_of_each_end_once_and_of_no_episode_placed_by_hand(
 class CameraRecorder(RememberingRenderer):
     """Keeps the cameras that it was last asked for."""
 
-    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         self.cameras = cameras
-        return super().pixels(cameras, only)
+        return super().pixels(cameras, parts, only)
 
 
 def test_a_camera_offset_moves_the_camera_and_not_the_robot() -> None:

@@ -25,7 +25,7 @@ from splatrl.evaluation.walks import (
     sway,
     walk,
 )
-from splatrl.renderers.base import RenderOutput
+from splatrl.renderers import Parts, RenderOutput
 from tests.tiny import HEIGHT, BlockChecker, tiny_motion, tiny_plan, tiny_renderer, tiny_robot
 
 STILL = Hand(place=0.0, height=0.0, pitch_deg=0.0, roll_deg=0.0, yaw_deg=0.0)
@@ -206,12 +206,12 @@ def test_a_pose_beside_a_lattice_belongs_to_the_nearest_state() -> None:
 class Painter:
     """Paints each view with the height of its camera; its depth is 1 m."""
 
-    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         shape = (len(cameras), cameras.height, cameras.width)
         level = cameras.camera_to_world[:, 2, 3].view(-1, 1, 1, 1)
         return RenderOutput(level.expand(*shape, 3), torch.ones(shape), torch.ones(shape))
 
-    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         raise NotImplementedError
 
 

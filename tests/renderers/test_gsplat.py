@@ -59,10 +59,10 @@ def test_large_batches_are_drawn_in_parts_that_memory_holds(parts: list[int]) ->
 def test_only_the_rows_that_are_asked_for_are_drawn(parts: list[int]) -> None:
     renderer, cameras = GsplatRenderer(random_gaussians(1, 80), True, BACKGROUND, device="cpu"), random_cameras(2, 4)
     whole, only = renderer.pixels(cameras), torch.tensor([True, False, False, True])
-    assert torch.equal(renderer.pixels(cameras, only), whole * only.view(-1, 1, 1, 1))
+    assert torch.equal(renderer.pixels(cameras, only=only), whole * only.view(-1, 1, 1, 1))
     assert parts == [4, 2]
     nothing = torch.zeros(4, dtype=torch.bool)
-    assert not renderer.pixels(cameras, nothing).any() and not renderer.render(cameras, nothing).rgb.any()
+    assert not renderer.pixels(cameras, only=nothing).any() and not renderer.render(cameras, only=nothing).rgb.any()
     assert renderer.render(cameras[:0]).rgb.shape == (0, 22, 37, 3) and parts == [4, 2]
 
 

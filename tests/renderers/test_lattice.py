@@ -3,7 +3,7 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
-from splatrl.renderers import LatticeRenderer, NativeRenderer, RenderOutput
+from splatrl.renderers import LatticeRenderer, NativeRenderer, Parts, RenderOutput
 from tests.renderers.cases import random_cameras, random_gaussians
 
 
@@ -14,13 +14,13 @@ class Counting:
         self.renderer = NativeRenderer(random_gaussians(0, 100), threads=1)
         self.frames = 0
 
-    def render(self, cameras: Cameras, only: Tensor | None = None) -> RenderOutput:
-        return self.renderer.render(cameras, only)
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
+        return self.renderer.render(cameras, parts, only)
 
-    def pixels(self, cameras: Cameras, only: Tensor | None = None) -> Tensor:
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         assert only is None, "a memory asks for what it has not, and no more"
         self.frames += len(cameras)
-        return self.renderer.pixels(cameras)
+        return self.renderer.pixels(cameras, parts)
 
 
 def test_pixels_are_those_of_the_renderer_and_each_view_is_rendered_once() -> None:

@@ -193,11 +193,11 @@ def test_levels_are_built_once_for_a_scene_and_read_from_its_cache(
 def test_levels_that_lead_outside_are_refused(levels: Arrays, name: str, index: int, value: int) -> None:
     bad = {key: values.copy() for key, values in levels.items()}
     bad[name][index] = value
-    settings = {"degree": 1, "antialiased": True, "background": (0, 0, 0), "tolerance": 1.0}
+    renderer = _core.Renderer(True, (0, 0, 0), 1.0)
     with pytest.raises(ValueError, match="levels: expected a tree"):
-        _core.Renderer(**arrays_of(random_gaussians(3, 3000, 1)), levels=bad, **settings)
+        renderer.add_model(**arrays_of(random_gaussians(3, 3000, 1)), degree=1, levels=bad)
     with pytest.raises(ValueError, match="levels"):
-        _core.Renderer(**arrays_of(random_gaussians(3, 2000, 1)), levels=levels, **settings)
+        renderer.add_model(**arrays_of(random_gaussians(3, 2000, 1)), degree=1, levels=levels)
 
 
 @pytest.mark.parametrize("tolerance", [-0.1, math.inf, math.nan])

@@ -24,10 +24,10 @@ def test_rows_that_are_not_asked_for_are_zero_and_the_others_as_ever(
     renderer, cameras = make(), random_cameras(6, 4, 19, 13)
     only = torch.zeros(4, dtype=torch.bool)
     only[rows] = True
-    pixels, whole = renderer.pixels(cameras, only), renderer.pixels(cameras)
+    pixels, whole = renderer.pixels(cameras, only=only), renderer.pixels(cameras)
     assert pixels.dtype == torch.uint8 and pixels.shape == whole.shape
     assert torch.equal(pixels, whole * only.view(-1, 1, 1, 1)) and whole[0, 0, 0].any()
-    for part, expected in zip(renderer.render(cameras, only), renderer.render(cameras), strict=True):
+    for part, expected in zip(renderer.render(cameras, only=only), renderer.render(cameras), strict=True):
         assert torch.equal(part[only], expected[only]) and not part[~only].any()
 
 
@@ -35,13 +35,13 @@ def test_rows_that_are_not_asked_for_are_zero_and_the_others_as_ever(
 @pytest.mark.parametrize("make", MAKERS, ids=["reference", "native", "lattice"])
 def test_what_is_not_a_mask_over_the_batch_is_refused(make: Callable[[], Renderer], only: torch.Tensor) -> None:
     with pytest.raises(ValueError, match=r"only: expected \[4\] torch.bool, got"):
-        make().pixels(random_cameras(6, 4, 19, 13), only)
+        make().pixels(random_cameras(6, 4, 19, 13), only=only)
 
 
 def test_gradients_reach_the_scene_through_the_rows_that_are_drawn() -> None:
     scene = SCENE.clone()
     scene.opacities.requires_grad_()
-    rgb = ReferenceRenderer(scene).render(random_cameras(6, 3, 19, 13), torch.tensor([False, True, False])).rgb
+    rgb = ReferenceRenderer(scene).render(random_cameras(6, 3, 19, 13), only=torch.tensor([False, True, False])).rgb
     rgb[0].sum().backward(retain_graph=True)
     assert not scene.opacities.grad.any()
     rgb[1].sum().backward()
@@ -51,4 +51,4 @@ def test_gradients_reach_the_scene_through_the_rows_that_are_drawn() -> None:
 def test_a_tensor_to_draw_into_takes_no_mask() -> None:
     cameras, out = random_cameras(6, 3, 19, 13), torch.zeros(3, 13, 19, 3, dtype=torch.uint8)
     with pytest.raises(ValueError, match="out: expected no only beside it"):
-        NativeRenderer(SCENE).pixels(cameras, torch.ones(3, dtype=torch.bool), out)
+        NativeRenderer(SCENE).pixels(cameras, only=torch.ones(3, dtype=torch.bool), out=out)

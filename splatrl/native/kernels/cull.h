@@ -17,7 +17,7 @@ LANE_INLINE uint32_t groups_in_view(const Frustum& frustum, const Camera& camera
     return ~bits_above(missed, lanes(0.0f)) & ((2u << (groups - 1)) - 1);
 }
 
-// The groups that may show on a tile, in the order of the scene.
+// The groups that may show on a tile, in the order of the scene: none where the root misses it.
 LANE_INLINE uint32_t cull(const SceneView& scene, const Camera& camera, const Tile& tile, uint32_t* groups) {
     const Frustum frustum = frustum_of(camera, tile);
     uint32_t count = 0;

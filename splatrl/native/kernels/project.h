@@ -70,8 +70,10 @@ LANE_INLINE void patches_of(const Tile& tile, const Lanes& left, const Lanes& ri
 }
 
 template <bool ANTIALIASED, bool MERGED>
-static uint32_t project_group(const SceneView& scene, const Camera& camera, const Tile& tile, uint32_t group,
-                              const Scratch& scratch, uint32_t count) {
+static uint32_t project_group(const Part& part, const Tile& tile, uint32_t group, const Scratch& scratch,
+                              uint32_t count) {
+    const SceneView& scene = *part.scene;
+    const Camera& camera = part.camera;
     const float* geometry = scene.geometry + size_t(group) * GEOMETRY * GROUP;
     const Vector<Lanes> offset{load(geometry) - camera.position[0], load(geometry + GROUP) - camera.position[1],
                                load(geometry + 2 * GROUP) - camera.position[2]};
@@ -99,7 +101,8 @@ static uint32_t project_group(const SceneView& scene, const Camera& camera, cons
     exact_depths(geometry, camera, depths, rests);
     Record record{{print.x, print.y, print.l11, print.l12, print.l22, print.log2_opacity,
                    from_bits(join_halves(rgb[0], rgb[1])), from_bits(join_halves(rgb[2], to_halves(print.peak)))},
-                  {}, {}, depths, rests, load_ints(scene.original_index + group * GROUP)};
+                  {}, {}, depths, rests,
+                  plus(load_ints(scene.original_index + group * GROUP), part.first_index)};
     patches_of(tile, left, right, top, bottom, record.patch_low, record.patch_high);
     return append(record, visible, scratch, count);
 }
@@ -112,18 +115,17 @@ LANE_INLINE void fetch_group(const SceneView& scene, uint32_t group) {
     for (size_t line = 0; line < bytes; line += 64) __builtin_prefetch(colors + line, 0, 1);
 }
 
-// Project the groups that scratch names. Returns how many splats there are.
+// Project the groups of a part that scratch names, behind `count` splats. Returns how many splats there are then.
 template <bool ANTIALIASED>
-static uint32_t project_groups(const SceneView& scene, const Camera& camera, const Tile& tile, uint32_t groups,
-                               const Scratch& scratch) {
+static uint32_t project_groups(const Part& part, const Tile& tile, uint32_t groups, const Scratch& scratch,
+                               uint32_t count) {
     constexpr uint32_t GROUPS_AHEAD = 1;
-    uint32_t count = 0;
     for (uint32_t i = 0; i < groups; ++i) {
-        fetch_group(scene, scratch.groups[i + GROUPS_AHEAD]);
+        fetch_group(*part.scene, scratch.groups[i + GROUPS_AHEAD]);
         const uint32_t group = scratch.groups[i];
-        count = group < scene.first_merged
-                    ? project_group<ANTIALIASED, false>(scene, camera, tile, group, scratch, count)
-                    : project_group<ANTIALIASED, true>(scene, camera, tile, group, scratch, count);
+        count = group < part.scene->first_merged
+                    ? project_group<ANTIALIASED, false>(part, tile, group, scratch, count)
+                    : project_group<ANTIALIASED, true>(part, tile, group, scratch, count);
     }
     return count;
 }

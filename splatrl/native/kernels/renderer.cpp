@@ -10,18 +10,20 @@ namespace splatrl {
 namespace SPLATRL_ISA {
 
 template <bool ANTIALIASED, bool WITH_DEPTH>
-static Effort render(const SceneView& scene, const Camera& camera, const Tile& tile, const Scratch& scratch) {
+static Effort render(const Row& row, const Tile& tile, const Scratch& scratch) {
     using Clock = std::chrono::steady_clock;
     using Milliseconds = std::chrono::duration<float, std::milli>;
     Effort effort{};
     const auto start = Clock::now();
-    const uint32_t groups = cull(scene, camera, tile, scratch.groups);
-    effort.projected = groups * GROUP;
-    effort.visible = project_groups<ANTIALIASED>(scene, camera, tile, groups, scratch);
+    for (const Part* part = row.parts; part != row.parts + row.count; ++part) {
+        const uint32_t groups = cull(*part->scene, part->camera, tile, scratch.groups);
+        effort.projected += groups * GROUP;
+        effort.visible = project_groups<ANTIALIASED>(*part, tile, groups, scratch, effort.visible);
+    }
     const auto projected = Clock::now();
     const uint64_t* keys = sort_by_depth(scratch, effort.visible);
     const auto sorted = Clock::now();
-    effort.blended = blend_tile<ANTIALIASED, WITH_DEPTH>(tile, scene.background, keys, effort.visible, scratch);
+    effort.blended = blend_tile<ANTIALIASED, WITH_DEPTH>(tile, row.background, keys, effort.visible, scratch);
     const auto blended = Clock::now();
     effort.project_ms = Milliseconds(projected - start).count();
     effort.sort_ms = Milliseconds(sorted - projected).count();
@@ -29,13 +31,10 @@ static Effort render(const SceneView& scene, const Camera& camera, const Tile& t
     return effort;
 }
 
-static Effort render_any(const SceneView& scene, const Camera& camera, const Tile& tile, bool antialiased,
-                         bool with_depth, const Scratch& scratch) {
+static Effort render_any(const Row& row, const Tile& tile, bool antialiased, bool with_depth, const Scratch& scratch) {
     if (antialiased)
-        return with_depth ? render<true, true>(scene, camera, tile, scratch)
-                          : render<true, false>(scene, camera, tile, scratch);
-    return with_depth ? render<false, true>(scene, camera, tile, scratch)
-                      : render<false, false>(scene, camera, tile, scratch);
+        return with_depth ? render<true, true>(row, tile, scratch) : render<true, false>(row, tile, scratch);
+    return with_depth ? render<false, true>(row, tile, scratch) : render<false, false>(row, tile, scratch);
 }
 
 extern const RenderTile render_tile = render_any;

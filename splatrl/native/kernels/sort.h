@@ -1,4 +1,4 @@
-// One depth order for the whole image, nearest first; equal depths in the order of the scene's own indices.
+// One depth order for the whole image, nearest first; equal depths in the order of the parts, then of their own indices.
 #pragma once
 
 #include "kernel.h"
@@ -7,7 +7,7 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Whether splat `a` is blended before splat `b`: by depth in double precision, then in the order of the scene.
+// Whether splat `a` is blended before splat `b`: by depth in double precision, then in the order of parts and scenes.
 LANE_INLINE bool before(const Tie* ties, uint64_t a, uint64_t b) {
     if (a >> 32 != b >> 32) return a < b;
     const Tie &first = ties[uint32_t(a)], &second = ties[uint32_t(b)];
