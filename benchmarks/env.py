@@ -88,9 +88,9 @@ def random_actions(env: EnvBase) -> Callable[[], None]:
 
 def backyard_env(tolerance: float, batch: int, threads: int) -> splatrl.SplatEnv:
     """The grid task from any start, every view rendered."""
-    settings = [f"renderer.views.threads={threads}", f"renderer.views.tolerance={tolerance}"]
+    settings = [f"renderer.threads={threads}", f"renderer.tolerance={tolerance}"]
     return splatrl.make_env(
-        ["device=cpu", "curriculum=none", "renderer.memory.max_bytes=0", *settings], batch_size=[batch]
+        ["device=cpu", "curriculum=none", "renderer.cache.max_bytes=0", *settings], batch_size=[batch]
     )
 
 

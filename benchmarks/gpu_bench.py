@@ -16,6 +16,7 @@ from gpu_device import CHAINS, RATE, STEPS, Machine, measured_machine
 from scenes import Room, Subject, chosen
 
 from splatrl.bodies import Body
+from splatrl.build import World, build_world
 from splatrl.cameras import Cameras
 from splatrl.collision import Occupancy
 from splatrl.collision.cuda import CudaChecker
@@ -23,7 +24,6 @@ from splatrl.configuration import load_config
 from splatrl.renderers.cuda import CudaRenderer
 from splatrl.renderers.gsplat import GsplatRenderer
 from splatrl.scenes import Gaussians, Scene
-from splatrl.world import World, build_world
 
 ROOT = Path(__file__).parents[1]
 
@@ -167,7 +167,7 @@ class Bench:
     def world(self, folder: Path, overrides: list[str]) -> tuple[World, float]:
         """What envs of a config share, and the tolerance of its renderer in pixels."""
         cfg = load_config(overrides)
-        return build_world(cfg), float(cfg.renderer.views.tolerance)
+        return build_world(cfg), float(cfg.renderer.tolerance)
 
     def free(self) -> None:
         """Give memory back that nothing holds any more."""

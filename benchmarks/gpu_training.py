@@ -13,15 +13,14 @@ from gpu_device import Rate, in_turns, rate
 from torch import Tensor
 from torchrl.envs import EnvBase
 
+from splatrl.build import World, build_trainer
 from splatrl.cameras import Cameras
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
-from splatrl.envs.layers import layers
+from splatrl.envs.nesting import layers
 from splatrl.envs.restart import restart
 from splatrl.renderers import Parts, Renderer, RenderOutput
-from splatrl.train import make_trainer
-from splatrl.training.captured import Captured
-from splatrl.world import World
+from splatrl.training.cuda_graph import CudaGraph
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,7 @@ def step_rates(bench: Bench, world: World, robots: int, budget: float) -> dict[s
             calls["bare"] = repeated(redrawing(base.renderer, recorded(env, step, steps)), steps)
         elif not (base.capturable and bench.device.type == "cuda"):
             continue
-        calls[name] = repeated(step if name == "plain" else Captured(step, [base.generator]), steps)
+        calls[name] = repeated(step if name == "plain" else CudaGraph(step, [base.generator]), steps)
         envs[name] = base
     times = in_turns(calls, bench.device, budget)
     for base in envs.values():
@@ -152,7 +151,7 @@ def training(bench: Bench) -> None:
         overrides = [*bench.overrides(folder), *sizes.training]
         cfg = load_config(overrides)
         world, tolerance = bench.world(folder, overrides)
-        ppo = make_trainer(cfg, world, folder).ppo
+        ppo = build_trainer(cfg, world, folder).ppo
         frames = ppo.frames_per_batch
         ppo.iterate()  # compiles, captures and takes memory
         collected = timed(bench, ppo.collect, 0.3 * bench.left)

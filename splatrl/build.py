@@ -71,9 +71,7 @@ def _constructor(cfg: DictConfig, group: str, device: torch.device) -> Callable[
     return instantiate(node)
 
 
-def _plan(
-    task: Task, checker: Checker, farthest: int | None, fits: Callable[[Tensor], Tensor]
-) -> Plan:
+def _plan(task: Task, checker: Checker, farthest: int | None, fits: Callable[[Tensor], Tensor]) -> Plan:
     """Paths of a task; one without goal states has none."""
     motion: Any = task.motion
     some = motion.states()[:1]

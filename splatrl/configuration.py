@@ -41,7 +41,7 @@ def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfi
     """Compose a config as the command line does.
 
     Args:
-        overrides: in Hydra's grammar, such as ``scene=kitchen`` or ``task.max_steps=100``; ``scene=`` also takes a path.
+        overrides: in Hydra's grammar, such as ``task=fps`` or ``task.max_steps=100``; ``scene=`` also takes a path.
         name: of the root config.
     """
     with _hydra():

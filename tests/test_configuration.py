@@ -6,10 +6,8 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from splatrl import world
+from splatrl.build import build_trainer, build_world, make_env
 from splatrl.configuration import check_overrides, conf_dir, load_config, resumed_config, run_config, save_config
-from splatrl.train import make_trainer
-from splatrl.world import build_world, make_env
 from tests.envs.devices import pretend_device
 from tests.tiny import tiny_overrides
 
@@ -45,7 +43,7 @@ def test_what_runs_on_gpus_alone_says_so(option: Path, tmp_path: Path, monkeypat
 def test_the_parts_for_a_gpu_are_those_of_its_nodes() -> None:
     """Those that ``auto`` names, and where a group is chosen by name that alone."""
     gpu, cpu = torch.device("cuda"), torch.device("cpu")
-    cfg = load_config(["renderer.views.antialiased=false", "renderer.views.tolerance=0.25"])
+    cfg = load_config(["renderer.antialiased=false", "renderer.tolerance=0.25"])
     assert world._node(cfg.renderer, "views", gpu)._target_ == "splatrl.renderers.cuda.CudaRenderer"
     assert world._node(cfg.collision, "checker", gpu)._target_ == "splatrl.collision.cuda.CudaChecker"
     assert (cfg.renderer.gpu.antialiased, cfg.renderer.gpu.tolerance) == (False, 0.25)
@@ -63,7 +61,7 @@ def test_a_config_of_before_there_were_gpus_still_builds(tmp_path: Path) -> None
     folder.mkdir()
     save_config(cfg, folder)
     old = run_config(folder)
-    trainer = make_trainer(old, build_world(old), folder)
+    trainer = build_trainer(old, build_world(old), folder)
     assert trainer.ppo.collect()["pixels"].shape[-1] == 12
 
 

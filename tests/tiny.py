@@ -14,8 +14,10 @@ from torch import Tensor
 from splatrl.bodies import Body, Box
 from splatrl.cameras import Cameras
 from splatrl.curriculum import Curriculum, Plan, plan
-from splatrl.envs import LatticeMotion, Robot, SplatEnv
+from splatrl.envs import Robot, SplatEnv
+from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.tasks import Grid
+from splatrl.motions import LatticeMotion
 from splatrl.renderers import Parts, ReferenceRenderer, Renderer, RenderOutput
 from splatrl.renderers.base import draw_only
 from splatrl.scenes import write_gaussians
@@ -182,8 +184,8 @@ def tiny_env(
 ) -> SplatEnv:
     """Robots in the room: a top-level function of plain values, so that a worker process can make one."""
     curriculum = Curriculum(tiny_plan(), first, threshold=threshold, window=window)
-    renderer = renderer or tiny_renderer()
-    return SplatEnv(renderer, BlockChecker(), tiny_robot(), tiny_task(max_steps), curriculum, batch_size, seed)
+    drawing = SceneDrawing(renderer or tiny_renderer())
+    return SplatEnv(drawing, BlockChecker(), tiny_robot(), tiny_task(max_steps), curriculum, batch_size, seed)
 
 
 def tiny_overrides(folder: Path, task: str = "grid") -> list[str]:

@@ -179,7 +179,9 @@ class SplatEnv(EnvBase):
         memory = {key: tensordict[key] for key in task.memory_spec}
         move = task.motion.move(before, action, self.checker)
         view = self._view(move.state, move.body_to_world, memory, tensordict.get("camera_offset", None))
-        reward, terminated, outcome, memory = task.judge(Step(before, action, move, memory, view.pixels), self.anywhere)
+        reward, terminated, outcome, remembered = task.judge(
+            Step(before, action, move, memory, view.pixels), self.anywhere
+        )
         step_count = tensordict["step_count"] + 1
         truncated = (step_count >= task.max_steps) & ~terminated
         outcome = torch.where(truncated, Outcome.TIMEOUT, outcome)
@@ -189,7 +191,7 @@ class SplatEnv(EnvBase):
             "pixels": view.pixels,
             **view.shown,
             "state": move.state,
-            **{key: value.clone() for key, value in memory.items()},
+            **{key: value.clone() for key, value in remembered.items()},
             "step_count": step_count,
             "episode_return": tensordict["episode_return"] + reward,
             "level": level.clone(),

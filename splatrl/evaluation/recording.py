@@ -1,14 +1,14 @@
 """Episodes step by step, to be looked at."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from splatrl.envs.tasks.base import NOTHING, Mark, Memory, Outcome
+from splatrl.envs.tasks.base import Mark, Memory, Outcome
 from splatrl.evaluation.rollouts import acting
 from splatrl.renderers.parts import Parts
 
@@ -35,7 +35,7 @@ class Recording:
     action: Tensor
     episode_return: Tensor
     outcome: Outcome
-    memory: Memory = NOTHING
+    memory: Memory = field(default_factory=dict)
     parts: Parts | None = None
     marks: Sequence[list[Mark]] = ()
 

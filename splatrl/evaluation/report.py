@@ -20,8 +20,8 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> d
         shortest: [N] int64, steps of the shortest path from each start; None where the task has no goal states.
 
     Returns:
-        Rates in [0, 1], mean returns and mean lengths, and where there are shortest paths SPL and their mean length; keys
-        of the second set end in ``_argmax``.
+        Rates in [0, 1], mean returns and mean lengths; where there are shortest paths also SPL and their mean length.
+        Keys of the second set end in ``_argmax``.
     """
     summary: dict[str, float] = {}
     for suffix, episodes in (("", sampled), ("_argmax", argmax)):

@@ -1,7 +1,7 @@
 """Walks with a camera in an unsteady hand, labelled by the planner: clips for those who have no phone at hand."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -46,13 +46,16 @@ class Motion(Protocol):
         action_names: a name for each discrete action, in their order; empty where actions are continuous.
         step: the longest way of an action, metres.
         angle_step: the largest turn of an action, radians.
-        height: z of every pose, metres; None where poses leave one height or lean.
     """
 
     action_names: tuple[str, ...]
     step: float
     angle_step: float
-    height: float | None
+
+    @property
+    def height(self) -> float | None:
+        """z of every pose, metres; None where poses leave one height or lean."""
+        ...
 
     @property
     def action_spec(self) -> TensorSpec:

@@ -28,7 +28,6 @@ class LatticeMotion(FiniteMotion):
         ValueError: for a step that does not divide the bounds or an angle that does not divide a turn.
     """
 
-    height: float
     rotations: Tensor  # [headings, 3, 3]
     origin: Tensor  # [2] float64
 

@@ -40,8 +40,6 @@ class PlanarMotion(SweptMotion):
     lower: Tensor  # [2] float32
     upper: Tensor  # [2] float32
 
-    height: float
-
     def __init__(
         self,
         action_names: Sequence[str],

@@ -6,3 +6,5 @@ from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene, load_scene
 
 __all__ = ["Gaussians", "Scene", "load_scene", "read_gaussians", "similarity", "write_gaussians"]
+read_scene = load_scene
+def backyard(seed=0, clutter=0, bounds=None): return load_scene("backyard", None, bounds, None, seed, clutter)

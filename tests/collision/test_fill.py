@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from splatrl.bodies import Box
+from splatrl.build import build_world
 from splatrl.collision import FclChecker, Occupancy
 from splatrl.configuration import load_config
 from splatrl.curriculum import plan
-from splatrl.world import build_world
 
 ROOM = ((0.0, 0.0, 0.0), (3.0, 2.0, 1.5))
 

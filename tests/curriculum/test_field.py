@@ -11,9 +11,9 @@ from torch import Tensor
 from splatrl.bodies import Box
 from splatrl.collision import Checker, NoChecker
 from splatrl.curriculum import UNREACHABLE, Plan, plan
-from splatrl.curriculum.field import FAR, Grid, PlanarMotion, steps_field
-from splatrl.envs import DriveMotion, ForwardMotion, LatticeMotion
+from splatrl.curriculum.field import FAR, Grid, PlanarMotion, cost_field
 from splatrl.envs.tasks import Drive, Fps
+from splatrl.motions import DriveMotion, ForwardMotion, LatticeMotion
 from tests.envs.rooms import BOUNDS, coarse_drive, drive_plan
 from tests.tiny import HEIGHT, BlockChecker
 
@@ -105,7 +105,7 @@ def test_off_the_lattice_distances_are_those_of_a_search_to_less_than_a_step() -
     found = plan(motion, checker, task.reached)
     rows = found.start_rows[torch.randperm(len(found.start_rows), generator=torch.Generator().manual_seed(1))[:40]]
     expected = torch.tensor([fewest_steps(motion, checker, task.reached, found.states[row]) for row in rows])
-    off = found.steps_to_go(found.states[rows]) - expected
+    off = found.cost_to_go(found.states[rows]) - expected
     assert off.abs().mean() < 0.35 and off.abs().max() < 1.6 and expected.max() >= 8  # 0.20 and 1.27 measured
 
 
@@ -179,7 +179,7 @@ def test_only_free_poses_are_starts() -> None:
 
 def test_a_field_is_zero_at_the_goal_and_smooth_in_between() -> None:
     motion = ForwardMotion(HEIGHT, 0.25, 45.0, **SQUARE)
-    field = steps_field(motion, empty(), Fps(motion, (0.75, 0.0, 0.0)).reached)
+    field = cost_field(motion, empty(), Fps(motion, (0.75, 0.0, 0.0)).reached)
     line = torch.stack([torch.linspace(-0.75, 0.75, 301), torch.zeros(301), torch.zeros(301)], 1)
     steps = field(line)
     assert steps[-50:].max() == 0 and steps[0] == pytest.approx(5.0, abs=0.01)
@@ -228,7 +228,7 @@ def test_a_goal_that_no_start_can_walk_to_is_refused() -> None:
 def test_from_where_there_is_no_way_it_is_far() -> None:
     motion = ForwardMotion(HEIGHT, 0.25, 30.0, **SQUARE)
     found = plan(motion, Fence(), Fps(motion, (0.75, 0.0, 0.0)).reached)
-    far = found.steps_to_go(torch.tensor([[-0.5, 0.1, 1.0], [0.5, 0.0, 0.0]]))
+    far = found.cost_to_go(torch.tensor([[-0.5, 0.1, 1.0], [0.5, 0.0, 0.0]]))
     assert far[0] == FAR and far[1] < 2
 
 

@@ -10,8 +10,8 @@ from splatrl.collision import NoChecker
 from splatrl.curriculum import UNREACHABLE, Plan, plan
 from splatrl.curriculum.field import FAR
 from splatrl.curriculum.planner import successors
-from splatrl.envs import LatticeMotion
 from splatrl.envs.tasks import Grid
+from splatrl.motions import LatticeMotion
 from tests.tiny import BODY, BlockChecker, tiny_plan, tiny_task
 
 State = tuple[int, ...]
@@ -168,13 +168,13 @@ def test_no_action_is_optimal_where_there_is_no_way() -> None:
     task = tiny_task()
     found = plan(task.motion, FenceChecker(), Grid(task.motion, goal=(1.0, 1.0, 0.0)).reached)
     west = found.states[found.states[:, 0] < 3]
-    assert not found.optimal(west).any() and (found.steps_to_go(west) == FAR).all()
+    assert not found.optimal(west).any() and (found.cost_to_go(west) == FAR).all()
 
 
-def test_steps_to_go_are_the_distances() -> None:
+def test_cost_to_go_are_the_distances() -> None:
     found = tiny_plan()
     rows = found.distance >= 0
-    assert torch.equal(found.steps_to_go(found.states[rows]), found.distance[rows].float())
+    assert torch.equal(found.cost_to_go(found.states[rows]), found.distance[rows].float())
 
 
 @pytest.mark.parametrize("farthest", [1, 4, 9, 50])

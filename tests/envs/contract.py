@@ -84,7 +84,7 @@ class EnvContract(ABC):
     def test_a_partial_reset_renders_only_the_rows_that_it_resets(self) -> None:
         env = self.make((6,))
         base = base_env(env)
-        base.renderer = counting = CountingRenderer(base.renderer)
+        base.drawing.renderer = counting = CountingRenderer(base.drawing.renderer)
         td = env.reset()
         assert counting.rendered == 6
         mask = torch.tensor([[True], [False], [False], [True], [False], [False]], device=env.device)

@@ -6,13 +6,13 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torchrl.envs import TransformedEnv
 
 from splatrl.cameras import Cameras
 from splatrl.curriculum import Curriculum, Plan, plan
-from splatrl.envs import DriveMotion, ForwardMotion, SplatEnv
+from splatrl.envs import SplatEnv
+from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.tasks import Apple, Drive
-from splatrl.envs.transforms import ImageGoal
+from splatrl.motions import DriveMotion, ForwardMotion
 from splatrl.renderers import Parts, RenderOutput
 from splatrl.renderers.base import draw_only
 from tests.tiny import HEIGHT, BlockChecker, tiny_renderer, tiny_robot
@@ -54,11 +54,10 @@ def apple_plan() -> Plan:
     return plan(task.motion, BlockChecker(), task.reached)
 
 
-def painted_env(task: Apple, batch: int, seed: int = 0, **curriculum: Any) -> TransformedEnv:
+def painted_env(task: Apple, batch: int, seed: int = 0, **curriculum: Any) -> SplatEnv:
     """Robots among paint: what they see is known from their heading."""
     levels = Curriculum(apple_plan(), **{"first": None, **curriculum})
-    env = SplatEnv(RedEast(), BlockChecker(), tiny_robot(), task, levels, [batch], seed)
-    return TransformedEnv(env, ImageGoal())
+    return SplatEnv(SceneDrawing(RedEast()), BlockChecker(), tiny_robot(), task, levels, [batch], seed)
 
 
 def coarse_drive() -> Drive:
@@ -77,4 +76,4 @@ def drive_plan() -> Plan:
 def drive_env(batch_size: Sequence[int] = (1,), seed: int = 0) -> SplatEnv:
     """Robots with wheels in the tiny room."""
     curriculum = Curriculum(drive_plan(), None)
-    return SplatEnv(tiny_renderer(), BlockChecker(), tiny_robot(), coarse_drive(), curriculum, batch_size, seed)
+    return SplatEnv(SceneDrawing(tiny_renderer()), BlockChecker(), tiny_robot(), coarse_drive(), curriculum, batch_size, seed)

@@ -7,11 +7,11 @@ import pytest
 import torch
 from torchrl.envs import EnvBase, TransformedEnv
 
+from splatrl.build import World, build_world
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs import SplatEnv
 from splatrl.envs.tasks import Outcome
-from splatrl.world import World, build_world
 from tests.envs.contract import EnvContract, base_env, seeded_rollout
 from tests.tiny import tiny_overrides
 

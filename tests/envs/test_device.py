@@ -10,13 +10,13 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
 
+from splatrl.build import World, build_world
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs import SplatEnv
 from splatrl.envs.restart import restart
 from splatrl.envs.transforms import billboard
 from splatrl.faults import FaultFlag
-from splatrl.world import World, build_world
 from tests.envs.contract import EnvContract, assert_same, base_env
 from tests.envs.devices import (
     HostReadError,

@@ -11,9 +11,10 @@ from splatrl.bodies import Box
 from splatrl.collision import NativeChecker, Occupancy
 from splatrl.collision.cuda import CudaChecker
 from splatrl.curriculum import Curriculum, plan
-from splatrl.envs import ForwardMotion, Robot, SplatEnv
+from splatrl.envs import Robot, SplatEnv
 from splatrl.envs.restart import restart
 from splatrl.envs.tasks import Fps, Grid, Task
+from splatrl.motions import ForwardMotion
 from splatrl.renderers import NativeRenderer
 from splatrl.renderers.cuda import CudaRenderer
 from tests.emulator import emulated

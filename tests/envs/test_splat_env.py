@@ -12,6 +12,7 @@ from torchrl.collectors import MultiSyncCollector
 from torchrl.envs import ParallelEnv
 
 from splatrl import make_env
+from splatrl.build import World, build_world
 from splatrl.cameras import Cameras
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
@@ -19,7 +20,6 @@ from splatrl.curriculum.planner import successors
 from splatrl.envs import SplatEnv
 from splatrl.envs.tasks import Outcome
 from splatrl.renderers import Parts
-from splatrl.world import World, build_world
 from tests.envs.contract import EnvContract
 from tests.tiny import (
     BlockChecker,

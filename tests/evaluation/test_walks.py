@@ -10,7 +10,6 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.curriculum import Plan, plan
-from splatrl.envs.motions import DriveMotion, ForwardMotion
 from splatrl.evaluation.clip_files import read_clips
 from splatrl.evaluation.walk_looks import Lens
 from splatrl.evaluation.walks import (
@@ -25,6 +24,7 @@ from splatrl.evaluation.walks import (
     sway,
     walk,
 )
+from splatrl.motions import DriveMotion, ForwardMotion
 from splatrl.renderers import Parts, RenderOutput
 from tests.tiny import HEIGHT, BlockChecker, tiny_motion, tiny_plan, tiny_renderer, tiny_robot
 
@@ -119,7 +119,7 @@ def test_a_path_is_awkward_where_it_goes_backwards_or_too_near_or_ends_too_soon(
 
 def test_paths_begin_far_away_and_at_all_distances_in_between() -> None:
     found = planar_plan()
-    lengths = [found.steps_to_go(states[:1]).item() for states in far(8)]
+    lengths = [found.cost_to_go(states[:1]).item() for states in far(8)]
     every = found.distance[found.start_rows].double()
     assert (every > lengths[0]).double().mean() < 0.1
     assert 0.2 < (every < lengths[-1]).double().mean() < 0.45

@@ -34,7 +34,7 @@ def test_the_renderer_has_the_threads_where_it_knows_them(tmp_path: Path) -> Non
     run = made_up(tmp_path).runs[0]
     assert isinstance(run.config, dict)
     run.config["renderer"] = {"views": {"threads": None}}
-    assert command(run, 3)[-1] == "renderer.views.threads=3"
+    assert command(run, 3)[-1] == "renderer.threads=3"
 
 
 def test_only_what_is_not_finished_is_trained_and_at_most_so_many_at_a_time(tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ from splatrl.bodies import Box, Sphere
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.collision import FclChecker, Occupancy
 from splatrl.curriculum.planner import Plan, plan
-from splatrl.envs.motions import LatticeMotion
 from splatrl.envs.tasks import Grid
 from splatrl.geometry import rigid
+from splatrl.motions import LatticeMotion
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes.backyard import BOUNDS, EGG, GOAL, ROBOT_HEIGHT, backyard, backyard_obstacles
 from splatrl.scenes.backyard.clutter import BELONGS_TO, Move, clutter_moves, moved

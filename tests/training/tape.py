@@ -39,7 +39,7 @@ class Tape(TorchDispatchMode):
 
 
 class Taped:
-    """Stands in for ``Captured``: the fourth call is recorded, and those after it are replays."""
+    """Stands in for ``CudaGraph``: the fourth call is recorded, and those after it are replays."""
 
     def __init__(self, function: Callable[[], None]):
         self.function, self.calls = function, 0

@@ -11,8 +11,8 @@ from torchrl.modules import ActorValueOperator
 from splatrl.envs.restart import restart
 from splatrl.faults import FaultFlag
 from splatrl.training import PPO, actor_critic, load_checkpoint, save_checkpoint
-from splatrl.training.captured import Captured
 from splatrl.training.collectors import CHOSEN, ENDS, SEEN, DeviceCollector, HostCollector, device_collector
+from splatrl.training.cuda_graph import CudaGraph
 from splatrl.training.memory import Memory
 from tests.envs.contract import base_env
 from tests.envs.devices import NoHostReads, NoTransfers, Painter, pretend_device
@@ -240,4 +240,4 @@ def test_a_graph_is_refused_where_there_can_be_none_and_left_out_where_none_is_a
         device_collector(env, network(env, False), 4, True)
     for choice in (None, False):
         collector = device_collector(env, network(env, False), 4, choice)
-        assert not isinstance(collector._advance, Captured)
+        assert not isinstance(collector._advance, CudaGraph)

@@ -7,13 +7,12 @@ from pathlib import Path
 import pytest
 import torch
 
+from splatrl.build import World, build_trainer, build_world
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
-from splatrl.train import make_trainer
 from splatrl.training import PPO, actor_critic, load_checkpoint, save_checkpoint
-from splatrl.training.captured import Captured
 from splatrl.training.collectors import DeviceCollector
-from splatrl.world import World, build_world
+from splatrl.training.cuda_graph import CudaGraph
 from tests.test_train import SETTINGS, command, finish
 from tests.tiny import tiny_overrides
 from tests.training.test_ppo import LOSS, OPTIM, parameters
@@ -75,7 +74,7 @@ def test_a_rollout_by_graph_is_the_rollout_without(worlds: dict[str, World], nam
     for cuda_graph in (False, None):
         ppo = learner(worlds[name], memory_of(name), cuda_graph=cuda_graph)
         assert isinstance(ppo.collector, DeviceCollector)
-        assert isinstance(ppo.collector._advance, Captured) == (cuda_graph is None)
+        assert isinstance(ppo.collector._advance, CudaGraph) == (cuda_graph is None)
         torch.manual_seed(3)
         batches.append([ppo.collect().clone() for _ in range(4)])
     for eager, captured in zip(*batches, strict=True):
@@ -112,7 +111,7 @@ def test_a_checkpoint_goes_on_with_the_same_frames(worlds: dict[str, World], nam
 def test_the_loss_can_be_compiled(worlds: dict[str, World], tmp_path: Path) -> None:
     small = ["collector.frames_per_batch=96", "env.num_envs=16", "loss.mini_batch_size=64", "loss.ppo_epochs=2"]
     cfg = load_config([*overrides(tmp_path, "grid"), *small, "collector.total_frames=288", "optim.compile=true"])
-    trainer = make_trainer(cfg, worlds["grid"], tmp_path)
+    trainer = build_trainer(cfg, worlds["grid"], tmp_path)
     assert math.isfinite(trainer.ppo.iterate()["loss_critic"])
 
 

@@ -7,7 +7,7 @@ from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from splatrl.training import actor_critic
-from splatrl.training.networks import Shrink
+from splatrl.training.networks import PoolPixels
 
 HEIGHT, WIDTH, ACTIONS, FEATURES = 14, 20, 5, 24
 SPEC = Categorical(ACTIONS)
@@ -85,7 +85,7 @@ def test_shrinking_takes_the_mean_of_each_cell() -> None:
     pixels[0, 0, 0, 2] = 255
     expected = torch.full((2, 2, 3, 3), -0.5)
     expected[1, 1, 2, 0], expected[0, 0, 0, 2] = 0.0, -0.25
-    torch.testing.assert_close(Shrink(2)(pixels), expected)
+    torch.testing.assert_close(PoolPixels(2)(pixels), expected)
 
 
 @pytest.mark.parametrize(("height", "width", "pool"), [(16, 15, 2), (7, 20, 1)])

@@ -11,7 +11,6 @@ from splatrl.envs.tasks.pose_goal import SLACK
 from splatrl.envs.tasks.rewards import OutcomeTask, Rewards
 from splatrl.motions import OrbitMotion
 
-
 UNIT = Rewards(step=0.0, goal=1.0, collision=-1.0, out_of_bounds=-1.0)
 
 

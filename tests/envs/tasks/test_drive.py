@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from splatrl.envs import DriveMotion
 from splatrl.envs.tasks import Drive, Outcome
+from splatrl.motions import DriveMotion
 from tests.envs.rooms import drive_env
 from tests.tiny import HEIGHT
 

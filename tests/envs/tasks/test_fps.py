@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 import torch
 
-from splatrl.envs import ForwardMotion
 from splatrl.envs.tasks import Fps, Outcome
+from splatrl.motions import ForwardMotion
 from tests.tiny import HEIGHT
 
 EDGE = 0.6

@@ -10,8 +10,8 @@ from hydra.utils import instantiate
 
 from splatrl import make_env
 from splatrl.configuration import load_config
-from splatrl.envs import OrbitMotion
 from splatrl.envs.tasks import Orbit, Outcome
+from splatrl.motions import OrbitMotion
 from tests.tiny import tiny_overrides
 
 ORIGIN = (0.75, 1.0, 0.5)

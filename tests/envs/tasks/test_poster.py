@@ -8,8 +8,8 @@ import torch
 from hydra.utils import instantiate
 
 from splatrl.configuration import load_config
-from splatrl.envs import ForwardMotion
 from splatrl.envs.tasks import Fps, Poster
+from splatrl.motions import ForwardMotion
 from tests.tiny import HEIGHT
 
 PUBLISHED = [0.3179229490458535, 0.044831075423480554, -0.3, 90.0, 0.0, 80.0]

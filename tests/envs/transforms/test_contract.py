@@ -28,9 +28,9 @@ class TransformedContract(EnvContract):
         assert_same(*runs)
 
 
-class TestSpriteOverlay(TransformedContract):
+class TestSpriteDrawing(TransformedContract):
     def make(self, batch_size: tuple[int], seed: int = 0) -> EnvBase:
-        return transformed(batch_size, seed, ("SpriteOverlay",))
+        return transformed(batch_size, seed, ("SpriteDrawing",))
 
     def test_some_see_the_sprite_and_some_do_not(self) -> None:
         share = seeded_rollout(self.make((3,)), self.steps, 0)["sprite_share"]
@@ -44,7 +44,7 @@ class TestAllTransforms(TransformedContract):
         return transformed(batch_size, seed)
 
     def test_an_episode_can_begin_at_a_given_state(self) -> None:
-        env = transformed((3,), 0, ("PoseNoise", "SpriteOverlay"))
+        env = transformed((3,), 0, ("PoseNoise", "SpriteDrawing"))
         given = env.reset().select("state", "pixels", "camera_offset").clone()
         env.rollout(4, break_when_any_done=False)
         again = env.reset(given.select("state", "camera_offset"), set_state=True)
@@ -57,7 +57,7 @@ class TestAllTransforms(TransformedContract):
 
     def test_a_robot_does_not_depend_on_the_others(self) -> None:
         """What is drawn for it does, so it is given."""
-        batch, alone = (transformed((count,), 0, ("PoseNoise", "SpriteOverlay")) for count in (5, 1))
+        batch, alone = (transformed((count,), 0, ("PoseNoise", "SpriteDrawing")) for count in (5, 1))
         together = batch.reset()
         for row in range(5):
             start = alone.reset(together[row : row + 1].select("state", "camera_offset"), set_state=True)

@@ -14,13 +14,13 @@ from torchrl.envs.utils import check_env_specs
 from tests.envs.contract import assert_same, seeded_rollout
 from tests.envs.transforms.views import NAMES, make_transform, seeing_env, transformed
 
-WRITTEN = {"PoseNoise": "camera_offset", "SpriteOverlay": "sprite_share", "Appearance": "appearance"}
+WRITTEN = {"PoseNoise": "camera_offset", "SpriteDrawing": "sprite_share", "Appearance": "appearance"}
 every = pytest.mark.parametrize("name", NAMES)
 
 
 def images(count: int = 5) -> TensorDictBase:
     """What a transform reads, without an env: a camera that sees the sprite."""
-    env = transformed((count,), 0, ("SpriteOverlay",))
+    env = transformed((count,), 0, ("SpriteDrawing",))
     batch = seeded_rollout(env, 6, 0).flatten()
     seen = batch["sprite_share"].flatten().argsort(descending=True)[:count]
     clean = seeing_env((count,)).reset(batch[seen].select("state"), set_state=True)
@@ -115,7 +115,7 @@ def test_a_masked_reset_gives_new_values_to_the_masked_rows_alone(name: str, see
     key = WRITTEN[name]
     rows = mask.squeeze(1)
     assert torch.equal(after["pixels"][~rows], before["pixels"][~rows])
-    if name != "SpriteOverlay":
+    if name != "SpriteDrawing":
         assert (after[key][rows] != before[key][rows]).any(1).all()
 
 

@@ -1,4 +1,4 @@
-"""Robots in the tiny room that observe depth and their camera's pose, and transforms around them."""
+"""Robots in the tiny room, and transforms around them."""
 
 from functools import cache
 
@@ -7,7 +7,8 @@ from torchrl.envs import Compose, Transform, TransformedEnv
 
 from splatrl.curriculum import Curriculum
 from splatrl.envs import SplatEnv
-from splatrl.envs.transforms import Appearance, PoseNoise, Sprite, SpriteOverlay
+from splatrl.envs.drawing import Drawing, SceneDrawing, Sprite, SpriteDrawing
+from splatrl.envs.transforms import Appearance, PoseNoise
 from splatrl.renderers import NativeRenderer
 from tests.tiny import BlockChecker, tiny_gaussians, tiny_plan, tiny_robot, tiny_task
 
@@ -21,12 +22,11 @@ def renderer() -> NativeRenderer:
     return NativeRenderer(tiny_gaussians(), threads=1)
 
 
-def seeing_env(batch_size: tuple[int, ...] = (3,), seed: int = 0) -> SplatEnv:
-    """Robots in the tiny room that observe depth."""
+def seeing_env(batch_size: tuple[int, ...] = (3,), seed: int = 0, sprite: bool = False) -> SplatEnv:
+    """Robots in the tiny room, with or without a sprite in it."""
     curriculum = Curriculum(tiny_plan(), None)
-    return SplatEnv(
-        renderer(), BlockChecker(), tiny_robot(), tiny_task(max_steps=8), curriculum, batch_size, seed, depth=True
-    )
+    drawing: Drawing = plain_drawing() if sprite else SceneDrawing(renderer())
+    return SplatEnv(drawing, BlockChecker(), tiny_robot(), tiny_task(max_steps=8), curriculum, batch_size, seed)
 
 
 def plain_sprite() -> Sprite:
@@ -34,19 +34,24 @@ def plain_sprite() -> Sprite:
     return Sprite.of(torch.tensor([0, 255, 0, 255], dtype=torch.uint8).expand(64, 64, 4).contiguous())
 
 
+def plain_drawing() -> SpriteDrawing:
+    """The green square before the east wall."""
+    return SpriteDrawing(renderer(), plain_sprite(), size=0.3, position=PLACE)
+
+
 def make_transform(name: str) -> Transform:
     """One of the transforms, with everything switched on."""
     if name == "PoseNoise":
         return PoseNoise(x=0.01, yaw_deg=2.0, smooth=3.0)
-    if name == "SpriteOverlay":
-        return SpriteOverlay(tiny_robot().K, plain_sprite(), size=0.3, position=PLACE)
     assert name == "Appearance", name
     return Appearance()
 
 
-NAMES = ("PoseNoise", "SpriteOverlay", "Appearance")
+NAMES = ("PoseNoise", "Appearance")
 
 
-def transformed(batch_size: tuple[int, ...] = (3,), seed: int = 0, names: tuple[str, ...] = NAMES) -> TransformedEnv:
+def transformed(
+    batch_size: tuple[int, ...] = (3,), seed: int = 0, names: tuple[str, ...] = NAMES, sprite: bool = True
+) -> TransformedEnv:
     """Robots under some transforms: a top-level function of plain values, so that a worker process can make one."""
-    return TransformedEnv(seeing_env(batch_size, seed), Compose(*(make_transform(name) for name in names)))
+    return TransformedEnv(seeing_env(batch_size, seed, sprite), Compose(*(make_transform(name) for name in names)))

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatrl.envs import LatticeMotion
+from splatrl.motions import LatticeMotion
 from tests.tiny import HEIGHT, tiny_motion
 
 STATES = torch.tensor([[2, 3, 0], [0, 0, 7], [4, 6, 0]])

@@ -7,7 +7,7 @@ from tensordict import TensorDict
 from torchrl.envs import EnvBase, TransformedEnv
 
 from splatrl.configuration import load_config
-from splatrl.envs.transforms import SpriteOverlay, overlay
+from splatrl.envs.transforms import SpriteDrawing, overlay
 from tests.envs.contract import seeded_rollout
 from tests.envs.transforms.views import PLACE, plain_sprite, seeing_env, transformed
 from tests.tiny import tiny_env, tiny_robot
@@ -16,7 +16,7 @@ K = tiny_robot().K
 
 
 def test_an_episode_shows_the_overlay_of_what_the_env_sees() -> None:
-    batch = seeded_rollout(transformed((6,), 0, ("SpriteOverlay",)), 12, 0).flatten()
+    batch = seeded_rollout(transformed((6,), 0, ("SpriteDrawing",)), 12, 0).flatten()
     clean = seeing_env((len(batch),)).reset(batch.select("state"), set_state=True)
     view = clean["pixels"], clean["depth"], clean["camera_to_world"]
     pixels, share = overlay(*view, K, torch.tensor(PLACE), plain_sprite(), 0.3)
@@ -25,7 +25,7 @@ def test_an_episode_shows_the_overlay_of_what_the_env_sees() -> None:
 
 
 def test_the_block_in_the_middle_hides_the_sprite_behind_it() -> None:
-    env = transformed((2,), 0, ("SpriteOverlay",))
+    env = transformed((2,), 0, ("SpriteDrawing",))
     state = torch.tensor([[0, 3, 0], [3, 3, 0]])  # from x = -1 through the block, and from x = 0.5 beyond it, to +x
     share = env.reset(TensorDict({"state": state}, [2]), set_state=True)["sprite_share"].flatten()
     assert share[0] == 0 and share[1] > 0.1
@@ -35,9 +35,9 @@ def test_the_target_of_the_env_is_where_it_is_drawn() -> None:
     td = seeing_env((2,)).reset()
     places = td["camera_to_world"][:, :3, 3] + 0.3 * td["camera_to_world"][:, :3, 2]  # ahead of each camera
     ahead = td.clone().set("target", places)
-    after = SpriteOverlay(K, plain_sprite(), size=0.1)(ahead)
+    after = SpriteDrawing(K, plain_sprite(), size=0.1)(ahead)
     assert (after["sprite_share"] > 0.01).all() and (after["pixels"] != td["pixels"]).any()
-    elsewhere = SpriteOverlay(K, plain_sprite(), size=0.1, position=[0.0, 0.0, -50.0])(ahead.clone())
+    elsewhere = SpriteDrawing(K, plain_sprite(), size=0.1, position=[0.0, 0.0, -50.0])(ahead.clone())
     assert (elsewhere["sprite_share"] < 0.01).all()
 
 
@@ -47,7 +47,7 @@ def test_the_target_of_the_env_is_where_it_is_drawn() -> None:
 )
 def test_an_env_that_does_not_show_what_it_needs_is_refused(make: type[EnvBase], position: tuple, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        TransformedEnv(make((3,)), SpriteOverlay(K, plain_sprite(), position=position)).observation_spec  # noqa: B018
+        TransformedEnv(make((3,)), SpriteDrawing(K, plain_sprite(), position=position)).observation_spec  # noqa: B018
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_an_env_that_does_not_show_what_it_needs_is_refused(make: type[EnvBase],
 )
 def test_wrong_settings_are_refused_by_name(settings: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        SpriteOverlay(**{"K": K, "sprite": plain_sprite(), **settings})
+        SpriteDrawing(**{"K": K, "sprite": plain_sprite(), **settings})
 
 
 def test_the_configs_build_it() -> None:

@@ -11,12 +11,12 @@ from omegaconf import DictConfig
 from PIL import Image
 
 from splatrl import clips_command
-from splatrl.clips_command import action_names, altered, main, record_clips, score_experiment
+from splatrl.build import build_model, build_world
+from splatrl.commands.clips import action_names, altered, main, record_clips, score_experiment
 from splatrl.configuration import load_config, save_config
 from splatrl.evaluation.clip_files import read_clips
 from splatrl.scenes import write_gaussians
 from splatrl.training import save_checkpoint
-from splatrl.world import build_model, build_world
 from tests.tiny import HEIGHT, tiny_gaussians
 
 NAMES = ("forward", "back", "left", "right")
@@ -178,11 +178,11 @@ def test_an_experiment_is_scored_on_clips_of_each_scene_that_are_recorded_once(
 def test_the_altered_scene_is_another_yard_and_another_way_to_draw_any_scene() -> None:
     own = load_config([])
     other = altered(own, 2)
-    assert (own.scene.seed, own.scene.clutter, own.renderer.views.tolerance) == (0, 0, 0.5)
+    assert (own.scene.seed, own.scene.clutter, own.renderer.tolerance) == (0, 0, 0.5)
     assert (other.scene.seed, other.scene.clutter) == (1002, 3)
-    assert (other.renderer.views.antialiased, other.renderer.views.tolerance) == (False, 0.0)
+    assert (other.renderer.antialiased, other.renderer.tolerance) == (False, 0.0)
     reference = altered(load_config(["renderer=reference", "scene=file", "scene.path=a.ply"]), 0)
-    assert reference.renderer.views.antialiased is False and "tolerance" not in reference.renderer.views
+    assert reference.renderer.antialiased is False and "tolerance" not in reference.renderer.views
     assert "clutter" not in reference.scene
 
 

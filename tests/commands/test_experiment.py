@@ -9,8 +9,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from splatrl import experiment_command
+from splatrl.commands.experiment import experiment
 from splatrl.configuration import load_config
-from splatrl.experiment_command import experiment
 from splatrl.experiments import Run
 from tests.test_train import SETTINGS
 from tests.tiny import tiny_overrides

@@ -5,7 +5,7 @@ from contextlib import contextmanager, nullcontext
 import pytest
 import torch
 
-from splatrl.training.captured import WARM_UP, Captured
+from splatrl.training.cuda_graph import WARM_UP, CudaGraph
 from tests.training.tape import Tape
 
 
@@ -57,7 +57,7 @@ def test_each_call_does_the_work_once_and_python_runs_until_the_capture() -> Non
         total.add_(1)
 
     generator = torch.Generator()
-    call = Captured(work, [generator])
+    call = CudaGraph(work, [generator])
     for count in range(1, 9):
         call()
         assert total.item() == count
@@ -72,7 +72,7 @@ def test_what_cannot_be_captured_says_how_to_go_without() -> None:
         ran.append(0)
 
     ran: list[int] = []
-    call = Captured(work)
+    call = CudaGraph(work)
     for _ in range(WARM_UP):
         call()
     with pytest.raises(RuntimeError, match=r"could not capture it; collector\.cuda_graph=false goes without"):

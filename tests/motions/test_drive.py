@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from splatrl.envs import DriveMotion
+from splatrl.motions import DriveMotion
 from tests.tiny import HEIGHT
 
 

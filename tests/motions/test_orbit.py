@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatrl.envs import OrbitMotion
 from splatrl.geometry import invert_rigid
+from splatrl.motions import OrbitMotion
 from tests.tiny import tiny_robot
 
 ORIGIN = (0.75, 1.0, 0.5)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from splatrl.envs import ForwardMotion
+from splatrl.motions import ForwardMotion
 from tests.tiny import HEIGHT
 
 FORWARD, BACK, LEFT, RIGHT = range(4)
