@@ -129,7 +129,6 @@ def step_rates(bench: Bench, world: World, robots: int, budget: float) -> dict[s
     for name in ("plain", "graph"):
         env = world.env(robots, Curriculum(world.plan, first=None), 0)
         base = layers(env)[0]
-        base.reset_by_mask = True  # as on a GPU
         step = stepper(env)
         repeated(step, steps)()  # robots come from where they began
         if name == "plain":

@@ -73,9 +73,10 @@ class SplatEnv(EnvBase):
             raise ValueError(f"batch_size: expected one number of at least 1, got {list(batch_size)}")
         super().__init__(device=device, batch_size=torch.Size(batch_size))
         self.drawing, self.checker, self.robot = drawing, checker, robot
-        self.task, self.curriculum = task.to(self.device), curriculum
+        self.task, self.curriculum = task, curriculum
         self.generator = torch.Generator(self.device)
-        self._make_specs()
+        self._make_specs()  # before the task moves: limits are looked at, which on a GPU would be waiting
+        self.task = task.to(self.device)
         torch.nn.Module.to(self, self.device)  # EnvBase.to does nothing for the device that it already has
         self.set_seed(seed)
 

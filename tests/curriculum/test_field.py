@@ -11,9 +11,9 @@ from torch import Tensor
 from splatrl.bodies import Box
 from splatrl.collision import Checker, NoChecker
 from splatrl.curriculum import UNREACHABLE, Plan, plan
-from splatrl.curriculum.field import FAR, Grid, PlanarMotion, cost_field
+from splatrl.curriculum.field import FAR, cost_field
 from splatrl.envs.tasks import Drive, Fps
-from splatrl.motions import DriveMotion, ForwardMotion, LatticeMotion
+from splatrl.motions import DriveMotion, ForwardMotion, PlannedMotion
 from tests.envs.rooms import BOUNDS, coarse_drive, drive_plan
 from tests.tiny import HEIGHT, BlockChecker
 
@@ -187,25 +187,9 @@ def test_a_field_is_zero_at_the_goal_and_smooth_in_between() -> None:
     assert torch.equal(field(line + torch.tensor([0.0, 0.0, math.tau])).round(decimals=2), steps.round(decimals=2))
 
 
-def test_taps_are_the_nodes_around_a_pose() -> None:
-    grid = Grid(torch.tensor([-1.0, -0.5]), (5, 3, 4), 0.5, math.tau / 4)
-    nodes = grid.nodes()
-    assert nodes.shape == (5 * 3 * 4, 3)
-    own = grid.taps(nodes)
-    heaviest = own.node.gather(1, own.weight.argmax(1, keepdim=True)).squeeze(1)
-    assert torch.equal(heaviest, torch.arange(60)) and torch.equal(own.weight.amax(1), torch.ones(60))
-    pose = torch.tensor([[-0.9, 0.2, 0.3], [0.6, -0.4, 6.0]])
-    taps = grid.taps(pose)
-    torch.testing.assert_close(taps.weight.sum(1), torch.ones(2))
-    mean = (nodes[taps.node][:, :, :2] * taps.weight.unsqueeze(2)).sum(1)
-    torch.testing.assert_close(mean, pose[:, :2], atol=2e-3, rtol=0)
-    headings = nodes[taps.node[1]][:, 2].unique()
-    torch.testing.assert_close(headings, torch.tensor([0.0, 1.5 * math.pi]))  # round the end of the turn
-
-
 @pytest.mark.parametrize("drive", [False, True])
 def test_a_scene_without_a_free_pose_or_a_goal_is_refused(drive: bool) -> None:
-    motion: PlanarMotion = coarse_drive().motion if drive else ForwardMotion(HEIGHT, 0.25, 90.0, **BOUNDS)
+    motion: PlannedMotion = coarse_drive().motion if drive else ForwardMotion(HEIGHT, 0.25, 90.0, **BOUNDS)
     make = Drive if drive else Fps
     with pytest.raises(ValueError, match=r"scene: expected free poses, got [0-9]+ poses that all collide"):
         plan(motion, BlockChecker(reach=9.0), make(motion, (0.5, 1.0, 0.0)).reached)
@@ -230,8 +214,3 @@ def test_from_where_there_is_no_way_it_is_far() -> None:
     found = plan(motion, Fence(), Fps(motion, (0.75, 0.0, 0.0)).reached)
     far = found.cost_to_go(torch.tensor([[-0.5, 0.1, 1.0], [0.5, 0.0, 0.0]]))
     assert far[0] == FAR and far[1] < 2
-
-
-def test_a_motion_is_planned_by_what_its_states_are() -> None:
-    assert isinstance(ForwardMotion(HEIGHT), PlanarMotion) and isinstance(coarse_drive().motion, PlanarMotion)
-    assert not isinstance(LatticeMotion(HEIGHT), PlanarMotion)

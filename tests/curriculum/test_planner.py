@@ -7,11 +7,11 @@ import torch
 from torch import Tensor
 
 from splatrl.collision import NoChecker
-from splatrl.curriculum import UNREACHABLE, Plan, plan
+from splatrl.curriculum import UNREACHABLE, plan
 from splatrl.curriculum.field import FAR
-from splatrl.curriculum.planner import successors
 from splatrl.envs.tasks import Grid
 from splatrl.motions import LatticeMotion
+from tests.curriculum.graph import successors
 from tests.tiny import BODY, BlockChecker, tiny_plan, tiny_task
 
 State = tuple[int, ...]
@@ -72,17 +72,12 @@ def test_distances_are_those_of_a_plain_search(checker: BlockChecker) -> None:
     assert set(found.distance[[tuple(s) not in expected for s in found.states.tolist()]].tolist()) <= {UNREACHABLE}
 
 
-def moves(found: Plan) -> Tensor:
-    """Where each action leads from each state."""
-    return successors(found.motion, found.checker, found.states, found.free)
-
-
 def test_following_the_successors_downhill_reaches_the_goal_in_as_many_steps_as_promised() -> None:
     found = tiny_plan()
     rows, steps = found.start_rows, 0
     left = found.distance[rows]
     while (left > 0).any():
-        choices = moves(found)[rows]
+        choices = successors(found)[rows]
         cost = torch.where(choices == UNREACHABLE, 10**6, found.distance[choices])
         rows = torch.where(left > 0, choices.gather(1, cost.argmin(1, keepdim=True)).squeeze(1), rows)
         assert torch.equal(found.distance[rows], (left - 1).clamp_min(0))
@@ -101,10 +96,10 @@ def test_the_start_set_is_the_free_states_with_a_way_to_the_goal_without_the_goa
 def test_no_state_leads_out_of_the_lattice_or_into_the_block() -> None:
     found = tiny_plan()
     corner = (found.states == torch.tensor([0, 0, 0])).all(1).nonzero().item()
-    assert [int(row) == UNREACHABLE for row in moves(found)[corner]] == [False, True, False, True, False, False]
+    assert [int(row) == UNREACHABLE for row in successors(found)[corner]] == [False, True, False, True, False, False]
     beside = (found.states == torch.tensor([1, 3, 0])).all(1).nonzero().item()
-    assert moves(found)[beside, 0] == UNREACHABLE
-    assert (moves(found)[~found.free] == UNREACHABLE).all()
+    assert successors(found)[beside, 0] == UNREACHABLE
+    assert (successors(found)[~found.free] == UNREACHABLE).all()
 
 
 def test_starts_behind_a_fence_are_left_out() -> None:
@@ -150,7 +145,7 @@ def test_a_goal_without_a_way_to_it_is_refused() -> None:
 
 def test_optimal_actions_are_those_that_lead_one_step_nearer() -> None:
     found = tiny_plan()
-    choices, distance = moves(found), found.distance
+    choices, distance = successors(found), found.distance
     after = torch.where(choices == UNREACHABLE, 10**6, distance[choices])
     expected = (after == distance.unsqueeze(1) - 1) & (distance > 0).unsqueeze(1)
     best = found.optimal(found.states[found.free])

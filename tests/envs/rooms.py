@@ -76,4 +76,6 @@ def drive_plan() -> Plan:
 def drive_env(batch_size: Sequence[int] = (1,), seed: int = 0) -> SplatEnv:
     """Robots with wheels in the tiny room."""
     curriculum = Curriculum(drive_plan(), None)
-    return SplatEnv(SceneDrawing(tiny_renderer()), BlockChecker(), tiny_robot(), coarse_drive(), curriculum, batch_size, seed)
+    return SplatEnv(
+        SceneDrawing(tiny_renderer()), BlockChecker(), tiny_robot(), coarse_drive(), curriculum, batch_size, seed
+    )

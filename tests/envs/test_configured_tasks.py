@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 import torch
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs import EnvBase
 
 from splatrl.build import World, build_world
 from splatrl.configuration import load_config
@@ -70,7 +70,7 @@ class TestApple(ConfiguredContract):
 
     def test_goals_are_granted_for_what_is_seen(self) -> None:
         env = self.make((64,))
-        assert isinstance(env, TransformedEnv)
+        assert isinstance(env, SplatEnv)
         after = seeded_rollout(env, self.steps, 0)["next"]
         goal = (after["outcome"] == Outcome.GOAL).flatten()
         assert goal.any() and not goal.all()

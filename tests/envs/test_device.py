@@ -1,6 +1,7 @@
 """A step, and a reset of those whose episode ended, without the host waiting for the device."""
 
 from collections.abc import Iterator
+from copy import copy
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,11 +14,11 @@ from torchrl.envs import EnvBase
 from splatrl.build import World, build_world
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
-from splatrl.envs import SplatEnv
+from splatrl.envs.drawing import billboard
 from splatrl.envs.restart import restart
-from splatrl.envs.transforms import billboard
+from splatrl.envs.transforms import appearance
 from splatrl.faults import FaultFlag
-from tests.envs.contract import EnvContract, assert_same, base_env
+from tests.envs.contract import assert_same, base_env
 from tests.envs.devices import (
     HostReadError,
     NoHostReads,
@@ -26,9 +27,8 @@ from tests.envs.devices import (
     SquareChecker,
     pretend_device,
 )
-from tests.envs.transforms import test_contract
 from tests.envs.transforms.views import transformed
-from tests.tiny import tiny_env, tiny_overrides
+from tests.tiny import CountingRenderer, tiny_env, tiny_overrides
 
 SHAKEN = ["transforms/pose_noise=unsteady", "transforms/appearance=varied"]
 WORLDS = {
@@ -55,17 +55,19 @@ def world(name: str) -> World:
 
 
 def made(name: str, batch: int = 5, device: str = "cpu") -> EnvBase:
-    """An env of a world that resets by mask, and whose renderer and checker ask the host nothing."""
+    """An env of a world, whose renderer and checker ask the host nothing."""
     env = world(name).env(batch, Curriculum(world(name).plan, 2, threshold=0.01, window=10**6), 1, device)
     base = base_env(env)
-    base.renderer, base.checker, base.reset_by_mask = Painter(), SquareChecker(), True
+    base.drawing = copy(base.drawing)  # the world keeps its own
+    base.drawing.renderer, base.checker = Painter(), SquareChecker()
     return env
 
 
 @pytest.fixture
 def whole_overlay(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the sprite be drawn on a CPU as it is anywhere else."""
+    """Let sprites be drawn and appearances change on a CPU as they do anywhere else: everywhere, without a look-up."""
     monkeypatch.setattr(billboard, "_points", lambda inside: torch.arange(len(inside), device=inside.device))
+    monkeypatch.setattr(appearance, "_wanted", lambda mask: None)
 
 
 def steps(env: EnvBase, count: int, seed: int = 0) -> Iterator[TensorDictBase]:
@@ -98,7 +100,6 @@ def test_nothing_is_read_in_a_step_or_in_an_automatic_reset(name: str) -> None:
 def test_nothing_is_left_on_the_cpu_or_fetched_from_there(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pretend_device(monkeypatch)
     env = made(name, device="meta")
-    assert base_env(env).resets_by_mask
     now = env._reset(set_state=False)  # TorchRL's reset asks the host whether anything is done
     action = env.action_spec.zero()
     for watch in (False, True):  # what is copied once is copied in the first step
@@ -133,48 +134,25 @@ def test_an_automatic_reset_gives_what_torchrls_gives_and_keeps_the_last_observa
     assert torch.equal(base_env(mine).generator.get_state(), base_env(theirs).generator.get_state())
 
 
-class TestContractByMask(EnvContract):
-    """Every promise of an env, where resets go by mask."""
-
-    def make(self, batch_size: tuple[int], seed: int = 0) -> SplatEnv:
-        env = tiny_env(batch_size, seed, max_steps=15, first=3, threshold=0.01, window=5)
-        env.reset_by_mask = True
-        return env
-
-
-class TestContractOfTransformsByMask(test_contract.TestAllTransforms):
-    def make(self, batch_size: tuple[int], seed: int = 0) -> EnvBase:
-        env = transformed(batch_size, seed)
-        base_env(env).reset_by_mask = True
-        return env
-
-    def test_an_automatic_reset_draws_only_what_ended(self) -> None:
-        env = self.make((4,))
-        now = env.reset()
-        stepped = env.step(env.rand_action(now))
-        stepped["next", "done"][1] = stepped["next", "terminated"][1] = True
-        begun = env._reset(TensorDict({"_reset": stepped["next", "done"]}, [4]), set_state=False)
-        assert [bool(row.any()) for row in begun["depth"]] == stepped["next", "done"].flatten().tolist()
+def test_an_automatic_reset_draws_only_what_ended() -> None:
+    env = transformed((4,))
+    base_env(env).drawing.renderer = counting = CountingRenderer(base_env(env).drawing.renderer)
+    stepped = env.step(env.rand_action(env.reset()))
+    stepped["next", "done"][1] = stepped["next", "terminated"][1] = True
+    before = counting.rendered
+    env._reset(TensorDict({"_reset": stepped["next", "done"]}, [4]), set_state=False)
+    assert counting.rendered - before == stepped["next", "done"].sum()
 
 
 @pytest.mark.parametrize("device", ["cpu", "meta"])
 def test_an_env_moves_with_all_that_it_holds(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pretend_device(monkeypatch)
 
-    class Movable(Painter, SquareChecker):
-        device = "cpu"
-
-        def to(self, device: torch.device) -> "Movable":
-            self.device = device.type
-            return self
-
     env = made("shaken sim2real")
     base = base_env(env)
-    base.renderer, base.checker = Movable(), Movable()
     moved = env.to(device)
     assert base_env(moved) is base and moved.device.type == device
     assert {value.device.type for value in moved._reset(set_state=False).values()} == {device}
-    assert base.renderer.device == base.checker.device == device
     assert {value.device.type for value in (*base.buffers(), *env.transform.buffers())} == {device}
 
 
@@ -202,7 +180,7 @@ class Refusing(Painter):
 def test_what_a_device_noted_is_raised_when_asked_for_and_only_once() -> None:
     env = tiny_env((3,), renderer=Refusing())
     env.raise_faults()
-    env.renderer.fault.flag.fill_(2)
+    env.drawing.renderer.fault.flag.fill_(2)
     with pytest.raises(ValueError, match=r"camera_to_world\[2\]: expected finite values"):
         env.raise_faults()
     env.raise_faults()

@@ -39,7 +39,7 @@ class OnAGpu(EnvContract):
     def test_it_is_all_on_the_gpu(self) -> None:
         env = self.make((3,))
         base = base_env(env)
-        assert isinstance(base.renderer, CudaRenderer) and base.resets_by_mask and base.generator.device.type == "cuda"
+        assert isinstance(base.drawing.renderer, CudaRenderer) and base.generator.device.type == "cuda"
         assert {value.device.type for value in env.rollout(2).values(True, True)} == {"cuda"}
 
 

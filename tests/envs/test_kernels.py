@@ -12,6 +12,7 @@ from splatrl.collision import NativeChecker, Occupancy
 from splatrl.collision.cuda import CudaChecker
 from splatrl.curriculum import Curriculum, plan
 from splatrl.envs import Robot, SplatEnv
+from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.restart import restart
 from splatrl.envs.tasks import Fps, Grid, Task
 from splatrl.motions import ForwardMotion
@@ -45,7 +46,7 @@ def env_of(name: str, device: torch.device | str, renderer: object, checker: obj
     found = plan(task.motion, NativeChecker(occupancy(), box), task.reached)
     robot = Robot(box, HEIGHT, image_width=16, image_height=12)
     curriculum = Curriculum(found, None)
-    return SplatEnv(renderer, checker, robot, task, curriculum, [ROBOTS], 0, device, reset_by_mask=True)
+    return SplatEnv(SceneDrawing(renderer), checker, robot, task, curriculum, [ROBOTS], 0, device)
 
 
 def on_cpu(name: str) -> SplatEnv:

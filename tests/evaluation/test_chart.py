@@ -1,24 +1,27 @@
 """The map of a video shows the robot, its trail and the goal at their places."""
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
 from splatrl.bodies import Box, Capsule, Sphere
-from splatrl.envs.tasks import Outcome
+from splatrl.envs.tasks import Mark, Outcome
 from splatrl.evaluation.chart import COLORS, Chart
 from splatrl.evaluation.figures import BLUE, GOAL, MISSED
 from splatrl.evaluation.recording import Recording
-from splatrl.evaluation.topdown import TopDown
+from splatrl.evaluation.topdown import MapView, TopDown
 
 GROUND = TopDown(torch.full((60, 100, 3), 255, dtype=torch.uint8), (-1.0, 4.0, 2.0, 5.0))  # 5 m × 3 m
-PLACE = torch.tensor([3.0, 4.0, 1.2])
+PLACE = Mark("goal pose", torch.tensor([3.0, 4.0, 1.2], dtype=torch.float64))
 BODY = Box((0.3, 0.2, 0.1))
 SCALE = 80.0  # pixels a metre in a map 400 pixels wide
 
 
-def recording(outcome: Outcome = Outcome.COLLISION) -> Recording:
+def recording(outcome: Outcome = Outcome.COLLISION, marks: Sequence[list[Mark]] = ()) -> Recording:
     planar = torch.tensor([[0.0, 2.5, 0.0], [1.0, 2.5, 0.0], [2.0, 2.5, 0.0], [2.0, 3.5, 1.57]])
     return Recording(
         planar=planar,
@@ -27,11 +30,12 @@ def recording(outcome: Outcome = Outcome.COLLISION) -> Recording:
         action=torch.tensor([0, 0, 2]),
         episode_return=torch.zeros(4),
         outcome=outcome,
+        marks=marks,
     )
 
 
-def chart(solid: torch.Tensor | None = None) -> Chart:
-    return Chart(GROUND, solid, PLACE, BODY, (400, 384))
+def chart(solid: torch.Tensor | None = None, *marks: Mark) -> Chart:
+    return Chart(MapView(GROUND, solid, marks or [PLACE]), BODY, (400, 384))
 
 
 def found(image: Image.Image, color: str) -> np.ndarray:
@@ -43,7 +47,7 @@ def found(image: Image.Image, color: str) -> np.ndarray:
 
 def test_a_map_fits_its_box_without_being_stretched() -> None:
     assert chart().size == (400, 240)
-    assert Chart(GROUND, None, PLACE, BODY, (1000, 120)).size == (200, 120)
+    assert Chart(MapView(GROUND), BODY, (1000, 120)).size == (200, 120)
 
 
 def test_the_robot_is_drawn_at_its_pose() -> None:
@@ -75,6 +79,16 @@ def test_the_goal_is_marked_at_its_place_in_every_picture() -> None:
         assert goal[:, 1].mean() > 4.05  # the arrow points up
 
 
+def test_what_moves_in_an_episode_is_marked_where_it_is_at_each_step() -> None:
+    places = [(0.5, 4.5), (0.5, 4.5), (3.5, 2.5), (3.5, 4.5)]
+    marks = [[Mark("apple", torch.tensor([*place, math.nan], dtype=torch.float64))] for place in places]
+    one = Chart(MapView(GROUND), BODY, (400, 384))
+    for step, place in enumerate(places):
+        apple = found(one.draw(recording(marks=marks), step), GOAL)
+        assert np.abs(apple - place).max() < 0.1  # a dot without an arrow
+    assert len(found(one.draw(recording(), 0), GOAL)) == 0
+
+
 def test_what_is_solid_is_dark() -> None:
     solid = torch.zeros(60, 100, dtype=torch.bool)
     solid[10:20, 20:40] = True  # x 0 to 1, y 4 to 4.5
@@ -91,4 +105,4 @@ def test_drawing_leaves_no_trace_on_the_next_picture() -> None:
 
 @pytest.mark.parametrize(("body", "half"), [(Sphere(0.25), 0.25), (Capsule(0.15, 0.5), 0.15), (BODY, 0.15)])
 def test_a_body_is_seen_from_above(body: Box | Sphere | Capsule, half: float) -> None:
-    assert Chart(GROUND, None, PLACE, body, (400, 384)).body.max() == pytest.approx(half)
+    assert Chart(MapView(GROUND), body, (400, 384)).body.max() == pytest.approx(half)

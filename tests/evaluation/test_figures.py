@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,19 +14,21 @@ from matplotlib.figure import Figure
 from PIL import Image
 from torch import Tensor
 
+from splatrl.envs.tasks import Mark
 from splatrl.evaluation import figures
 from splatrl.evaluation.figures import GOAL, MISSED, PARTLY, REACHED, learning_curve, start_map, success_map
-from splatrl.evaluation.topdown import TopDown
+from splatrl.evaluation.topdown import MapView, TopDown
 
 GROUND = TopDown(torch.full((80, 120, 3), 200, dtype=torch.uint8), (-1.5, 1.5, -0.5, 1.5))
 PLACE = torch.tensor([0.3, 0.7, 0.5], dtype=torch.float64)
+VIEW = MapView(GROUND, marks=[Mark("goal pose", PLACE)])
 
 
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
     """Collects figures, which are then not written."""
     collected: list[Figure] = []
-    monkeypatch.setattr(figures, "_save", lambda figure, path: collected.append(figure))
+    monkeypatch.setattr(figures, "save_figure", lambda figure, path: collected.append(figure))
     return collected
 
 
@@ -94,7 +97,7 @@ def test_the_suffix_is_the_format(tmp_path: Path) -> None:
 def test_every_start_is_an_arrow_from_its_position_along_its_heading(drawn: list[Figure]) -> None:
     planar = lattice()
     success = planar[:, 0] > -0.3
-    start_map(planar, success, PLACE, GROUND, Path("unused.png"))
+    start_map(planar, success, VIEW, Path("unused.png"))
     for color, chosen in ((REACHED, planar[success]), (MISSED, planar[~success])):
         outlines = polygons(drawn[0], color)
         assert len(outlines) == len(chosen)
@@ -109,7 +112,7 @@ def test_every_start_is_an_arrow_from_its_position_along_its_heading(drawn: list
 @pytest.mark.parametrize("headings", [4, 16, 36])
 def test_arrows_of_a_rosette_and_of_its_neighbours_do_not_overlap(headings: int, drawn: list[Figure]) -> None:
     planar = lattice(headings)
-    start_map(planar, torch.ones(len(planar), dtype=torch.bool), PLACE, GROUND, Path("unused.png"))
+    start_map(planar, torch.ones(len(planar), dtype=torch.bool), VIEW, Path("unused.png"))
     offset = polygons(drawn[0], REACHED) - planar[:, None, :2].numpy()
     cos, sin = np.cos(planar[:, 2:].numpy()), np.sin(planar[:, 2:].numpy())
     along, across = offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin
@@ -121,14 +124,14 @@ def test_a_pose_that_succeeds_now_and_then_has_a_colour_of_its_own(drawn: list[F
     planar = lattice().repeat(2, 1)
     success = torch.ones(len(planar), dtype=torch.bool)
     success[:5] = False  # the first of two episodes
-    start_map(planar, success, PLACE, GROUND, Path("unused.png"))
+    start_map(planar, success, VIEW, Path("unused.png"))
     assert len(polygons(drawn[0], PARTLY)) == 5 and len(polygons(drawn[0], REACHED)) == 91
     assert labels(drawn[0]) == ["goal reached", "reached in part of the episodes", "goal pose"]
 
 
 def test_starts_that_are_no_lattice_get_arrows_of_a_size_that_can_be_seen(drawn: list[Figure]) -> None:
     planar = torch.rand(200, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    start_map(planar, planar[:, 0] > 0.5, PLACE, GROUND, Path("unused.png"))
+    start_map(planar, planar[:, 0] > 0.5, VIEW, Path("unused.png"))
     arrows = polygons(drawn[0], REACHED)
     length, width = np.linalg.norm(arrows[:, 3] - arrows[:, [0, 6]].mean(1), axis=-1), arrows[:, 2] - arrows[:, 4]
     assert (length > 0.05).all() and (np.linalg.norm(width, axis=-1) > 0.01).all()  # of 3 m
@@ -136,7 +139,7 @@ def test_starts_that_are_no_lattice_get_arrows_of_a_size_that_can_be_seen(drawn:
 
 def test_the_goal_and_the_blocked_positions_are_marked_where_they_are(drawn: list[Figure]) -> None:
     planar, blocked = lattice(), torch.tensor([[0.5, 0.25], [0.75, 0.5]])
-    start_map(planar, planar[:, 0] > 0, PLACE, GROUND, Path("unused.png"), blocked=blocked)
+    start_map(planar, planar[:, 0] > 0, VIEW, Path("unused.png"), blocked=blocked)
     crosses, disc = drawn[0].axes[0].lines
     assert np.stack(crosses.get_data(), -1).tolist() == blocked.tolist()
     assert [float(value[0]) for value in disc.get_data()] == [0.3, 0.7]
@@ -145,10 +148,25 @@ def test_the_goal_and_the_blocked_positions_are_marked_where_they_are(drawn: lis
     assert {"body does not fit", "goal pose"} <= set(labels(drawn[0]))
 
 
+def test_each_mark_is_drawn_and_marks_of_one_name_share_an_entry_of_the_legend(drawn: list[Figure]) -> None:
+    places = torch.tensor([[0.3, 0.7, math.nan], [-0.5, 0.2, math.nan], [0.9, 1.1, 0.5]], dtype=torch.float64)
+    marks = [Mark(name, place) for name, place in zip(("apple", "apple", "door"), places, strict=True)]
+    start_map(lattice(), lattice()[:, 0] > 0, replace(VIEW, marks=marks), Path("unused.png"))
+    discs = [[float(value[0]) for value in line.get_data()] for line in drawn[0].axes[0].lines]
+    assert discs == places[:, :2].tolist()
+    assert len(polygons(drawn[0], GOAL)) == 1  # the others have no direction
+    assert labels(drawn[0]) == ["goal reached", "not reached", "apple", "door"]
+
+
+def test_a_map_without_marks_has_none(drawn: list[Figure]) -> None:
+    success_map(lattice(), torch.ones(96, dtype=torch.bool), MapView(GROUND), Path("unused.png"))
+    assert not drawn[0].axes[0].lines and labels(drawn[0]) == []
+
+
 def test_cells_show_the_mean_over_headings_at_their_position(drawn: list[Figure]) -> None:
     planar = lattice()
     success = torch.rand(len(planar), generator=torch.Generator().manual_seed(1)) > 0.4
-    success_map(planar, success, PLACE, GROUND, Path("unused.png"))
+    success_map(planar, success, VIEW, Path("unused.png"))
     heat = next(c for c in drawn[0].axes[0].collections if c.get_array() is not None)
     centers = np.array([path.vertices[:-1].mean(0) for path in heat.get_paths()])
     assert centers == pytest.approx(planar[::8, :2].numpy())
@@ -159,7 +177,7 @@ def test_cells_show_the_mean_over_headings_at_their_position(drawn: list[Figure]
 
 
 def test_a_map_is_in_metres_with_x_to_the_right_and_y_up(drawn: list[Figure]) -> None:
-    success_map(lattice(), torch.ones(96, dtype=torch.bool), PLACE, GROUND, Path("unused.png"))
+    success_map(lattice(), torch.ones(96, dtype=torch.bool), VIEW, Path("unused.png"))
     axes = drawn[0].axes[0]
     assert axes.get_xlim() == (-1.5, 1.5) and axes.get_ylim() == (-0.5, 1.5)
     assert axes.images[0].get_extent() == [-1.5, 1.5, -0.5, 1.5] and axes.images[0].origin == "upper"
@@ -171,7 +189,7 @@ def test_a_map_is_in_metres_with_x_to_the_right_and_y_up(drawn: list[Figure]) ->
 def test_what_is_solid_is_outlined_where_it_stands(drawn: list[Figure]) -> None:
     solid = torch.zeros(80, 120, dtype=torch.bool)
     solid[20:40, 70:90] = True  # 0.025 m a pixel: x from 0.25 to 0.75, y from 0.5 to 1
-    success_map(lattice(), torch.ones(96, dtype=torch.bool), PLACE, GROUND, Path("unused.png"), solid)
+    success_map(lattice(), torch.ones(96, dtype=torch.bool), replace(VIEW, solid=solid), Path("unused.png"))
     hatched = next(c for c in drawn[0].axes[0].collections if getattr(c, "hatches", [None])[0])
     outline = hatched.get_paths()[0].vertices
     assert [*outline.min(0), *outline.max(0)] == pytest.approx([0.25, 0.5, 0.75, 1.0], abs=0.002)
@@ -180,7 +198,7 @@ def test_what_is_solid_is_outlined_where_it_stands(drawn: list[Figure]) -> None:
 
 def test_a_written_map_has_green_where_the_goal_is_reached_and_red_where_not(tmp_path: Path) -> None:
     planar = lattice(16)
-    start_map(planar, planar[:, 0] > -0.1, PLACE, GROUND, tmp_path / "map.png")
+    start_map(planar, planar[:, 0] > -0.1, VIEW, tmp_path / "map.png")
     assert [path.name for path in tmp_path.iterdir()] == ["map.png"]
     pixels = np.asarray(Image.open(tmp_path / "map.png").convert("RGB")).astype(int)[:-90]  # without the legend
     columns = []

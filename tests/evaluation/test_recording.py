@@ -5,8 +5,11 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from splatrl.envs.tasks import Outcome
+from splatrl.envs.tasks import Apple, Outcome
+from splatrl.envs.tasks.base import Anywhere, Memory, Step, Verdict
 from splatrl.evaluation.recording import record_episodes
+from splatrl.renderers import Parts
+from tests.envs.rooms import PLACE, coarse_forward, painted_env
 from tests.tiny import tiny_env, tiny_plan, tiny_renderer, tiny_task
 
 
@@ -58,6 +61,41 @@ def test_poses_and_pixels_belong_together_from_the_start_on() -> None:
         assert torch.equal(recording.body_to_world, motion.body_to_world(state))
         seen = tiny_renderer().pixels(env.robot.cameras(recording.body_to_world))
         assert torch.equal(recording.pixels, seen)
+
+
+def test_a_task_that_remembers_nothing_and_places_nothing_leaves_none_of_it() -> None:
+    (recording, *_) = record_episodes(tiny_env((3,)), scripted(*ACTIONS), STARTS)
+    assert (dict(recording.memory), recording.parts, list(recording.marks)) == ({}, None, [])
+
+
+def test_what_the_task_remembers_is_kept_and_marked_step_by_step() -> None:
+    env = painted_env(Runaway(coarse_forward(), PLACE, max_steps=5), batch=2)
+    starts = torch.tensor([[-1.0, -1.5, 0.0], [-1.0, 1.5, 0.0]])
+    recordings = record_episodes(env, scripted([0, 0, 0], [2, 2, 2]), starts)
+    for recording in recordings:
+        steps = torch.arange(len(recording.action) + 1)
+        expected = torch.tensor(PLACE) + 0.1 * steps.unsqueeze(1) * torch.tensor([0.0, 1.0, 0.0])
+        torch.testing.assert_close(recording.memory["target"], expected)
+        assert [len(marks) for marks in recording.marks] == [1] * len(steps)
+        shown = torch.stack([marks[0].planar for marks in recording.marks])
+        torch.testing.assert_close(shown[:, :2].float(), expected[:, :2])
+        assert recording.parts is not None
+        assert recording.parts.model.tolist() == [[1]] * len(steps)
+        stands = recording.parts.model_to_world[:, 0]
+        torch.testing.assert_close(stands[:, :2, 3], expected[:, :2] + recording.planar[:, :2].float())
+
+
+class Runaway(Apple):
+    """The apple goes north by 0.1 m in each step, and a part stands at the sum of its place and the robot's."""
+
+    def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
+        ahead = step.memory["target"] + torch.tensor([0.0, 0.1, 0.0])
+        return super().judge(step, anywhere)._replace(memory={"target": ahead})
+
+    def parts(self, state: Tensor, memory: Memory) -> Parts:
+        poses = torch.eye(4).repeat(len(state), 1, 1, 1)
+        poses[:, 0, :2, 3] = memory["target"][:, :2] + state[:, :2]
+        return Parts(torch.ones(len(state), 1, dtype=torch.int64), poses)
 
 
 def test_an_episode_without_end_is_cut_at_the_limit_of_steps() -> None:

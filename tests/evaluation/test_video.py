@@ -1,22 +1,27 @@
 """A video shows every step of every episode beside the map."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import av
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
-from splatrl.envs.tasks import Outcome
+from splatrl.cameras import Cameras
+from splatrl.envs.drawing import SceneDrawing, View
+from splatrl.envs.tasks import Mark, Outcome
+from splatrl.envs.tasks.base import NOTHING, Memory
 from splatrl.evaluation.figures import BLUE, MISSED, REACHED
 from splatrl.evaluation.recording import Recording
-from splatrl.evaluation.topdown import TopDown
+from splatrl.evaluation.topdown import MapView, TopDown
 from splatrl.evaluation.video import rollout_video
-from splatrl.renderers import ReferenceRenderer
+from splatrl.renderers import Parts, ReferenceRenderer
 from tests.tiny import tiny_gaussians, tiny_motion, tiny_robot
 
 GROUND = TopDown(torch.full((39, 29, 3), 255, dtype=torch.uint8), (-1.45, 1.45, -1.95, 1.95))
-PLACE = torch.tensor([0.5, 1.0, 0.0])
+VIEW = MapView(GROUND, marks=[Mark("goal pose", torch.tensor([0.5, 1.0, 0.0], dtype=torch.float64))])
 STRIP = slice(400, None)  # rows of the text
 
 
@@ -52,7 +57,7 @@ def has(picture: np.ndarray, color: str) -> bool:
 
 
 def test_each_step_is_a_frame_and_the_last_of_an_episode_stays(tmp_path: Path) -> None:
-    rollout_video(RECORDINGS, tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4", fps=10)
+    rollout_video(RECORDINGS, tiny_robot(), VIEW, tmp_path / "clip.mp4", fps=10)
     assert [path.name for path in tmp_path.iterdir()] == ["clip.mp4"]
     shown = frames(tmp_path / "clip.mp4")
     shades = [picture[8:392, 280:500].mean() for picture in shown]
@@ -63,15 +68,15 @@ def test_each_step_is_a_frame_and_the_last_of_an_episode_stays(tmp_path: Path) -
 
 
 def test_the_policys_pixels_are_enlarged_without_blur(tmp_path: Path) -> None:
-    rollout_video(RECORDINGS, tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4")
+    rollout_video(RECORDINGS, tiny_robot(), VIEW, tmp_path / "clip.mp4")
     row = frames(tmp_path / "clip.mp4")[0][200, 8:520].mean(-1)
     assert row[:250] == pytest.approx(0, abs=6) and row[262:] == pytest.approx(60, abs=6)
 
 
-def test_with_a_renderer_the_view_is_large_and_the_policys_pixels_are_its_inset(tmp_path: Path) -> None:
+def test_with_a_drawing_the_view_is_large_and_the_policys_pixels_are_its_inset(tmp_path: Path) -> None:
     one = recording(60, Outcome.GOAL, steps=1)
     renderer = ReferenceRenderer(tiny_gaussians())
-    rollout_video([one], tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4", renderer=renderer)
+    rollout_video([one], tiny_robot(), VIEW, tmp_path / "clip.mp4", drawing=SceneDrawing(renderer))
     shown = frames(tmp_path / "clip.mp4")[0]
     small = renderer.pixels(tiny_robot().cameras(one.body_to_world[:1]))[0].numpy().astype(int)
     blocks = shown[8:392, 8:520].reshape(12, 32, 16, 32, 3).mean((1, 3))
@@ -80,15 +85,46 @@ def test_with_a_renderer_the_view_is_large_and_the_policys_pixels_are_its_inset(
     assert inset[:, :78].max() < 8 and inset[:, 90:].min() > 50
 
 
+def test_the_large_view_shows_what_the_task_remembered_and_placed_at_each_step(tmp_path: Path) -> None:
+    steps = 11  # more than one batch of views
+    memory = {"target": torch.arange(3.0 * (steps + 1)).view(-1, 3)}
+    parts = Parts(torch.arange(steps + 1).view(-1, 1), torch.eye(4).repeat(steps + 1, 1, 1, 1))
+    one = replace(recording(60, Outcome.GOAL, steps), memory=memory, parts=parts)
+    drawing = Kept()
+    rollout_video([one], tiny_robot(), VIEW, tmp_path / "clip.mp4", drawing=drawing)
+    poses, targets, models = (torch.cat(kept) for kept in zip(*drawing.asked, strict=True))
+    assert torch.equal(poses, tiny_robot().cameras(one.body_to_world).camera_to_world)
+    assert torch.equal(targets, memory["target"]) and torch.equal(models, parts.model)
+
+
+class Kept(SceneDrawing):
+    """Draws black, and keeps what it was asked to draw."""
+
+    def __init__(self) -> None:
+        super().__init__(ReferenceRenderer(tiny_gaussians()))
+        self.asked: list[tuple[Tensor, ...]] = []
+
+    def draw(
+        self,
+        cameras: Cameras,
+        memory: Memory = NOTHING,
+        parts: Parts | None = None,
+        only: Tensor | None = None,
+    ) -> View:
+        assert parts is not None
+        self.asked.append((cameras.camera_to_world, memory["target"], parts.model))
+        return View(torch.zeros(len(cameras), cameras.height, cameras.width, 3, dtype=torch.uint8), {})
+
+
 def test_the_outcome_is_told_at_the_end_of_each_episode_and_not_before(tmp_path: Path) -> None:
-    rollout_video(RECORDINGS, tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4", fps=10)
+    rollout_video(RECORDINGS, tiny_robot(), VIEW, tmp_path / "clip.mp4", fps=10)
     shown = frames(tmp_path / "clip.mp4")
     assert [has(picture[STRIP], REACHED) for picture in shown] == [False] * 3 + [True] * 8 + [False] * 10
     assert [has(picture[STRIP], MISSED) for picture in shown] == [False] * 13 + [True] * 8
 
 
 def test_the_robot_moves_on_the_map(tmp_path: Path) -> None:
-    rollout_video(RECORDINGS, tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4")
+    rollout_video(RECORDINGS, tiny_robot(), VIEW, tmp_path / "clip.mp4")
     blue = np.array([int(BLUE[i : i + 2], 16) for i in (1, 3, 5)])
     tops = []
     for picture in frames(tmp_path / "clip.mp4")[:3]:
@@ -101,7 +137,7 @@ def test_the_robot_moves_on_the_map(tmp_path: Path) -> None:
 
 def test_without_x264_the_video_is_mpeg4(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(av, "codecs_available", {"mpeg4"})
-    rollout_video(RECORDINGS, tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4")
+    rollout_video(RECORDINGS, tiny_robot(), VIEW, tmp_path / "clip.mp4")
     with av.open(tmp_path / "clip.mp4") as container:
         assert container.streams.video[0].codec_context.name == "mpeg4"
     assert len(frames(tmp_path / "clip.mp4")) == 7 + 2 * 4
@@ -110,7 +146,7 @@ def test_without_x264_the_video_is_mpeg4(tmp_path: Path, monkeypatch: pytest.Mon
 def test_the_action_that_led_to_a_frame_is_named_or_shown_as_numbers(tmp_path: Path) -> None:
     first, second = [], []
     for names in (("+x", "-x", "+y"), ("left", "right", "+y"), ("+y", "+y", "-x"), ()):
-        rollout_video(RECORDINGS, tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4", action_names=names)
+        rollout_video(RECORDINGS, tiny_robot(), VIEW, tmp_path / "clip.mp4", action_names=names)
         for kept, picture in zip((first, second), frames(tmp_path / "clip.mp4"), strict=False):
             kept.append(picture)
     assert all((picture == first[0]).all() for picture in first)  # nothing has been done yet
@@ -123,5 +159,5 @@ def test_the_action_that_led_to_a_frame_is_named_or_shown_as_numbers(tmp_path: P
 def test_a_failure_leaves_what_was_there(tmp_path: Path) -> None:
     (tmp_path / "clip.mp4").write_bytes(b"an older clip")
     with pytest.raises(ValueError, match="at least one episode"):
-        rollout_video([], tiny_robot(), PLACE, GROUND, tmp_path / "clip.mp4")
+        rollout_video([], tiny_robot(), VIEW, tmp_path / "clip.mp4")
     assert (tmp_path / "clip.mp4").read_bytes() == b"an older clip"

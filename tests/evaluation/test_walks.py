@@ -1,7 +1,9 @@
 import math
+from collections.abc import Mapping
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +11,11 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
+from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Plan, plan
+from splatrl.envs.drawing import Drawing, SceneDrawing, View
+from splatrl.envs.tasks.base import NOTHING, Anywhere, Memory, TaskModule
+from splatrl.envs.world import World
 from splatrl.evaluation.clip_files import read_clips
 from splatrl.evaluation.walk_looks import Lens
 from splatrl.evaluation.walks import (
@@ -18,18 +24,20 @@ from splatrl.evaluation.walks import (
     eased,
     emptiness,
     far_paths,
-    nearest_states,
     paths,
     record_walks,
     sway,
     walk,
 )
-from splatrl.motions import DriveMotion, ForwardMotion
+from splatrl.motions import DriveMotion, ForwardMotion, OrbitMotion
+from splatrl.motions.base import PlannedMotion
 from splatrl.renderers import Parts, RenderOutput
-from tests.tiny import HEIGHT, BlockChecker, tiny_motion, tiny_plan, tiny_renderer, tiny_robot
+from splatrl.renderers.base import to_pixels
+from splatrl.scenes import Scene
+from tests.tiny import HEIGHT, BlockChecker, tiny_gaussians, tiny_motion, tiny_plan, tiny_renderer, tiny_robot
 
 STILL = Hand(place=0.0, height=0.0, pitch_deg=0.0, roll_deg=0.0, yaw_deg=0.0)
-NAMES = ForwardMotion.action_names
+NAMES = ForwardMotion(HEIGHT).action_names
 
 
 def generator(seed: int = 0) -> torch.Generator:
@@ -190,17 +198,20 @@ def test_a_walk_ends_with_the_first_frame_at_the_goal() -> None:
     found = planar_plan()
     for seed, states in enumerate(far(3)):
         walked = walk(found, tiny_robot(), states, Hand(), generator(seed))
-        there = found.reached(nearest_states(found, walked.planar))
+        assert torch.equal(walked.states, walked.planar.float())
+        there = found.at_goal(walked.states)
         assert not there[:-1].any()
         assert not walked.allowed[there].any()
 
 
-def test_a_pose_beside_a_lattice_belongs_to_the_nearest_state() -> None:
+def test_a_walk_over_a_lattice_is_labelled_at_the_nearest_states() -> None:
     found = tiny_plan()
-    planar = tiny_motion().planar(found.states)
-    beside = planar + torch.tensor([0.2, -0.2, -0.3])
-    beside[:, 2] %= math.tau
-    assert torch.equal(nearest_states(found, beside), found.states)
+    (states,) = paths(found, found.starts[found.distance[found.start_rows].argmax()][None], generator())
+    walked = walk(found, tiny_robot(), states, STILL, generator())
+    assert torch.equal(walked.states[:: STILL.frames], states[: len(walked.states[:: STILL.frames])])
+    away = (walked.planar - tiny_motion().planar(walked.states))[:, :2].norm(dim=1)
+    assert 0 < away.max() <= 0.25 + 1e-6  # half a step
+    assert torch.equal(walked.allowed, found.optimal(walked.states))
 
 
 class Painter:
@@ -212,11 +223,38 @@ class Painter:
         return RenderOutput(level.expand(*shape, 3), torch.ones(shape), torch.ones(shape))
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        raise NotImplementedError
+        return to_pixels(self.render(cameras, parts, only).rgb)
 
 
-def record(folder: Path, seed: int = 0, count: int = 2, **options: object) -> list[Path]:
-    return record_walks(folder, planar_plan(), tiny_robot(), Painter(), NAMES, count, seed, 24, **options)
+class Stand(TaskModule):
+    """Puts model 3 of the scene where each robot stands, and remembers a place."""
+
+    def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
+        return {"target": torch.tensor([0.7, 1.0, HEIGHT]).repeat(len(state), 1)}
+
+    def parts(self, state: Tensor, memory: Memory) -> Parts:
+        return Parts(torch.full((len(state), 1), 3), self.motion.body_to_world(state).unsqueeze(1))
+
+
+def world(found: Plan, drawing: Drawing) -> World:
+    """Where walks are recorded: nothing of it but plan, robot, task and drawing is asked for."""
+    gaussians = tiny_gaussians()
+    return World(
+        scene=Scene("room", gaussians, ((-1.0, -1.5, 0.0), (1.0, 1.5, 1.0))),
+        occupancy=Occupancy.empty(),
+        checker=BlockChecker(),
+        drawing=drawing,
+        robot=tiny_robot(),
+        task=Stand(found.motion, 20),
+        plan=found,
+        make_transforms=list,
+        device=torch.device("cpu"),
+    )
+
+
+def record(folder: Path, seed: int = 0, count: int = 2, drawing: Drawing | None = None, **options: Any) -> list[Path]:
+    place = world(planar_plan(), drawing or SceneDrawing(Painter()))
+    return record_walks(folder, place, count, seed, 24, **options)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -240,41 +278,75 @@ def test_the_same_seed_records_the_same_bytes_and_another_others(tmp_path: Path)
     assert contents(tmp_path / "a") == contents(tmp_path / "b") != contents(tmp_path / "c")
 
 
-def test_what_is_drawn_over_the_scene_is_photographed_with_it(tmp_path: Path) -> None:
-    def overlay(pixels: Tensor, depth: Tensor, cameras: Cameras) -> Tensor:
-        assert pixels.shape == (*depth.shape, 3) and len(cameras) == len(pixels)
-        return torch.full_like(pixels, 200)
+class Photographs(SceneDrawing):
+    """Draws all in one grey, and keeps what it was asked to draw."""
 
-    clear = Lens(exposure=0.0, tint=0.0, blur=0.0, noise=0.0)
-    record(tmp_path, overlay=overlay, lens=clear)
-    for clip in read_clips(tmp_path, NAMES):
+    def __init__(self) -> None:
+        super().__init__(Painter())
+        self.asked: list[tuple[Cameras, Mapping[str, Tensor], Parts | None]] = []
+
+    def draw(
+        self,
+        cameras: Cameras,
+        memory: Mapping[str, Tensor] = NOTHING,
+        parts: Parts | None = None,
+        only: Tensor | None = None,
+    ) -> View:
+        self.asked.append((cameras, memory, parts))
+        return View(torch.full((len(cameras), cameras.height, cameras.width, 3), 200, dtype=torch.uint8), {})
+
+
+def test_what_the_task_places_and_the_drawing_adds_is_photographed_with_the_scene(tmp_path: Path) -> None:
+    clear, drawing = Lens(exposure=0.0, tint=0.0, blur=0.0, noise=0.0), Photographs()
+    record(tmp_path, drawing=drawing, lens=clear, hand=STILL)
+    clips = read_clips(tmp_path, NAMES)
+    for clip in clips:
         assert all((np.asarray(image) == 200).all() for image in clip.images())
+    assert sum(len(cameras) for cameras, _, _ in drawing.asked) == sum(len(list(clip.images())) for clip in clips)
+    for cameras, memory, parts in drawing.asked:
+        assert torch.equal(memory["target"], torch.tensor([0.7, 1.0, HEIGHT]).expand(len(cameras), 3))
+        assert parts is not None and (parts.model == 3).all()
+        places = parts.model_to_world[:, 0, :3, 3]
+        assert torch.allclose(places, cameras.camera_to_world[:, :3, 3], atol=1e-5)
 
 
 def test_a_lattice_can_be_walked_too(tmp_path: Path) -> None:
-    names = tiny_motion().action_names
-    record_walks(tmp_path, tiny_plan(), tiny_robot(), tiny_renderer(), names, count=1, height=12)
-    (clip,) = read_clips(tmp_path, names)
+    record_walks(tmp_path, world(tiny_plan(), SceneDrawing(Painter())), count=1, height=12)
+    (clip,) = read_clips(tmp_path, tiny_motion().action_names)
     assert len(clip.labels) > 10
 
 
 def test_walks_that_fail_leave_no_part_of_a_clip(tmp_path: Path) -> None:
-    def overlay(pixels: Tensor, depth: Tensor, cameras: Cameras) -> Tensor:
-        raise RuntimeError("no picture")
-
     with pytest.raises(RuntimeError, match="no picture"):
-        record(tmp_path, overlay=overlay)
+        record(tmp_path, drawing=Broken(Painter()))
     assert list(tmp_path.iterdir()) == []
     record(tmp_path, count=1)
     with pytest.raises(ValueError, match="expected a new folder"):
         record(tmp_path, count=1)
 
 
-def test_what_cannot_be_walked_or_counted_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"expected named steps on the ground.*got ForwardMotion"):
-        record_walks(tmp_path, planar_plan(), tiny_robot(), Painter(), ())
-    drive = Plan(**{**vars(planar_plan()), "motion": DriveMotion(HEIGHT)})
-    with pytest.raises(ValueError, match="got DriveMotion"):
-        record_walks(tmp_path, drive, tiny_robot(), Painter(), ())
+class Broken(SceneDrawing):
+    """Draws nothing."""
+
+    def draw(self, *_: object) -> View:
+        raise RuntimeError("no picture")
+
+
+@pytest.mark.parametrize("motion", [DriveMotion(HEIGHT), OrbitMotion((0.0, 0.0, HEIGHT), elevation_deg=(0.0, 40.0))])
+def test_what_cannot_be_walked_is_refused(motion: PlannedMotion, tmp_path: Path) -> None:
+    other = Plan(**{**vars(planar_plan()), "motion": motion})
+    refused = rf"expected named steps on the ground.*got {type(motion).__name__}"
+    with pytest.raises(ValueError, match=refused):
+        record_walks(tmp_path, world(other, SceneDrawing(Painter())))
+
+
+def test_a_walk_needs_a_goal(tmp_path: Path) -> None:
+    aimless = plan(planar_plan().motion, BlockChecker(), None)
+    with pytest.raises(ValueError, match="expected one with goal states"):
+        record_walks(tmp_path / "clips", world(aimless, SceneDrawing(Painter())))
+    assert not (tmp_path / "clips").exists()
+
+
+def test_clips_without_a_number_or_a_size_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="at least 1 clip"):
         record(tmp_path, count=0)

@@ -36,23 +36,18 @@ def test_an_empty_cell_of_the_history_is_nan(tmp_path: Path) -> None:
 
 def test_configs_differ_in_what_changes_results_and_not_in_speed() -> None:
     asked, found = compose(["scene=yard"]), compose(["scene=yard", "collector.total_frames=80"])
-    found["threads"] = 7
+    found |= {"threads": 7, "resume": "here", "renderer": {"threads": 3, "tolerance": 0.5}}
+    found["collector"]["cuda_graph"] = True
+    asked["renderer"] = {"tolerance": 0.5}
     assert differences(asked, found) == ["collector.total_frames: asked for 430, found 80"]
     del found["collector"]["total_frames"]
-    assert differences(asked, found) == ["collector.total_frames: asked for 430, found nothing"]
+    asked["renderer"]["tolerance"] = 0.0
+    assert differences(asked, found) == [
+        "collector.total_frames: asked for 430, found nothing",
+        "renderer.tolerance: asked for 0.0, found 0.5",
+    ]
 
 
 def test_a_path_and_its_absolute_form_are_the_same() -> None:
     asked, found = compose(["scene=yard.spz"]), compose([f"scene={Path('yard.spz').absolute()}"])
     assert differences(asked, found) == []
-
-
-def test_folders_of_before_there_were_gpus_have_the_settings_of_today() -> None:
-    asked, found = compose(["scene=yard"]), compose(["scene=yard"])
-    asked |= {"transforms": {"stack": {"_target_": "splatrl.envs.transforms.FrameStack"}}}
-    found |= {"transforms": {"stack": {"_target_": "torchrl.envs.CatFrames"}}}
-    asked |= {"renderer": {"gpu": {"_target_": "splatrl.renderers.cuda.CudaRenderer"}}}
-    asked["collector"] = {**asked["collector"], "cuda_graph": "auto"}
-    assert differences(asked, found) == []
-    found["transforms"]["stack"]["_target_"] = "torchrl.envs.Other"
-    assert len(differences(asked, found)) == 1

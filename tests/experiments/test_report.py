@@ -6,7 +6,8 @@ from pathlib import Path
 
 from PIL import Image
 
-from splatrl.experiments import Experiment, write_joint_report, write_report
+from splatrl.experiments import Experiment
+from splatrl.experiments.report import write_joint_report, write_report
 from tests.experiments.made_up import finish, made_up
 
 

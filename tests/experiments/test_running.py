@@ -3,27 +3,29 @@
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
-from splatrl.experiments import Run, running, train
+from splatrl.experiments import Run, running
 from splatrl.experiments.folders import status
-from splatrl.experiments.running import BusyError, command, start
+from splatrl.experiments.running import BusyError, command, start, train
 from tests.experiments.made_up import begin, finish, made_up
 
+PROGRAM = ["python", "-m", "a.training"]
 SLEEP = [sys.executable, "-c", "import time; time.sleep(600)"]
 
 
-def program(code: str) -> subprocess.Popen[bytes]:
+def python(code: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-S", "-c", code])
 
 
 def test_a_new_run_is_begun_and_a_begun_one_gone_on_with(tmp_path: Path) -> None:
     new, begun, *_ = made_up(tmp_path / "it's here").runs
     begin(begun, 40)
-    assert command(new, 3)[1:] == ["-m", "splatrl.train", *new.overrides, f"hydra.run.dir={quoted(new)}"]
-    assert command(begun, 3)[1:] == ["-m", "splatrl.train", f"resume={quoted(begun)}"]
+    assert command(new, 3, PROGRAM) == [*PROGRAM, *new.overrides, f"hydra.run.dir={quoted(new)}"]
+    assert command(begun, 3, PROGRAM) == [*PROGRAM, f"resume={quoted(begun)}"]
 
 
 def quoted(run: Run) -> str:
@@ -33,8 +35,10 @@ def quoted(run: Run) -> str:
 def test_the_renderer_has_the_threads_where_it_knows_them(tmp_path: Path) -> None:
     run = made_up(tmp_path).runs[0]
     assert isinstance(run.config, dict)
-    run.config["renderer"] = {"views": {"threads": None}}
-    assert command(run, 3)[-1] == "renderer.threads=3"
+    run.config["renderer"] = {"threads": None}
+    assert command(run, 3, PROGRAM)[-1] == "renderer.threads=3"
+    run.config["renderer"] = {"background": [0, 0, 0]}
+    assert command(run, 3, PROGRAM)[-1] != "renderer.threads=3"
 
 
 def test_only_what_is_not_finished_is_trained_and_at_most_so_many_at_a_time(tmp_path: Path) -> None:
@@ -43,15 +47,15 @@ def test_only_what_is_not_finished_is_trained_and_at_most_so_many_at_a_time(tmp_
     begun: list[Run] = []
     most = 0
 
-    def one(run: Run, threads: int) -> subprocess.Popen[bytes]:
+    def one(run: Run, threads: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
         nonlocal most
-        assert threads == 2
+        assert (threads, program) == (2, PROGRAM)
         begun.append(run)
         most = max(most, sum(status(run) != "finished" for run in begun))
         finish(run, 0.5)
-        return program("pass")
+        return python("pass")
 
-    assert train(runs, 1, 2, one, poll=0.01) == []
+    assert train(runs, 1, 2, PROGRAM, one, poll=0.01) == []
     assert begun == [run for run in runs if run is not runs[1]]
     assert most == 1
 
@@ -59,10 +63,10 @@ def test_only_what_is_not_finished_is_trained_and_at_most_so_many_at_a_time(tmp_
 def test_a_run_that_fails_is_named_and_the_others_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     runs = made_up(tmp_path).runs[:3]
 
-    def one(run: Run, threads: int) -> subprocess.Popen[bytes]:
-        return program("raise SystemExit(1)" if run is runs[1] else "pass")
+    def one(run: Run, threads: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
+        return python("raise SystemExit(1)" if run is runs[1] else "pass")
 
-    assert train(runs, 2, 1, one, poll=0.01) == [runs[1]]
+    assert train(runs, 2, 1, PROGRAM, one, poll=0.01) == [runs[1]]
     assert str(runs[1].folder / "log.txt") in "".join(capsys.readouterr())
 
 
@@ -74,29 +78,33 @@ def hears_interrupts() -> None:
 def test_an_interrupt_ends_the_trainings(tmp_path: Path) -> None:
     children: list[subprocess.Popen[bytes]] = []
 
-    def one(run: Run, threads: int) -> subprocess.Popen[bytes]:
+    def one(run: Run, threads: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
         if children:
             raise KeyboardInterrupt
         children.append(subprocess.Popen(SLEEP, preexec_fn=hears_interrupts))
         return children[0]
 
     with pytest.raises(KeyboardInterrupt):
-        train(made_up(tmp_path).runs, 2, 1, one)
+        train(made_up(tmp_path).runs, 2, 1, PROGRAM, one)
     assert children[0].returncode == -signal.SIGINT
 
 
-def test_a_folder_in_which_a_process_still_trains_is_left_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_in_which_a_process_still_trains_is_left_alone(tmp_path: Path) -> None:
     run = made_up(tmp_path).runs[0]
-    monkeypatch.setattr(running, "command", lambda run, threads: SLEEP)
-    first = start(run, 1)
+    first = start(run, 1, SLEEP)
     try:
         with pytest.raises(BusyError, match=run.folder.name):
-            start(run, 1)
-        assert train([run], 1, 1) == [run]
+            start(run, 1, SLEEP)
+        assert train([run], 1, 1, SLEEP) == [run]
     finally:
         running.stop([first])
-    monkeypatch.setattr(running, "command", lambda run, threads: [sys.executable, "-S", "-c", "print('at work')"])
-    assert start(run, 1).wait() == 0
+    assert start(run, 1, [sys.executable, "-S", "-c", "print('at work')"]).wait() == 0
     assert (run.folder / "log.txt").read_text().endswith("at work\n")
+
+
+def test_a_training_is_told_what_to_train_and_keeps_its_libraries_to_one_thread(tmp_path: Path) -> None:
+    run = made_up(tmp_path).runs[0]
+    says = "import os, sys; print(sys.argv[1:], os.environ['OMP_NUM_THREADS'])"
+    assert start(run, 1, [sys.executable, "-S", "-c", says]).wait() == 0
+    folder = f"hydra.run.dir={quoted(run)}"
+    assert (run.folder / "log.txt").read_text() == f"{[*run.overrides, folder]} 1\n"

@@ -18,7 +18,7 @@ def test_the_actions_are_steps_along_the_worlds_axes_and_turns() -> None:
     state = torch.tensor([[2, 3, 5]]).expand(6, 3)  # the heading does not matter
     ahead = tiny_motion().advance(state, torch.arange(6))
     assert ahead.tolist() == [[3, 3, 5], [1, 3, 5], [2, 4, 5], [2, 2, 5], [2, 3, 6], [2, 3, 4]]
-    assert LatticeMotion.action_names == ("+x", "-x", "+y", "-y", "+spin", "-spin")
+    assert tiny_motion().action_names == ("+x", "-x", "+y", "-y", "+spin", "-spin")
     assert tiny_motion().action_spec.n == 6
 
 

@@ -138,7 +138,6 @@ def test_a_rollout_can_be_replayed(name: str) -> None:
 def settled(on_device: bool = True, seed: int = 0, **options: object) -> PPO:
     """PPO on the tiny room; on a CPU, but by the ways of a GPU."""
     env = tiny_env([6], seed, max_steps=4, first=1, threshold=0.01, window=5)
-    env.reset_by_mask = True
     torch.manual_seed(seed)
     model = actor_critic(env.observation_spec["pixels"].shape[1:], env.action_spec, 1, (8, 16), 32)
     return PPO(env, model, LOSS, OPTIM, 6 * 13, 10**6, on_device=on_device, **options)
@@ -168,7 +167,7 @@ def test_minibatches_hold_images_pooled_as_in_collection() -> None:
     torch.manual_seed(0)
     parts = list(ppo.learner.minibatches(batch))
     torch.manual_seed(0)
-    batch["image"] = ppo.learner._shrink(batch["pixels"])
+    batch["image"] = ppo.learner._pool(batch["pixels"])
     for part, expected in zip(parts, ppo.learner.minibatches(batch), strict=True):
         assert part.keys() == expected.keys()
         assert all(torch.equal(part[key], expected[key]) for key in part)
@@ -205,7 +204,6 @@ def test_a_checkpoint_of_another_device_is_refused() -> None:
 
 def test_it_learns_on_the_device_as_well() -> None:
     env = tiny_env([16], max_steps=20, first=2, threshold=1.0, window=10**6)
-    env.reset_by_mask = True
     torch.manual_seed(0)
     model = actor_critic(env.observation_spec["pixels"].shape[1:], env.action_spec, 1, (8, 16), 32)
     loss = LOSS.__class__(**{**vars(LOSS), "ppo_epochs": 6, "mini_batch_size": 128})
@@ -227,9 +225,9 @@ def test_faults_of_a_rollout_are_raised_after_it() -> None:
                 raise ValueError(f"row {row}")
 
     ppo = settled()
-    ppo.env.renderer = Refusing()
+    ppo.env.drawing.renderer = Refusing()
     ppo.collect()
-    ppo.env.renderer.fault.flag.fill_(3)
+    ppo.env.drawing.renderer.fault.flag.fill_(3)
     with pytest.raises(ValueError, match="row 3"):
         ppo.collect()
 

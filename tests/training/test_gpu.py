@@ -7,13 +7,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from splatrl.build import World, build_trainer, build_world
+from splatrl.build import build_trainer, build_world
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
+from splatrl.envs import World
 from splatrl.training import PPO, actor_critic, load_checkpoint, save_checkpoint
 from splatrl.training.collectors import DeviceCollector
 from splatrl.training.cuda_graph import CudaGraph
-from tests.test_train import SETTINGS, command, finish
+from tests.commands.test_train import SETTINGS, command, finish
 from tests.tiny import tiny_overrides
 from tests.training.test_ppo import LOSS, OPTIM, parameters
 

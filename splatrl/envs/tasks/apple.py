@@ -97,17 +97,26 @@ class Apple(OutcomeTask):
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         """Judge a step by where the robot is and by what it sees; see ``Task.judge``."""
-        outcome = self._outcome(step, self._found(step)).unsqueeze(1)
+        outcome = self._outcome(step, self.seen(step.move.state, step.memory["target"], step.pixels)).unsqueeze(1)
         return Verdict(self.outcome_rewards[outcome], outcome != Outcome.RUNNING, outcome, step.memory)
+
+    def seen(self, state: Tensor, target: Tensor, pixels: Tensor) -> Tensor:
+        """Whether robots are near the apple and see enough red.
+
+        Args:
+            state: [B, 3].
+            target: [B, 3] where the apple is, world, metres.
+            pixels: [B, H, W, 3] uint8, with the apple in them.
+
+        Returns:
+            [B] bool.
+        """
+        return self._near(state, target) & self._red(pixels)
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
         """The apple, where it is; see ``Task.marks``."""
         x, y, _ = (self.place if memory is None else memory["target"]).tolist()
         return [Mark("apple", torch.tensor([x, y, math.nan], dtype=torch.float64))]
-
-    def _found(self, step: Step) -> Tensor:
-        """Whether robots are near the apple and see enough red: [B] bool."""
-        return self._near(step.move.state, step.memory["target"]) & self._red(step.pixels)
 
     def _near(self, state: Tensor, target: Tensor) -> Tensor:
         away = self.motion.planar(state)[:, :2] - target[..., :2]

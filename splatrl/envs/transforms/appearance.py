@@ -68,11 +68,10 @@ class Appearance(RandomTransform):
         drawn = self._draw(tensordict_reset.batch_size)  # even if not used: what else is drawn must not depend on it
         given = tensordict.get("appearance", None)
         tensordict_reset.set("appearance", drawn if given is None else given.clone())
-        mask = tensordict.get("_reset", None)
-        if mask is None or mask.device.type != "cpu":
+        rows = _wanted(tensordict.get("_reset", None))
+        if rows is None:
             return self._change(tensordict_reset)
-        rows = mask.reshape(tensordict_reset.batch_size)  # the images of the others are TorchRL's to replace
-        pixels = tensordict_reset["pixels"].clone()
+        pixels = tensordict_reset["pixels"].clone()  # of those that are not reset, TorchRL keeps the old ones
         pixels[rows] = self._change(tensordict_reset.select("pixels", "appearance")[rows])["pixels"]
         return tensordict_reset.set("pixels", pixels)
 
@@ -119,6 +118,11 @@ class Appearance(RandomTransform):
         spec = spec.clone()
         spec["appearance"] = Unbounded(shape=(*spec.shape, 7), dtype=torch.float32, device=spec.device)
         return spec
+
+
+def _wanted(mask: Tensor | None) -> Tensor | None:
+    """Which rows to change in a reset, [B] bool; None changes all, as where looking the rows up would be waiting."""
+    return None if mask is None or mask.device.type != "cpu" else mask.squeeze(-1)
 
 
 def _blurred(colors: Tensor, sigma: Tensor, reach: int, dim: int, stride: int) -> Tensor:

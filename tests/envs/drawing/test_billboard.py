@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import look_at
-from splatrl.envs.transforms import Sprite, billboard, load_sprite, overlay
+from splatrl.envs.drawing import Sprite, billboard, load_sprite, overlay
 from tests.envs.transforms.views import plain_sprite
 
 WIDTH, HEIGHT = 40, 24

@@ -9,8 +9,8 @@ import pytest
 import torch
 from PIL import Image
 
+from splatrl.envs.drawing import Sprite, load_sprite
 from splatrl.envs.drawing.apple_picture import apple
-from splatrl.envs.transforms import Sprite, load_sprite
 
 
 def test_the_apple_is_red_and_fills_the_picture_from_side_to_side() -> None:

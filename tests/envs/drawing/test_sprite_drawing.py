@@ -1,72 +1,101 @@
-"""The transform around the overlay."""
+"""The drawing that puts a sprite into the scene."""
 
 import pytest
 import torch
 from hydra.utils import instantiate
 from tensordict import TensorDict
-from torchrl.envs import EnvBase, TransformedEnv
 
+from splatrl.cameras import Cameras
 from splatrl.configuration import load_config
-from splatrl.envs.transforms import SpriteDrawing, overlay
-from tests.envs.contract import seeded_rollout
-from tests.envs.transforms.views import PLACE, plain_sprite, seeing_env, transformed
-from tests.tiny import tiny_env, tiny_robot
+from splatrl.envs.drawing import SceneDrawing, SpriteDrawing, overlay
+from splatrl.renderers.base import to_pixels
+from tests.envs.contract import EnvContract, seeded_rollout
+from tests.envs.transforms.views import PLACE, plain_drawing, plain_sprite, renderer, seeing_env
+from tests.tiny import CountingRenderer, tiny_motion, tiny_robot
 
-K = tiny_robot().K
+
+def cameras(*states: list[int]) -> Cameras:
+    return tiny_robot().cameras(tiny_motion().body_to_world(torch.tensor(states)))
 
 
-def test_an_episode_shows_the_overlay_of_what_the_env_sees() -> None:
-    batch = seeded_rollout(transformed((6,), 0, ("SpriteDrawing",)), 12, 0).flatten()
-    clean = seeing_env((len(batch),)).reset(batch.select("state"), set_state=True)
-    view = clean["pixels"], clean["depth"], clean["camera_to_world"]
-    pixels, share = overlay(*view, K, torch.tensor(PLACE), plain_sprite(), 0.3)
+class TestContract(EnvContract):
+    steps = 16
+
+    def make(self, batch_size: tuple[int], seed: int = 0) -> object:
+        return seeing_env(batch_size, seed, sprite=True)
+
+    def test_some_see_the_sprite_and_some_do_not(self) -> None:
+        share = seeded_rollout(self.make((3,)), self.steps, 0)["sprite_share"]
+        assert (share > 0.01).any() and (share == 0).any()
+
+
+def test_an_episode_shows_the_overlay_of_what_the_renderer_sees() -> None:
+    batch = seeded_rollout(seeing_env((6,), sprite=True), 12, 0).flatten()
+    seen = tiny_robot().cameras(tiny_motion().body_to_world(batch["state"]))
+    rgb, depth, alpha = renderer().render(seen)
+    view = to_pixels(rgb), depth.masked_fill(alpha < 0.5, 0.0), seen.camera_to_world, tiny_robot().K
+    pixels, share = overlay(*view, torch.tensor(PLACE), plain_sprite(), 0.3)
     assert torch.equal(batch["pixels"], pixels) and torch.equal(batch["sprite_share"], share)
     assert (share > 0).any() and (share == 0).any()
 
 
 def test_the_block_in_the_middle_hides_the_sprite_behind_it() -> None:
-    env = transformed((2,), 0, ("SpriteDrawing",))
-    state = torch.tensor([[0, 3, 0], [3, 3, 0]])  # from x = -1 through the block, and from x = 0.5 beyond it, to +x
-    share = env.reset(TensorDict({"state": state}, [2]), set_state=True)["sprite_share"].flatten()
+    # from x = -1 through the block, and from x = 0.5 beyond it, to +x
+    share = plain_drawing().draw(cameras([0, 3, 0], [3, 3, 0])).shown["sprite_share"].flatten()
     assert share[0] == 0 and share[1] > 0.1
 
 
-def test_the_target_of_the_env_is_where_it_is_drawn() -> None:
-    td = seeing_env((2,)).reset()
-    places = td["camera_to_world"][:, :3, 3] + 0.3 * td["camera_to_world"][:, :3, 2]  # ahead of each camera
-    ahead = td.clone().set("target", places)
-    after = SpriteDrawing(K, plain_sprite(), size=0.1)(ahead)
-    assert (after["sprite_share"] > 0.01).all() and (after["pixels"] != td["pixels"]).any()
-    elsewhere = SpriteDrawing(K, plain_sprite(), size=0.1, position=[0.0, 0.0, -50.0])(ahead.clone())
-    assert (elsewhere["sprite_share"] < 0.01).all()
+def test_the_target_of_the_task_is_where_it_is_drawn() -> None:
+    seen = cameras([0, 3, 2], [3, 3, 6])
+    ahead = seen.camera_to_world[:, :3, 3] + 0.3 * seen.camera_to_world[:, :3, 2]
+    drawing = SpriteDrawing(renderer(), plain_sprite(), size=0.1)
+    view = drawing.draw(seen, {"target": ahead})
+    assert (view.shown["sprite_share"] > 0.01).all()
+    assert (view.pixels != SceneDrawing(renderer()).draw(seen).pixels).any()
+    swapped = drawing.draw(seen, {"target": ahead.flip(0)})
+    assert not torch.equal(swapped.pixels, view.pixels)
 
 
-@pytest.mark.parametrize(
-    ("make", "position", "message"),
-    [(tiny_env, PLACE, "shows depth.*depth=True"), (seeing_env, None, "shows target.*sprite.position")],
-)
-def test_an_env_that_does_not_show_what_it_needs_is_refused(make: type[EnvBase], position: tuple, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        TransformedEnv(make((3,)), SpriteDrawing(K, plain_sprite(), position=position)).observation_spec  # noqa: B018
+def test_a_place_of_its_own_goes_before_the_target() -> None:
+    seen = cameras([3, 3, 0])
+    elsewhere = SpriteDrawing(renderer(), plain_sprite(), size=0.1, position=[0.0, 0.0, -50.0])
+    ahead = seen.camera_to_world[:, :3, 3] + 0.3 * seen.camera_to_world[:, :3, 2]
+    assert (elsewhere.draw(seen, {"target": ahead}).shown["sprite_share"] < 0.01).all()
+
+
+def test_rows_that_are_not_asked_for_are_not_rendered_and_stay_black() -> None:
+    drawing = plain_drawing()
+    drawing.renderer = counting = CountingRenderer(renderer())
+    seen, only = cameras([3, 3, 0], [3, 3, 0]), torch.tensor([False, True])
+    some, every = drawing.draw(seen, only=only), plain_drawing().draw(seen)
+    assert counting.rendered == 1
+    assert not some.pixels[0].any() and some.shown["sprite_share"][0] == 0
+    assert torch.equal(some.pixels[1], every.pixels[1])
+
+
+def test_a_task_that_places_nothing_is_told_to_give_a_position() -> None:
+    env = seeing_env((2,))
+    env.drawing = SpriteDrawing(renderer(), plain_sprite())
+    with pytest.raises(ValueError, match=r"drawing\.position: expected x, y and z in metres beside a task without"):
+        env.reset(TensorDict({"state": torch.tensor([[0, 3, 0], [3, 3, 0]])}, [2]), set_state=True)
 
 
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"size": 0.0}, "sprite.size"),
-        ({"near": float("nan")}, "sprite.near"),
-        ({"position": [1.0, 2.0]}, "sprite.position"),
-        ({"position": [1.0, 2.0, float("inf")]}, "sprite.position"),
+        ({"size": 0.0}, r"drawing\.size"),
+        ({"near": float("nan")}, r"drawing\.near"),
+        ({"position": [1.0, 2.0]}, r"drawing\.position"),
+        ({"position": [1.0, 2.0, float("inf")]}, r"drawing\.position"),
         ({"sprite": "pear"}, "apple or the path"),
-        ({"K": torch.eye(4)}, "sprite.K"),
     ],
 )
 def test_wrong_settings_are_refused_by_name(settings: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        SpriteDrawing(**{"K": K, "sprite": plain_sprite(), **settings})
+        SpriteDrawing(**{"renderer": renderer(), "sprite": plain_sprite(), **settings})
 
 
 def test_the_configs_build_it() -> None:
-    assert load_config(["transforms/sprite=none"]).transforms.sprite == {}
-    made = instantiate(load_config(["transforms/sprite=apple"]).transforms.sprite)(K)
-    assert made.size == 0.16 and torch.equal(made.K, K) and made.in_keys[-1] == "target"
+    assert isinstance(instantiate(load_config(["transforms/sprite=none"]).drawing)(renderer()), SceneDrawing)
+    made = instantiate(load_config(["transforms/sprite=apple", "drawing.size=0.2"]).drawing)(renderer())
+    assert isinstance(made, SpriteDrawing) and made.size == 0.2 and made.position is None

@@ -9,7 +9,8 @@ from hydra.utils import instantiate
 from torch import Tensor
 
 from splatrl.configuration import load_config
-from splatrl.envs.tasks import Apple, Outcome, SeenGoal
+from splatrl.envs.tasks import Apple, Outcome, Step
+from splatrl.motions import Move
 from tests.envs.rooms import PLACE, coarse_apple
 
 X, Y, _ = PLACE
@@ -114,21 +115,31 @@ def test_for_planning_an_apple_is_reached_where_it_is_near_and_faced(
     assert coarse_apple().reached(torch.tensor([[x, y, math.radians(yaw_deg)]])).tolist() == [there]
 
 
-def test_a_step_alone_is_never_a_goal() -> None:
+def nowhere() -> Tensor:
+    raise AssertionError("an apple that does not move draws no place")
+
+
+def test_without_red_a_step_to_the_apple_is_no_goal() -> None:
     task = coarse_apple()
-    ahead = torch.tensor([NEAR, NEAR, (1.2, Y, math.pi), (1.2, Y, math.pi)])
-    verdict = task.judge(ahead, torch.zeros(4, dtype=torch.int64), ahead, torch.tensor([False, True, False, True]))
+    state = torch.tensor([NEAR] * 4)
+    free, inside = torch.tensor([1.0, 0.5, 1.0, 0.5]), torch.tensor([True, True, False, False])
+    move = Move(state, task.motion.body_to_world(state), free, inside)
+    step = Step(
+        state, torch.zeros(4, dtype=torch.int64), move, task.begin(state, nowhere), image().expand(4, -1, -1, -1)
+    )
+    verdict = task.judge(step, nowhere)
     expected = [Outcome.RUNNING, Outcome.COLLISION, Outcome.OUT_OF_BOUNDS, Outcome.COLLISION]
-    assert task.reached(ahead[:1]).all() and verdict.outcome.flatten().tolist() == expected
+    assert task.reached(state).all() and verdict.outcome.flatten().tolist() == expected
     assert verdict.reward.flatten().tolist() == pytest.approx([-0.2, -10.0, -10.0, -10.0])
     assert verdict.terminated.flatten().tolist() == [False, True, True, True]
 
 
 def test_the_apple_has_one_place_and_the_goal_no_heading() -> None:
     task = coarse_apple()
-    assert isinstance(task, SeenGoal) and task.ends_at_goal and task.goal_reward == 50.0
-    assert torch.equal(task.targets(torch.zeros(3, 3)), torch.tensor([PLACE] * 3))
-    assert task.goal[:2].tolist() == [X, Y] and task.goal[2].isnan()
+    assert torch.equal(task.begin(torch.zeros(3, 3), nowhere)["target"], torch.tensor([PLACE] * 3))
+    for memory in (None, {"target": torch.tensor(PLACE)}):
+        (mark,) = task.marks(memory)
+        assert mark.name == "apple" and mark.planar[:2].tolist() == [X, Y] and mark.planar[2].isnan()
 
 
 def test_the_config_is_the_published_one_without_collision() -> None:
@@ -136,10 +147,10 @@ def test_the_config_is_the_published_one_without_collision() -> None:
     task = instantiate(cfg.task)
     assert task.reach == pytest.approx(0.11) and task.mean_red is None and task.max_steps == 200
     assert task.place.tolist() == pytest.approx(list(cfg.landmarks.object))
-    assert cfg.collision.checker._target_.endswith("NoChecker") and cfg.robot.body.size == [0.01] * 3
-    assert cfg.transforms.sprite and cfg.transforms.goal and not cfg.transforms.pose_noise
-    solid = load_config(["task=apple", "collision=native"])
-    assert solid.collision.checker._target_.endswith("NativeChecker")
+    assert cfg.collision.cpu._target_.endswith("NoChecker") and cfg.robot.body.size == [0.01] * 3
+    assert cfg.drawing._target_.endswith("SpriteDrawing") and not cfg.transforms.pose_noise
+    solid = load_config(["task=apple", "collision=auto"])
+    assert solid.collision.cpu._target_.endswith("NativeChecker")
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import torch
 from splatrl.envs.tasks import Drive, Outcome
 from splatrl.motions import DriveMotion
 from tests.envs.rooms import drive_env
+from tests.envs.tasks.steps import judged
 from tests.tiny import HEIGHT
 
 
@@ -37,7 +38,7 @@ def test_a_step_is_judged_by_collision_then_bounds_then_goal() -> None:
     east = Drive(DriveMotion(HEIGHT), (1.0, 0.0, 0.0))
     ahead = torch.tensor([[0.95, 0.0, 0.0], [1.05, 0.0, 0.0], [1.05, 0.0, 0.0], [0.0, 0.0, 0.0]])
     assert east.reached(ahead).tolist() == [True, True, True, False]
-    verdict = east.judge(ahead, torch.zeros(4, 2), ahead, torch.tensor([False, False, True, False]))
+    verdict = judged(east, ahead, torch.tensor([False, False, True, False]))
     expected = [Outcome.GOAL, Outcome.OUT_OF_BOUNDS, Outcome.COLLISION, Outcome.RUNNING]
     assert verdict.outcome.flatten().tolist() == expected
     assert verdict.reward.flatten().tolist() == pytest.approx([50.0, -10.0, -10.0, -0.2])

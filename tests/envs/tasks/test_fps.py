@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 import torch
 
-from splatrl.envs.tasks import Fps, Outcome
+from splatrl.envs.tasks import Fps, Outcome, Rewards
 from splatrl.motions import ForwardMotion
+from tests.envs.tasks.steps import judged
 from tests.tiny import HEIGHT
 
 EDGE = 0.6
@@ -71,10 +72,10 @@ def test_whole_turns_do_not_move_the_goal(turns: float) -> None:
 def test_a_step_is_judged_by_collision_then_bounds_then_goal(
     next_state: tuple[float, ...], hit: bool, outcome: Outcome, reward: float
 ) -> None:
-    task = fps((0.52, -0.2, 0.0), goal_reward=5.0, step_reward=-1.0, collision_reward=-2.0, bounds_reward=-3.0)
+    task = fps((0.52, -0.2, 0.0), rewards=Rewards(goal=5.0, step=-1.0, collision=-2.0, out_of_bounds=-3.0))
     ahead = torch.tensor([next_state])
     assert task.reached(ahead).item() is (next_state[0] > 0.4)
-    verdict = task.judge(torch.zeros(1, 3), torch.tensor([0]), ahead, torch.tensor([hit]))
+    verdict = judged(task, ahead, torch.tensor([hit]))
     assert verdict.outcome.tolist() == [[outcome]] and verdict.terminated.tolist() == [[outcome != Outcome.RUNNING]]
     assert verdict.reward.tolist() == [[reward]] and verdict.reward.dtype == torch.float32
 
@@ -82,7 +83,7 @@ def test_a_step_is_judged_by_collision_then_bounds_then_goal(
 def test_the_published_rewards_and_limit_are_the_defaults() -> None:
     ahead = torch.tensor([[0.0, 0.0, 0.0], [0.5, -0.2, 0.0], [0.0, 0.0, 0.0], [0.0, 0.9, 0.0]])
     hit = torch.tensor([False, False, True, False])
-    verdict = fps().judge(ahead, torch.zeros(4, dtype=torch.int64), ahead, hit)
+    verdict = judged(fps(), ahead, hit)
     torch.testing.assert_close(verdict.reward, torch.tensor([[-0.2], [50.0], [-10.0], [-10.0]]))
     assert fps().max_steps == 200
 

@@ -6,10 +6,9 @@ from typing import Any
 import pytest
 import torch
 
-from splatrl.envs.tasks import Grid, Outcome
+from splatrl.envs.tasks import Grid, Outcome, Rewards
+from tests.envs.tasks.steps import judged
 from tests.tiny import tiny_motion, tiny_task
-
-NONE = torch.zeros(1, dtype=torch.int64)
 
 
 def test_the_goal_is_27_lattice_poses() -> None:
@@ -52,8 +51,10 @@ def test_whole_turns_do_not_move_the_goal(turns: int) -> None:
 def test_a_step_is_judged_by_collision_then_bounds_then_goal(
     next_state: list[int], hit: bool, outcome: Outcome, reward: float
 ) -> None:
-    task = Grid(tiny_motion(), (0.75, 1.0, 0.0), 5.0, step_reward=-1.0, collision_reward=-2.0, bounds_reward=-3.0)
-    verdict = task.judge(NONE[None], NONE, torch.tensor([next_state]), torch.tensor([hit]))
+    task = Grid(
+        tiny_motion(), (0.75, 1.0, 0.0), rewards=Rewards(goal=5.0, step=-1.0, collision=-2.0, out_of_bounds=-3.0)
+    )
+    verdict = judged(task, torch.tensor([next_state]), torch.tensor([hit]))
     assert verdict.outcome.tolist() == [[outcome]]
     assert verdict.reward.tolist() == [[reward]] and verdict.reward.dtype == torch.float32
     assert verdict.terminated.tolist() == [[outcome != Outcome.RUNNING]]
@@ -63,13 +64,13 @@ def test_out_of_bounds_comes_before_a_goal_that_the_step_would_reach() -> None:
     task = Grid(tiny_motion(), (1.0, 1.0, 0.0))
     ahead = torch.tensor([[5, 5, 0]])
     assert task.reached(ahead).all()
-    assert task.judge(NONE[None], NONE, ahead, torch.tensor([False])).outcome.tolist() == [[Outcome.OUT_OF_BOUNDS]]
+    assert judged(task, ahead, torch.tensor([False])).outcome.tolist() == [[Outcome.OUT_OF_BOUNDS]]
 
 
 def test_the_published_rewards_are_the_defaults() -> None:
     states = torch.tensor([[0, 0, 0], [3, 5, 0], [0, 0, 0], [-1, 0, 0]])
     hit = torch.tensor([False, False, True, False])
-    verdict = tiny_task().judge(states, NONE.expand(4), states, hit)
+    verdict = judged(tiny_task(), states, hit)
     torch.testing.assert_close(verdict.reward, torch.tensor([[-0.2], [50.0], [-10.0], [-10.0]]))
 
 

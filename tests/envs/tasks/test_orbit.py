@@ -12,6 +12,7 @@ from splatrl import make_env
 from splatrl.configuration import load_config
 from splatrl.envs.tasks import Orbit, Outcome
 from splatrl.motions import OrbitMotion
+from tests.envs.tasks.steps import judged
 from tests.tiny import tiny_overrides
 
 ORIGIN = (0.75, 1.0, 0.5)
@@ -71,7 +72,7 @@ def test_a_step_is_judged_by_collision_then_range_then_goal(
     next_state: list[int], hit: bool, outcome: Outcome, reward: float
 ) -> None:
     task, ahead = orbit(), torch.tensor([next_state])
-    verdict = task.judge(ahead, torch.tensor([0]), ahead, torch.tensor([hit]))
+    verdict = judged(task, ahead, torch.tensor([hit]))
     assert verdict.outcome.tolist() == [[outcome]] and verdict.reward.tolist() == [[reward]]
     assert verdict.terminated.tolist() == [[outcome != RUN]] and verdict.reward.dtype == torch.float32
 

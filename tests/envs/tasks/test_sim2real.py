@@ -15,8 +15,8 @@ def test_the_config_is_the_published_experiment() -> None:
     motion = task.motion
     assert (motion.step, motion.headings, task.max_steps) == (0.05, 36, 100)
     assert motion.lower.tolist() == [-2.0, -2.0] and motion.upper.tolist() == [2.0, 2.0]
-    assert task.reach == pytest.approx(2 * 0.05) and task.ends_at_goal
-    assert cfg.collision.checker._target_.endswith("NativeChecker")
+    assert task.reach == pytest.approx(2 * 0.05)
+    assert cfg.collision.cpu._target_.endswith("NativeChecker")
     assert cfg.starts.farthest < task.max_steps
 
 
@@ -27,6 +27,6 @@ def test_the_camera_shakes_unless_asked_not_to() -> None:
     assert sizes[:2] == [0.0, 0.0] and sizes[5] == 0.0  # height, pitch and roll alone
     assert sizes[2:5] == pytest.approx([0.02, *torch.tensor([5.0, 5.0]).deg2rad().tolist()])
     still = load_config(["task=sim2real", "transforms/pose_noise=none"])
-    assert not still.transforms.pose_noise and still.transforms.sprite and still.transforms.goal
+    assert not still.transforms.pose_noise and still.drawing._target_.endswith("SpriteDrawing")
     hand = load_config(["task=sim2real", "transforms/pose_noise=unsteady"])
     assert hand.transforms.pose_noise.smooth > 0

@@ -7,7 +7,8 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from splatrl.envs.tasks import Outcome, SeenGoal, Snake
+from splatrl.envs.tasks import Outcome, Snake, Step
+from splatrl.motions import Move
 from tests.envs.contract import base_env
 from tests.envs.rooms import PLACE, apple_plan, coarse_forward, painted_env
 from tests.tiny import HEIGHT
@@ -30,12 +31,22 @@ def column(td: TensorDict, key: str) -> list[float]:
 
 def test_nothing_that_a_robot_does_ends_the_episode() -> None:
     task = snake()
-    ahead = torch.tensor([[0.5, 1.0, 0.0], [0.0, 0.0, 0.0], [1.25, 0.0, 0.0]])
-    verdict = task.judge(ahead, torch.zeros(3, dtype=torch.int64), ahead, torch.tensor([False, True, False]))
+    state = torch.tensor([[0.5, 1.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    free, inside = torch.tensor([1.0, 0.5, 1.0]), torch.tensor([True, True, False])
+    move = Move(state, task.motion.body_to_world(state), free, inside)
+    grey = torch.zeros(3, 2, 5, 3, dtype=torch.uint8)
+    memory = task.begin(state, lambda: state)
+    verdict = task.judge(Step(state, torch.zeros(3, dtype=torch.int64), move, memory, grey), lambda: state)
     assert not verdict.terminated.any()
     assert verdict.outcome.flatten().tolist() == [Outcome.RUNNING, Outcome.COLLISION, Outcome.OUT_OF_BOUNDS]
     assert verdict.reward.flatten().tolist() == pytest.approx([-0.2, -10.0, -10.0])
-    assert isinstance(task, SeenGoal) and not task.ends_at_goal
+    assert torch.equal(verdict.memory["target"], memory["target"])
+
+
+def test_a_map_shows_the_apple_that_stands_now_and_none_for_all_episodes() -> None:
+    assert snake().marks() == []
+    (mark,) = snake().marks({"target": torch.tensor([0.25, -0.5, HEIGHT])})
+    assert mark.planar[:2].tolist() == [0.25, -0.5]
 
 
 def test_a_blocked_robot_stays_and_goes_on() -> None:

@@ -1,0 +1,27 @@
+"""Steps for tasks to judge, made by hand."""
+
+import torch
+from torch import Tensor
+
+from splatrl.envs.tasks import Step, Task, Verdict
+from splatrl.motions import Move
+
+
+def judged(task: Task, ahead: Tensor, hit: Tensor) -> Verdict:
+    """The verdict of a task on robots whose action leads to some states.
+
+    Args:
+        task: that remembers nothing and looks at no image.
+        ahead: [B, ...] states, which may lie outside the bounds.
+        hit: [B] bool, whether something is touched on the way.
+    """
+    motion = task.motion
+    free = torch.where(hit, 0.5, 1.0)
+    move = Move(ahead, torch.eye(4).expand(len(ahead), 4, 4), free, motion.inside(ahead))
+    action = motion.action_spec.zero((len(ahead),))
+    return task.judge(Step(ahead, action, move, {}, torch.zeros(len(ahead), 2, 3, 3, dtype=torch.uint8)), nowhere)
+
+
+def nowhere() -> Tensor:
+    """Fails: the task draws no states."""
+    raise AssertionError("expected a task that draws no states")

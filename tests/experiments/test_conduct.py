@@ -1,0 +1,92 @@
+"""An experiment from beginning to end, with made-up trainings."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from omegaconf import OmegaConf
+
+from splatrl.experiments import Run, check_settings, conduct, report_all, score, train_all
+from tests.experiments.made_up import begin, finish, made_up
+
+PROGRAM = ["python", "-m", "a.training"]
+
+
+def keep_config(run: Run, **changes: Any) -> None:
+    """Leave the config that a training leaves, or one that differs."""
+    OmegaConf.save(OmegaConf.create({**run.config, **changes}), run.folder / "config.yaml")
+
+
+def test_a_folder_with_the_settings_that_are_asked_for_is_gone_on_with(tmp_path: Path) -> None:
+    new, begun, finished, *_ = made_up(tmp_path).runs
+    begin(begun, 40)
+    finish(finished, 0.5)
+    for run in (begun, finished):
+        keep_config(run, threads=5)  # changes no result
+    for fresh in (False, True):
+        check_settings([new, begun, finished], fresh)
+        assert not new.folder.exists() and begun.folder.exists() and finished.folder.exists()
+
+
+def test_a_folder_with_other_settings_is_refused_or_deleted_when_that_is_asked_for(tmp_path: Path) -> None:
+    other, same = made_up(tmp_path).runs[:2]
+    for run in (other, same):
+        begin(run, 40)
+        keep_config(run)
+    keep_config(other, seed=7)
+    with pytest.raises(ValueError, match=rf"{other.folder} was trained with other settings:\n  seed: .*fresh=true"):
+        check_settings([same, other], fresh=False)
+    assert other.folder.exists()
+    check_settings([same, other], fresh=True)
+    assert same.folder.exists() and not other.folder.exists()
+
+
+def test_all_trainings_are_one_queue_and_their_machine_is_noted_where_one_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    todo, done = made_up(tmp_path / "todo"), made_up(tmp_path / "done")
+    for run in done.runs:
+        finish(run, 0.5)
+    for experiment in (todo, done):
+        experiment.folder.mkdir(parents=True, exist_ok=True)
+        (experiment.folder / "scores.json").touch()
+    asked: list[tuple[Any, ...]] = []
+
+    def nothing(*arguments: Any) -> list[Run]:
+        asked.append(arguments)
+        return list(todo.runs[:1])
+
+    monkeypatch.setattr(conduct, "train", nothing)
+    assert train_all([todo, done], 3, 2, PROGRAM) == [todo.runs[0]]
+    assert asked == [([*todo.runs, *done.runs], 3, 2, PROGRAM)]
+    assert "machine" in json.loads((todo.folder / "machine.json").read_text())
+    assert not (todo.folder / "scores.json").exists()  # they were of other trainings
+    assert [path.name for path in done.folder.glob("*.json")] == ["scores.json"]
+
+
+def test_an_experiment_is_scored_once_when_all_of_it_is_finished(tmp_path: Path) -> None:
+    experiment = made_up(tmp_path)
+    asked: list[Path] = []
+
+    def scored_by(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
+        asked.append(folder)
+        return [{"run": run.folder.name, "clip": "walk-00", "frames": 4, "matches": 3} for run in runs]
+
+    for run in experiment.runs:
+        assert not score(experiment, scored_by)
+        finish(run, 0.5)
+    assert score(experiment, scored_by)
+    assert not score(experiment, scored_by)
+    assert asked == [experiment.folder]
+    rows = json.loads((experiment.folder / "scores.json").read_text())["scores"]
+    assert [row["run"] for row in rows] == [run.folder.name for run in experiment.runs]
+
+
+def test_several_experiments_have_a_report_each_and_one_of_all(tmp_path: Path) -> None:
+    one, other = made_up(tmp_path / "a"), made_up(tmp_path / "b")
+    assert report_all([one], tmp_path, "an abacus") == [one.folder / "report.md"]
+    reports = report_all([one, other], tmp_path, "an abacus")
+    assert reports == [one.folder / "report.md", other.folder / "report.md", tmp_path / "report.md"]
+    assert all("an abacus" in path.read_text() for path in reports)
