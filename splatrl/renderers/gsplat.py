@@ -89,23 +89,24 @@ class GsplatRenderer:
         return draw_only(self._pixels, cameras, parts, only)
 
     def _rendered(self, cameras: Cameras, parts: Parts | None) -> RenderOutput:
-        images = [self._part(some, "RGB+ED") for some in self._cut(cameras, parts)]
+        images = [self._images(some, "RGB+ED") for some in self._cut(cameras, parts)]
         colors, alphas = (torch.cat(each).to(cameras.camera_to_world.device) for each in zip(*images, strict=True))
         return RenderOutput(colors[..., :3].clamp(0.0, 1.0), colors[..., 3], alphas[..., 0])
 
     def _pixels(self, cameras: Cameras, parts: Parts | None) -> Tensor:
-        images = [to_pixels(self._part(some, "RGB")[0].clamp(0.0, 1.0)) for some in self._cut(cameras, parts)]
+        images = [to_pixels(self._images(some, "RGB")[0].clamp(0.0, 1.0)) for some in self._cut(cameras, parts)]
         return torch.cat(images).to(cameras.camera_to_world.device)
 
     def _cut(self, cameras: Cameras, parts: Parts | None) -> list[Cameras]:
         """As many cameras at a time as memory holds; at least one batch, of none where there are none."""
         if parts is not None:
-            raise ValueError("parts: expected no parts, since gsplat draws one model where it stands; got Parts")
+            got = list(parts.model.shape)
+            raise ValueError(f"parts: expected no parts, since gsplat draws one model where it stands, got {got}")
         require_finite(cameras)
         return [cameras[first : first + self.at_once] for first in range(0, max(1, len(cameras)), self.at_once)]
 
     @torch.no_grad()
-    def _part(self, cameras: Cameras, render_mode: str) -> tuple[Tensor, Tensor]:
+    def _images(self, cameras: Cameras, render_mode: str) -> tuple[Tensor, Tensor]:
         """Colours [C, H, W, 3], with depth 4, and alphas [C, H, W, 1]."""
         shape = (len(cameras), cameras.height, cameras.width)
         if len(cameras) == 0:

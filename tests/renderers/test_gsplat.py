@@ -9,13 +9,14 @@ import torch
 from splatrl.renderers import ReferenceRenderer
 from splatrl.renderers.gsplat import GsplatRenderer
 from tests.renderers.cases import double, gaussians, psnr, random_cameras, random_gaussians
+from tests.renderers.parts_cases import random_parts
 from tests.renderers.pretended_gsplat import modules, rasterization
 
 BACKGROUND = (0.2, 0.5, 0.9)
 
 
 @pytest.fixture
-def parts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+def batches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """A gsplat that is the reference; how many cameras each of its calls got."""
     calls: list[int] = []
 
@@ -33,7 +34,7 @@ def pretend(monkeypatch: pytest.MonkeyPatch, **contents: Any) -> None:
         monkeypatch.setitem(sys.modules, name, module)
 
 
-@pytest.mark.usefixtures("parts")
+@pytest.mark.usefixtures("batches")
 @pytest.mark.parametrize("antialiased", [True, False])
 @pytest.mark.parametrize("degree", [0, 2])
 def test_it_is_handed_scene_and_cameras_in_its_own_conventions(antialiased: bool, degree: int) -> None:
@@ -47,26 +48,37 @@ def test_it_is_handed_scene_and_cameras_in_its_own_conventions(antialiased: bool
     assert (renderer.pixels(cameras).int() - reference.pixels(cameras).int()).abs().max() <= 1
 
 
-def test_large_batches_are_drawn_in_parts_that_memory_holds(parts: list[int]) -> None:
+def test_large_batches_are_drawn_in_parts_that_memory_holds(batches: list[int]) -> None:
     scene, cameras = random_gaussians(1, 80), random_cameras(2, 5)
     whole = GsplatRenderer(scene, device="cpu").pixels(cameras)
     renderer = GsplatRenderer(scene, device="cpu", memory=2 * 80 * 140)
     assert torch.equal(renderer.pixels(cameras), whole)
-    assert parts == [5, 2, 2, 1]
+    assert batches == [5, 2, 2, 1]
     assert GsplatRenderer(scene, device="cpu", memory=0).at_once == 1
 
 
-def test_only_the_rows_that_are_asked_for_are_drawn(parts: list[int]) -> None:
+def test_only_the_rows_that_are_asked_for_are_drawn(batches: list[int]) -> None:
     renderer, cameras = GsplatRenderer(random_gaussians(1, 80), True, BACKGROUND, device="cpu"), random_cameras(2, 4)
     whole, only = renderer.pixels(cameras), torch.tensor([True, False, False, True])
     assert torch.equal(renderer.pixels(cameras, only=only), whole * only.view(-1, 1, 1, 1))
-    assert parts == [4, 2]
+    assert batches == [4, 2]
     nothing = torch.zeros(4, dtype=torch.bool)
     assert not renderer.pixels(cameras, only=nothing).any() and not renderer.render(cameras, only=nothing).rgb.any()
-    assert renderer.render(cameras[:0]).rgb.shape == (0, 22, 37, 3) and parts == [4, 2]
+    assert renderer.render(cameras[:0]).rgb.shape == (0, 22, 37, 3) and batches == [4, 2]
 
 
-@pytest.mark.usefixtures("parts")
+@pytest.mark.usefixtures("batches")
+def test_parts_and_several_models_are_refused() -> None:
+    scene, cameras = random_gaussians(1, 80), random_cameras(2, 4)
+    with pytest.raises(ValueError, match=r"parts: expected no parts, .* got \[4, 4\]$"):
+        GsplatRenderer(scene, device="cpu").pixels(cameras, random_parts(3, 4))
+    with pytest.raises(ValueError, match=r"scene: expected one model, .* got 2$"):
+        GsplatRenderer([scene, scene], device="cpu")
+    one = GsplatRenderer([scene], device="cpu").pixels(cameras)
+    assert torch.equal(one, GsplatRenderer(scene, device="cpu").pixels(cameras))
+
+
+@pytest.mark.usefixtures("batches")
 def test_a_camera_that_is_not_finite_is_refused() -> None:
     cameras = random_cameras(2, 4)
     cameras.camera_to_world[2, 0, 0] = torch.nan

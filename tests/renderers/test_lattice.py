@@ -5,13 +5,14 @@ from torch import Tensor
 from splatrl.cameras import Cameras
 from splatrl.renderers import LatticeRenderer, NativeRenderer, Parts, RenderOutput
 from tests.renderers.cases import random_cameras, random_gaussians
+from tests.renderers.parts_cases import at, placed, random_parts
 
 
 class Counting:
     """A renderer that counts the frames that it was asked for."""
 
     def __init__(self) -> None:
-        self.renderer = NativeRenderer(random_gaussians(0, 100), threads=1)
+        self.renderer = NativeRenderer([random_gaussians(0, 100), random_gaussians(1, 30)], threads=1)
         self.frames = 0
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
@@ -107,3 +108,41 @@ def test_an_empty_batch_gives_no_images() -> None:
 def test_a_negative_bound_is_refused() -> None:
     with pytest.raises(ValueError, match="max_bytes"):
         LatticeRenderer(Counting(), max_bytes=-1)
+
+
+def test_another_part_or_another_place_of_it_is_another_view() -> None:
+    inner, cameras = Counting(), random_cameras(1, 2)
+    lattice = LatticeRenderer(inner)
+    here, there = placed(2, (0, at(0.0)), (1, at(0.2))), placed(2, (0, at(0.0)), (1, at(0.3)))
+    other, none = placed(2, (0, at(0.0)), (0, at(0.2))), placed(2)
+    shown = [None, here, there, other, none, placed(2, (0, at(0.0))), placed(2, (0, at(0.0)), (-1, at(0.2)))]
+    for number, parts in enumerate([*shown, *shown]):
+        assert torch.equal(lattice.pixels(cameras, parts), inner.renderer.pixels(cameras, parts))
+        assert inner.frames == 2 * min(number + 1, len(shown))
+
+
+def test_where_an_absent_part_would_stand_makes_no_other_view() -> None:
+    inner, cameras = Counting(), random_cameras(1, 3)
+    lattice, parts = LatticeRenderer(inner), placed(3, (1, at(0.1)), (-1, at(0.0)))
+    expected = lattice.pixels(cameras, parts)
+    parts.model_to_world[:, 1] = torch.nan
+    assert torch.equal(lattice.pixels(cameras, parts), expected) and inner.frames == 3
+
+
+def test_rows_with_parts_are_remembered_in_any_batch() -> None:
+    inner, cameras, parts = Counting(), random_cameras(1, 12), random_parts(2, 12, models=2)
+    lattice, expected = LatticeRenderer(inner), inner.renderer.pixels(cameras, parts)
+    g = torch.Generator().manual_seed(2)
+    for _ in range(20):
+        rows = torch.randint(0, 12, (7,), generator=g)
+        assert torch.equal(lattice.pixels(cameras[rows], parts.rows(rows)), expected[rows])
+    assert inner.frames == len(lattice) == 12
+    only = torch.arange(12) % 2 == 0
+    assert torch.equal(lattice.pixels(cameras, parts, only), expected * only.view(-1, 1, 1, 1))
+    views = zip(lattice.render(cameras, parts), inner.render(cameras, parts), strict=True)
+    assert all(torch.equal(a, b) for a, b in views)
+
+
+def test_parts_of_another_batch_are_refused_before_they_are_looked_up() -> None:
+    with pytest.raises(ValueError, match=r"parts\.model: expected \[3, M\]"):
+        LatticeRenderer(Counting()).pixels(random_cameras(1, 3), random_parts(2, 4))

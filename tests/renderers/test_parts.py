@@ -91,11 +91,9 @@ def test_what_is_nearer_hides_what_is_behind_it_whichever_part_it_is(maker: Make
 @every_maker
 def test_a_row_without_parts_shows_the_background(maker: Maker) -> None:
     models, cameras = random_models([1, 0, 2]), random_cameras(31, 3, 9, 7)
-    renderer, nothing = maker.make(models), torch.full((3, 2, 4, 4), torch.nan)
-    for parts in (
-        Parts(torch.full((3, 2), ABSENT), nothing),
-        Parts(torch.zeros(3, 0, dtype=torch.long), nothing[:, :0]),
-    ):
+    renderer, poses = maker.make(models), torch.eye(4).repeat(3, 2, 1, 1)
+    poses[:, 1] = torch.nan
+    for parts in (Parts(torch.full((3, 2), ABSENT), poses), Parts(torch.zeros(3, 0, dtype=torch.long), poses[:, :0])):
         pixels, rgb, depth, alpha = images(renderer, cameras, parts)
         assert (pixels == torch.tensor([51, 102, 153], dtype=torch.uint8)).all()
         assert torch.allclose(rgb.float(), torch.tensor(BACKGROUND)) and not depth.any() and not alpha.any()

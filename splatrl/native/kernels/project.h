@@ -70,10 +70,8 @@ LANE_INLINE void patches_of(const Tile& tile, const Lanes& left, const Lanes& ri
 }
 
 template <bool ANTIALIASED, bool MERGED>
-static uint32_t project_group(const Part& part, const Tile& tile, uint32_t group, const Scratch& scratch,
-                              uint32_t count) {
-    const SceneView& scene = *part.scene;
-    const Camera& camera = part.camera;
+static uint32_t project_group(const SceneView& scene, const Camera& camera, uint32_t first_index, const Tile& tile,
+                              uint32_t group, const Scratch& scratch, uint32_t count) {
     const float* geometry = scene.geometry + size_t(group) * GEOMETRY * GROUP;
     const Vector<Lanes> offset{load(geometry) - camera.position[0], load(geometry + GROUP) - camera.position[1],
                                load(geometry + 2 * GROUP) - camera.position[2]};
@@ -102,7 +100,7 @@ static uint32_t project_group(const Part& part, const Tile& tile, uint32_t group
     Record record{{print.x, print.y, print.l11, print.l12, print.l22, print.log2_opacity,
                    from_bits(join_halves(rgb[0], rgb[1])), from_bits(join_halves(rgb[2], to_halves(print.peak)))},
                   {}, {}, depths, rests,
-                  plus(load_ints(scene.original_index + group * GROUP), part.first_index)};
+                  plus(load_ints(scene.original_index + group * GROUP), first_index)};
     patches_of(tile, left, right, top, bottom, record.patch_low, record.patch_high);
     return append(record, visible, scratch, count);
 }
@@ -120,12 +118,14 @@ template <bool ANTIALIASED>
 static uint32_t project_groups(const Part& part, const Tile& tile, uint32_t groups, const Scratch& scratch,
                                uint32_t count) {
     constexpr uint32_t GROUPS_AHEAD = 1;
+    const SceneView& scene = *part.scene;
+    const Camera& camera = part.camera;
     for (uint32_t i = 0; i < groups; ++i) {
-        fetch_group(*part.scene, scratch.groups[i + GROUPS_AHEAD]);
-        const uint32_t group = scratch.groups[i];
-        count = group < part.scene->first_merged
-                    ? project_group<ANTIALIASED, false>(part, tile, group, scratch, count)
-                    : project_group<ANTIALIASED, true>(part, tile, group, scratch, count);
+        fetch_group(scene, scratch.groups[i + GROUPS_AHEAD]);
+        const uint32_t group = scratch.groups[i], first = part.first_index;
+        count = group < scene.first_merged
+                    ? project_group<ANTIALIASED, false>(scene, camera, first, tile, group, scratch, count)
+                    : project_group<ANTIALIASED, true>(scene, camera, first, tile, group, scratch, count);
     }
     return count;
 }

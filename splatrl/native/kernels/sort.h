@@ -1,4 +1,4 @@
-// One depth order for the whole image, nearest first; equal depths in the order of the parts, then of their own indices.
+// One depth order for the whole image, nearest first; equal depths in the order of parts, then of their own indices.
 #pragma once
 
 #include "kernel.h"
