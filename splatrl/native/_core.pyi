@@ -47,8 +47,10 @@ def flat_scene(
     levels: dict[str, NDArray[np.float32] | NDArray[np.uint32]] | None,  # those of build_levels; None draws exactly
     antialiased: bool,
     tolerance: float,  # pixels
+    first_slot: int,  # where it begins in arrays of several scenes, a multiple of 16
+    first_cluster: int,
 ) -> dict[str, Any]:
-    """The scene as ``cuda/render.cu`` reads it; ``renderers/cuda.py`` says what the arrays are.
+    """The scene as ``cuda/render.cu`` reads it; ``cuda/tile.h`` says what the arrays are.
 
     Raises:
         ValueError: for levels that are not of these Gaussians.

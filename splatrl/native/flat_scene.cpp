@@ -29,12 +29,13 @@ uint16_t half_above(float value) {
 
 struct FlatScene {
     bool antialiased;
+    uint32_t first_slot;
     std::vector<float> spheres, shapes;
     std::vector<uint16_t> colors;
     std::vector<uint32_t> indices, slots;
 
-    FlatScene(const SceneView& view, size_t capacity, size_t gaussians, bool antialiased)
-        : antialiased(antialiased), spheres(capacity * SPHERE), shapes(capacity * SHAPE),
+    FlatScene(const SceneView& view, size_t capacity, size_t gaussians, bool antialiased, uint32_t first_slot)
+        : antialiased(antialiased), first_slot(first_slot), spheres(capacity * SPHERE), shapes(capacity * SHAPE),
           colors(capacity * color_stride(view.degree)), indices(capacity), slots(gaussians) {
         for (size_t slot = 0; slot < capacity; ++slot) add(view, slot);
     }
@@ -63,7 +64,7 @@ private:
         const uint16_t* color = view.colors + group * values * GROUP + lane;
         for (size_t i = 0; i < values; ++i) colors[slot * color_stride(view.degree) + i] = color[i * GROUP];
         indices[slot] = view.original_index[slot];
-        slots[indices[slot]] = uint32_t(slot);
+        slots[indices[slot]] = first_slot + uint32_t(slot);
     }
 };
 
@@ -74,16 +75,24 @@ nb::ndarray<nb::numpy, uint8_t> bytes_of(const T* items, size_t count) {
     return to_numpy(std::move(bytes), {count, sizeof(T)});
 }
 
+// The clusters of a tree behind those of others.
+std::vector<Cluster> clusters_behind(const SceneView& view, uint32_t first_slot, uint32_t first_cluster) {
+    std::vector<Cluster> clusters(view.clusters, view.clusters + view.cluster_count);
+    for (Cluster& cluster : clusters) cluster.first_group += first_slot / GROUP, cluster.skip += first_cluster;
+    return clusters;
+}
+
 nb::dict flat_scene(Tensor<const float, -1, 3> means, Tensor<const float, -1, 3, 3> axes,
                     Tensor<const float, -1> opacities, Tensor<const float, -1, -1, 3> sh, int degree,
                     std::array<float, 3> background, std::optional<nb::dict> levels, bool antialiased,
-                    float tolerance) {
+                    float tolerance, uint32_t first_slot, uint32_t first_cluster) {
     const GaussianArrays gaussians{means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0), degree};
     const Levels tree = levels ? levels_of(*levels, gaussians) : build_levels(gaussians, CLUSTER, GROUP, false);
     const Scene scene(gaussians, tree, background, antialiased);
     const SceneView view = scene.view(0.0f);
     const size_t capacity = scene.capacity();
-    FlatScene flat(view, capacity, gaussians.count + tree.opacities.size(), antialiased);
+    FlatScene flat(view, capacity, gaussians.count + tree.opacities.size(), antialiased, first_slot);
+    const std::vector<Cluster> clusters = clusters_behind(view, first_slot, first_cluster);
     nb::dict out;
     out["spheres"] = to_numpy(std::move(flat.spheres), {capacity, size_t(SPHERE)});
     out["shapes"] = to_numpy(std::move(flat.shapes), {capacity, size_t(SHAPE)});
@@ -92,7 +101,7 @@ nb::dict flat_scene(Tensor<const float, -1, 3> means, Tensor<const float, -1, 3,
     const size_t all = flat.slots.size();
     out["slots"] = to_numpy(std::move(flat.slots), {all});
     out["tolerance"] = held_tolerance(tolerance, antialiased);
-    out["clusters"] = bytes_of(view.clusters, view.cluster_count);
+    out["clusters"] = bytes_of(clusters.data(), clusters.size());
     out["group_bounds"] = bytes_of(view.group_bounds, view.cluster_count);
     return out;
 }
@@ -102,7 +111,7 @@ nb::dict flat_scene(Tensor<const float, -1, 3> means, Tensor<const float, -1, 3,
 void bind_flat_scene(nb::module_& m) {
     m.def("flat_scene", &flat_scene, nb::arg("means"), nb::arg("axes"), nb::arg("opacities"), nb::arg("sh"),
           nb::arg("degree"), nb::arg("background"), nb::arg("levels").none(),
-          nb::arg("antialiased"), nb::arg("tolerance"));
+          nb::arg("antialiased"), nb::arg("tolerance"), nb::arg("first_slot"), nb::arg("first_cluster"));
 }
 
 }  // namespace splatrl

@@ -48,7 +48,7 @@ class EmulatedKernels:
         self.seed = 0
 
     def resident(self, name: str, threads: int, shared: int = 0) -> int:
-        """One block at a time."""
+        """One block."""
         return 1
 
     def launch(self, name: str, blocks: int, threads: int, *arguments: Any, shared: int = 0) -> None:
@@ -67,9 +67,11 @@ def emulated(source: str | Path, defines: Mapping[str, int] | None = None) -> Em
 @functools.cache
 def _library(path: Path, defines: tuple[tuple[str, int], ...]) -> Path:
     """Compile a source once for each content of it and of all headers."""
-    names = _KERNEL.findall(path.read_text())
+    text = path.read_text()
+    names, at_once = _KERNEL.findall(text), 1 if "__shared__" in text else "emulator::MOST_AT_ONCE"
     cases = "\n".join(
-        f'    if (!strcmp(name, "{n}")) return emulator::launch({n}, blocks, threads, a, seed), 1;' for n in names
+        f'    if (!strcmp(name, "{n}")) return emulator::launch({n}, blocks, threads, a, {at_once}, seed), 1;'
+        for n in names
     )
     program = f"""#include "cuda.h"
 #include "{path}"

@@ -1,7 +1,9 @@
-// CUDA's execution model on one CPU core, for testing: the threads of a block are fibers, blocks come one after another.
+// CUDA's execution model on one CPU core, for testing: the threads of a block are fibers, and a few blocks run at a time.
 //
 // A fiber runs until it waits for the others: at a barrier of the block, or with its warp. Which fiber goes on next is
 // drawn by a seed, so what depends on the order of threads between two barriers gives other results with other seeds.
+// Blocks take turns, so each takes some of the work that they share. Those of a source with static __shared__ variables,
+// of which there is one here, come one after another.
 // Included before a kernel's source, in place of what NVRTC has built in.
 #pragma once
 
@@ -13,6 +15,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <memory>
 #include <tuple>
 #include <utility>
 #include <vector>
@@ -39,7 +42,7 @@ static inline uint4 make_uint4(unsigned x, unsigned y, unsigned z, unsigned w) {
 
 namespace emulator {
 
-constexpr unsigned LANES = 32, MOST_THREADS = 1024;
+constexpr unsigned LANES = 32, MOST_THREADS = 1024, MOST_AT_ONCE = 2;
 constexpr size_t STACK = 256 * 1024, MOST_SHARED = 228 * 1024;
 
 struct Barrier {
@@ -60,19 +63,28 @@ struct Fiber {
     unsigned collectives = 0;
 };
 
-inline std::vector<Fiber> fibers(MOST_THREADS);
-inline std::vector<char> stacks(MOST_THREADS * STACK);
-inline Warp warps[MOST_THREADS / LANES];
-inline Barrier block_barrier;
+struct Block {
+    Index index;
+    unsigned alive = 0;
+    uint64_t random = 0;
+    Barrier barrier;
+    Warp warps[MOST_THREADS / LANES];
+    std::vector<Fiber> fibers{MOST_THREADS};
+    std::unique_ptr<char[]> stacks{new char[MOST_THREADS * STACK]};  // what is not used takes no memory
+    alignas(128) unsigned char shared_memory[MOST_SHARED];
+};
+
+inline std::vector<Block> resident(MOST_AT_ONCE);
+inline Block* here = nullptr;  // the block that runs
 inline Fiber* running = nullptr;
 inline jmp_buf scheduler;
-inline unsigned alive = 0, threads = 0;
+inline unsigned threads = 0;
 inline uint64_t moves = 0;  // of any barrier: whether anything goes on
-inline Index block, block_size, grid_size;
-alignas(128) inline unsigned char shared_memory[MOST_SHARED];
+inline Index block_size, grid_size;
 
 [[noreturn]] inline void fail(const char* why) {
-    std::fprintf(stderr, "emulated kernel, block %u, thread %u: %s\n", block.x, running ? running->thread.x : 0u, why);
+    const unsigned thread = running ? running->thread.x : 0;
+    std::fprintf(stderr, "emulated kernel, block %u, thread %u: %s\n", here->index.x, thread, why);
     std::abort();
 }
 
@@ -94,7 +106,7 @@ inline void meet(Barrier& barrier, unsigned count, int vote = 0) {
     while (barrier.passed == turn) yield();
 }
 
-inline Warp& warp() { return warps[running->thread.x / LANES]; }
+inline Warp& warp() { return here->warps[running->thread.x / LANES]; }
 
 inline unsigned warp_size() {
     const unsigned first = running->thread.x / LANES * LANES;
@@ -132,7 +144,7 @@ inline void* body_arguments = nullptr;
 inline void enter() {
     body(body_arguments);
     running->finished = true;
-    --alive, ++moves;
+    --here->alive, ++moves;
     _longjmp(scheduler, 1);
 }
 
@@ -149,26 +161,43 @@ inline void resume(Fiber& fiber, char* stack) {
     setcontext(&fiber.context);
 }
 
-inline void run_block(unsigned index, unsigned count, uint64_t seed) {
-    block.x = index, threads = alive = count;
-    block_barrier = Barrier{};
-    for (Warp& one : warps) one = Warp{};
-    for (unsigned i = 0; i < count; ++i) {
-        fibers[i] = Fiber{};
-        fibers[i].thread.x = i;
+inline void begin(Block& block, unsigned index, uint64_t seed) {
+    block.index.x = index, block.alive = threads;
+    block.barrier = Barrier{};
+    for (Warp& one : block.warps) one = Warp{};
+    for (unsigned i = 0; i < threads; ++i) {
+        block.fibers[i] = Fiber{};
+        block.fibers[i].thread.x = i;
     }
-    std::memset(shared_memory, 0xcd, sizeof(shared_memory));  // nothing may be read before it is written
-    uint64_t random = seed * 0x9e3779b97f4a7c15ull + index + 1;
-    while (alive > 0) {
-        const uint64_t before = moves;
-        random = random * 6364136223846793005ull + 1442695040888963407ull;
-        const unsigned first = seed == 0 ? 0 : unsigned(random >> 33) % count;
-        const unsigned stride = seed == 0 || random >> 63 == 0 ? 1 : count - 1;  // forwards or backwards
-        for (unsigned i = 0, at = first; i < count; ++i, at = (at + stride) % count)
-            if (!fibers[at].finished) resume(fibers[at], stacks.data() + at * STACK);
-        if (moves == before && alive > 0) fail("threads wait for others that never come");
-    }
+    std::memset(block.shared_memory, 0xcd, MOST_SHARED);  // nothing may be read before it is written
+    block.random = seed * 0x9e3779b97f4a7c15ull + index + 1;
+}
+
+// Let each thread of a block run until it waits.
+inline void take_turn(Block& block, uint64_t seed) {
+    here = &block;
+    block.random = block.random * 6364136223846793005ull + 1442695040888963407ull;
+    const unsigned first = seed == 0 ? 0 : unsigned(block.random >> 33) % threads;
+    const unsigned stride = seed == 0 || block.random >> 63 == 0 ? 1 : threads - 1;  // forwards or backwards
+    for (unsigned i = 0, at = first; i < threads; ++i, at = (at + stride) % threads)
+        if (!block.fibers[at].finished) resume(block.fibers[at], block.stacks.get() + at * STACK);
     running = nullptr;
+}
+
+inline void run_blocks(unsigned count, unsigned at_once, uint64_t seed) {
+    unsigned begun = 0;
+    for (bool more = true; more;) {
+        more = false;
+        const uint64_t before = moves;
+        for (unsigned i = 0; i < at_once; ++i) {
+            Block& block = resident[i];
+            if (block.alive == 0 && begun < count) begin(block, begun++, seed);
+            if (block.alive == 0) continue;
+            take_turn(block, seed);
+            more = true;
+        }
+        if (more && moves == before) fail("threads wait for others that never come");
+    }
 }
 
 template <class... A, size_t... I>
@@ -178,7 +207,7 @@ void call(void (*kernel)(A...), void** arguments, std::index_sequence<I...>) {
 
 
 template <class... A>
-void launch(void (*kernel)(A...), unsigned blocks, unsigned count, void** arguments, uint64_t seed) {
+void launch(void (*kernel)(A...), unsigned blocks, unsigned count, void** arguments, unsigned at_once, uint64_t seed) {
     if (count > MOST_THREADS) fail("expected at most 1024 threads");
     struct Bound {
         void (*kernel)(A...);
@@ -189,28 +218,28 @@ void launch(void (*kernel)(A...), unsigned blocks, unsigned count, void** argume
         call(it.kernel, it.arguments, std::index_sequence_for<A...>{});
     };
     body_arguments = &bound;
-    block_size.x = count, grid_size.x = blocks;
-    for (unsigned i = 0; i < blocks; ++i) run_block(i, count, seed);
+    block_size.x = threads = count, grid_size.x = blocks;
+    run_blocks(blocks, at_once, seed);
 }
 
 }  // namespace emulator
 
 #define threadIdx (emulator::running->thread)
-#define blockIdx (emulator::block)
+#define blockIdx (emulator::here->index)
 #define blockDim (emulator::block_size)
 #define gridDim (emulator::grid_size)
 #define DYNAMIC_SHARED(T, name)                                                  \
     static_assert(sizeof(T) <= emulator::MOST_SHARED, "too much shared memory"); \
-    T& name = *reinterpret_cast<T*>(emulator::shared_memory)
+    T& name = *reinterpret_cast<T*>(emulator::here->shared_memory)
 
-static inline void __syncthreads() { emulator::meet(emulator::block_barrier, emulator::alive); }
+static inline void __syncthreads() { emulator::meet(emulator::here->barrier, emulator::here->alive); }
 static inline int __syncthreads_or(int vote) {
-    emulator::meet(emulator::block_barrier, emulator::alive, vote);
-    return emulator::block_barrier.any_before;
+    emulator::meet(emulator::here->barrier, emulator::here->alive, vote);
+    return emulator::here->barrier.any_before;
 }
 static inline int __syncthreads_and(int vote) {
-    emulator::meet(emulator::block_barrier, emulator::alive, vote);
-    return emulator::block_barrier.every_before;
+    emulator::meet(emulator::here->barrier, emulator::here->alive, vote);
+    return emulator::here->barrier.every_before;
 }
 static inline void __syncwarp(unsigned mask = 0xffffffffu) { emulator::exchange(mask, 0); }
 static inline void __threadfence_block() {}

@@ -31,6 +31,20 @@ extern "C" __global__ void race(int* out) {
     if (threadIdx.x == 0) *out = last;
 }
 """
+TURNS = """
+#include "platform.h"
+struct Shared { int taken; };
+extern "C" __global__ void turns(int* next, int* out, int count) {
+    DYNAMIC_SHARED(Shared, shared);
+    for (;;) {
+        __syncthreads();
+        if (threadIdx.x == 0) shared.taken = atomicAdd(next, 1);
+        __syncthreads();
+        if (shared.taken >= count) return;
+        if (threadIdx.x == 0) out[shared.taken] = blockIdx.x;
+    }
+}
+"""
 HALF_A_WARP = """
 #include "platform.h"
 extern "C" __global__ void half(int* out) {
@@ -60,6 +74,12 @@ def test_what_depends_on_the_order_of_threads_depends_on_the_seed(tmp_path: Path
         kernels.launch("race", 1, 64, out)
         seen.add(int(out))
     assert len(seen) > 1
+
+
+def test_blocks_share_their_work(tmp_path: Path) -> None:
+    taken, out = torch.zeros(1, dtype=torch.int32), torch.full((8,), -1, dtype=torch.int32)
+    emulated(source(tmp_path, TURNS)).launch("turns", 3, 64, taken, out, 8)
+    assert set(out[:4].tolist()) == {0, 1} and (out >= 0).all()
 
 
 @pytest.mark.parametrize(

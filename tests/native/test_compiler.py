@@ -13,9 +13,11 @@ from splatrl.renderers.cuda import kernel_defines
 SOURCES: dict[str, list[dict[str, int]]] = {
     "collide": [collision_defines(body) for body in (Box((0.4, 0.4, 0.1)), Sphere(0.1), Capsule(0.1, 0.2))],
     "render": [
-        kernel_defines(antialiased, degree, levels)
+        kernel_defines(antialiased, degree, levels, parts)
         for antialiased, degree, levels in ((True, 0, False), (True, 3, True), (False, 1, True), (False, 2, False))
+        for parts in (False, True)
     ],
+    "place": [{}],
 }
 """Every kernel, with each value of everything that it is compiled with."""
 ARCHITECTURES = ("sm_80", "sm_90", "sm_120")

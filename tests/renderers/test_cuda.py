@@ -153,13 +153,13 @@ def test_large_images_are_drawn_by_tiles(make: Make) -> None:
 def test_only_the_rows_that_are_asked_for_are_drawn(make: Make) -> None:
     renderer = make(random_gaussians(3, 300), background=(1.0, 1.0, 1.0))
     cameras, only = on(renderer, random_cameras(4, 4)), torch.tensor([True, False, False, True]).to(renderer.device)
-    pixels, whole = renderer.pixels(cameras, only), renderer.pixels(cameras)
+    pixels, whole = renderer.pixels(cameras, only=only), renderer.pixels(cameras)
     assert torch.equal(pixels[only], whole[only]) and not pixels[~only].any()
-    image, whole_image = renderer.render(cameras, only), renderer.render(cameras)
+    image, whole_image = renderer.render(cameras, only=only), renderer.render(cameras)
     for part, whole_part in zip(image, whole_image, strict=True):
         assert torch.equal(part[only], whole_part[only]) and not part[~only].any()
     with pytest.raises(ValueError, match=r"only: expected \[4\] torch.bool, got \[4\] torch.int64"):
-        renderer.pixels(cameras, only.long())
+        renderer.pixels(cameras, only=only.long())
 
 
 @pytest.mark.parametrize("fault", ["pose", "K", "focal"])

@@ -1,6 +1,7 @@
 // From sorted keys to pixels. Each warp holds four patches of 8×4 pixels in its registers, a pixel of each in a lane.
 #pragma once
 
+#include "order.h"
 #include "tile.h"
 
 namespace splatrl {
@@ -48,8 +49,33 @@ SPLAT_INLINE Footprint<float> footprint_of(const SceneArrays& scene, const Camer
     return project<ANTIALIASED_IMAGE, WITH_LEVELS>(camera, offset, axes, c.y, Merging<float>{c.z, c.w});
 }
 
+// The part that has an index of the row.
+SPLAT_INLINE int part_of(const Views& views, const Shared& shared, uint32_t index) {
+    return WITH_PARTS ? behind_last(shared.bases, 0, views.parts, index) - 1 : 0;
+}
+
+// Where the Gaussian with an index of the row lies.
+SPLAT_INLINE uint32_t slot_of(const SceneArrays& scene, const Views& views, const Shared& shared, int part,
+                              uint32_t index) {
+    return scene.slots[WITH_PARTS ? index + place_of(views, shared.row, part).shift : index];
+}
+
+// The row's camera in the frame of a part.
+SPLAT_INLINE Camera camera_of_part(const Views& views, const Shared& shared, int part) {
+    Camera camera = shared.camera;
+    if (!WITH_PARTS) return camera;
+    const Place& place = place_of(views, shared.row, part);
+    const float4* rows = reinterpret_cast<const float4*>(place.camera_to_model);
+    for (int row = 0; row < 3; ++row) {
+        const float4 values = rows[row];
+        camera.rotation[row] = values.x, camera.rotation[3 + row] = values.y, camera.rotation[6 + row] = values.z;
+        camera.position[row] = values.w;
+    }
+    return camera;
+}
+
 // Project the Gaussians of a sorted slab, colour those that show, and lay them out in their order. Returns how many.
-SPLAT_INLINE uint32_t load_slab(const SceneArrays& scene, Shared& shared, uint32_t count) {
+SPLAT_INLINE uint32_t load_slab(const SceneArrays& scene, const Views& views, Shared& shared, uint32_t count) {
     uint32_t shown = 0;
     for (uint32_t begin = 0; begin < count; begin += THREADS) {
         const uint32_t i = begin + thread();
@@ -57,11 +83,13 @@ SPLAT_INLINE uint32_t load_slab(const SceneArrays& scene, Shared& shared, uint32
         Vector<float> offset{};
         Footprint<float> print{};
         if (i < count) {
-            slot = scene.slots[uint32_t(shared.sorted[i]) & ((1u << INDEX_BITS) - 1)];
+            const uint32_t index = uint32_t(shared.sorted[i]) & ((1u << INDEX_BITS) - 1);
+            const int part = part_of(views, shared, index);
+            slot = slot_of(scene, views, shared, part, index);
             const float4 sphere = scene.spheres[slot];
-            const float* position = shared.camera.position;
-            offset = {sphere.x - position[0], sphere.y - position[1], sphere.z - position[2]};
-            print = footprint_of(scene, shared.camera, slot, offset);
+            const Camera camera = camera_of_part(views, shared, part);
+            offset = {sphere.x - camera.position[0], sphere.y - camera.position[1], sphere.z - camera.position[2]};
+            print = footprint_of(scene, camera, slot, offset);
             patches = covered_patches<ANTIALIASED_IMAGE>(print, shared.tile);
         }
         const uint32_t lanes = __ballot_sync(ALL_LANES, patches != 0);

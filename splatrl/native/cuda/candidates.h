@@ -6,24 +6,48 @@
 
 namespace splatrl {
 
-// Go down the tree, a level at a time, from `nodes` [3, capacity]. Leaves the nodes to draw in the third part.
-SPLAT_INLINE void cull(const SceneArrays& scene, Shared& shared, uint32_t* nodes, int capacity) {
-    uint32_t* accepted = nodes + 2 * size_t(capacity);
-    if (thread() == 0) nodes[0] = 0, shared.frontier[0] = 1, shared.frontier[1] = 0, shared.accepted = 0;
+// A node of the tree of a part: its cluster in the low bits, its part in the high ones.
+struct Node {
+    static constexpr int CLUSTER_BITS = 25;
+    static_assert(VIEWS <= 1 << (32 - CLUSTER_BITS), "a part has a number in a node");
+    uint32_t word;
+
+    INLINE_MEMBER uint32_t cluster() const { return WITH_PARTS ? word & ((1u << CLUSTER_BITS) - 1) : word; }
+    INLINE_MEMBER int part() const { return WITH_PARTS ? int(word >> CLUSTER_BITS) : 0; }
+    INLINE_MEMBER uint32_t with(uint32_t cluster) const { return word - this->cluster() + cluster; }
+};
+
+// Begin with the roots of all that is to be drawn, at the first of `nodes`.
+SPLAT_INLINE void plant(const Views& views, Shared& shared, uint32_t* nodes) {
+    if (thread() == 0) nodes[0] = 0, shared.frontier[0] = !WITH_PARTS, shared.frontier[1] = 0, shared.accepted = 0;
     __syncthreads();
+    if (!WITH_PARTS) return;
+    for (int part = thread(); part < views.parts; part += THREADS) {
+        const Place& place = place_of(views, shared.row, part);
+        if (place.size == 0) continue;
+        nodes[atomicAdd(&shared.frontier[0], 1u)] = uint32_t(part) << Node::CLUSTER_BITS | place.root;
+    }
+    __syncthreads();
+}
+
+// Go down the trees, a level at a time, in `nodes` [3, capacity]. Leaves the nodes to draw in the third part.
+SPLAT_INLINE void cull(const SceneArrays& scene, const Views& views, Shared& shared, uint32_t* nodes, int capacity) {
+    uint32_t* accepted = nodes + 2 * size_t(capacity);
+    plant(views, shared, nodes);
     for (int side = 0; shared.frontier[side] > 0; side ^= 1) {
         const uint32_t* here = nodes + size_t(side) * capacity;
         uint32_t* below = nodes + size_t(side ^ 1) * capacity;
         for (uint32_t i = thread(); i < shared.frontier[side]; i += THREADS) {
-            const uint32_t at = here[i];
-            const Cluster node = scene.clusters[at];
-            if (misses(shared.frustum, shared.camera, node.bounds)) continue;
-            if (node.error > 0.0f && !within_tolerance(shared.frustum, shared.camera, node, scene.tolerance)) {
+            const Node at{here[i]};
+            const Cluster node = scene.clusters[at.cluster()];
+            const View& view = shared.views[at.part()];
+            if (misses(view.frustum, view.camera, node.bounds)) continue;
+            if (node.error > 0.0f && !within_tolerance(view.frustum, view.camera, node, scene.tolerance)) {
                 const uint32_t first = atomicAdd(&shared.frontier[side ^ 1], 2u);
-                below[first] = at + 1;
-                below[first + 1] = scene.clusters[at + 1].skip;
+                below[first] = at.word + 1;
+                below[first + 1] = at.with(scene.clusters[at.cluster() + 1].skip);
             } else if (node.groups > 0) {
-                accepted[atomicAdd(&shared.accepted, 1u)] = at;
+                accepted[atomicAdd(&shared.accepted, 1u)] = at.word;
             }
         }
         __syncthreads();
@@ -41,27 +65,29 @@ SPLAT_INLINE Key key_of(double depth, uint32_t index) {
     return (steps < FARTHEST ? steps : FARTHEST) << INDEX_BITS | index;
 }
 
-// The key of the Gaussian in a slot; NO_KEY where it cannot show on the tile. The order of two Gaussians must not hang on
-// a rounding: depths are computed in double precision, as on the CPU.
-SPLAT_INLINE Key candidate(const SceneArrays& scene, const Shared& shared, uint32_t slot) {
+// The key of the Gaussian in a slot of a part; NO_KEY where it cannot show on the tile. The order of two Gaussians must not
+// hang on a rounding: depths are computed in double precision, as on the CPU.
+SPLAT_INLINE Key candidate(const SceneArrays& scene, const Shared& shared, int part, uint32_t slot) {
+    const View& view = shared.views[part];
     const float4 sphere = scene.spheres[slot];
     const uint32_t reaches = __float_as_uint(sphere.w);
     if (reaches == 0) return NO_KEY;
     const float center[3] = {sphere.x, sphere.y, sphere.z};
-    const float* position = shared.camera.position;
+    const float* position = view.camera.position;
     const float reach = half_to_float(uint16_t(reaches)), reach_scale = half_to_float(uint16_t(reaches >> 16));
-    if (misses(shared.frustum, position, center, reach, reach_scale)) return NO_KEY;
+    if (misses(view.frustum, position, center, reach, reach_scale)) return NO_KEY;
     double depth = 0.0;
     for (int axis = 0; axis < 3; ++axis)
-        depth += double(shared.frustum.forward[axis]) * (double(center[axis]) - double(position[axis]));
-    return depth > 0.0 ? key_of(depth, scene.indices[slot]) : NO_KEY;
+        depth += double(view.frustum.forward[axis]) * (double(center[axis]) - double(position[axis]));
+    const uint32_t base = WITH_PARTS ? shared.bases[part] : 0;
+    return depth > 0.0 ? key_of(depth, base + scene.indices[slot]) : NO_KEY;
 }
 
 // Which of the sixteen groups of a cluster may show on the tile; `group` is this lane's.
-SPLAT_INLINE bool group_in_view(const SceneArrays& scene, const Shared& shared, uint32_t cluster, uint32_t group) {
+SPLAT_INLINE bool group_in_view(const SceneArrays& scene, const View& view, uint32_t cluster, uint32_t group) {
     const GroupBounds& bounds = scene.group_bounds[cluster];
     const float center[3] = {bounds.members[0][group], bounds.members[1][group], bounds.members[2][group]};
-    return !(missed_by<float>(shared.frustum, shared.camera.position, center, bounds.members[3][group],
+    return !(missed_by<float>(view.frustum, view.camera.position, center, bounds.members[3][group],
                               bounds.members[4][group], bounds.members[5][group]) > 0.0f);
 }
 
@@ -86,16 +112,18 @@ SPLAT_INLINE void find_candidates(const SceneArrays& scene, Shared& shared, cons
     Key low = NO_KEY, high = 0;
     for (uint32_t first = 2 * warp(); first < shared.accepted; first += 2 * WARPS) {
         uint32_t first_group = 0;
+        int part = 0;
         bool seen = false;
         if (first + half < shared.accepted) {
-            const uint32_t at = accepted[first + half];
-            first_group = scene.clusters[at].first_group;
-            seen = member < scene.clusters[at].groups && group_in_view(scene, shared, at, member);
+            const Node node{accepted[first + half]};
+            const uint32_t at = node.cluster();
+            part = node.part(), first_group = scene.clusters[at].first_group;
+            seen = member < scene.clusters[at].groups && group_in_view(scene, shared.views[part], at, member);
         }
         uint32_t left = __ballot_sync(ALL_LANES, seen) >> (half * GROUP) & 0xffffu;
         while (__any_sync(ALL_LANES, left != 0)) {
             Key key = NO_KEY;
-            if (left != 0) key = candidate(scene, shared, (first_group + __ffs(left) - 1) * GROUP + member);
+            if (left != 0) key = candidate(scene, shared, part, (first_group + __ffs(left) - 1) * GROUP + member);
             left &= left - 1;
             append(shared, keys, key);
             if (key != NO_KEY) low = key < low ? key : low, high = key > high ? key : high;

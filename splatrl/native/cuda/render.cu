@@ -3,7 +3,8 @@
 // pixels in registers (blend.h). Blocks take no account of each other, and what is found in no order is ordered by keys
 // of which no two are equal: a frame has the same bytes in every batch.
 //
-// ANTIALIASED_IMAGES, LEVELS_OF_DETAIL (1 or 0) and SH_DEGREE are macros, so that each is compiled by itself.
+// ANTIALIASED_IMAGES, LEVELS_OF_DETAIL (1 or 0), SH_DEGREE and MOST_PARTS (of a row; 0 draws the first model where it
+// stands) are macros, so that each is compiled by itself.
 #include "platform.h"
 
 #include "blend.h"
@@ -36,13 +37,25 @@ SPLAT_INLINE bool next_tile(const Views& views, const Workspace& workspace, Shar
             shared.tile = {left, top, right < views.width ? right : views.width,
                            bottom < views.height ? bottom : views.height};
             shared.camera = camera_of(pose, K, views.width, views.height);
-            shared.frustum = frustum_of(shared.camera, shared.tile);
+            if (!WITH_PARTS) shared.views[0] = {shared.camera, frustum_of(shared.camera, shared.tile)};
             shared.drawn = is_camera(pose, K);
             if (!shared.drawn) atomicMin(workspace.fault, shared.row);
         }
     }
     __syncthreads();
     return shared.row < views.batch;
+}
+
+// Look at each part of the row with the row's camera in its frame.
+SPLAT_INLINE void view_parts(const Views& views, Shared& shared) {
+    if (!WITH_PARTS) return;
+    for (int part = thread(); part < views.parts; part += THREADS) {
+        const Place& place = place_of(views, shared.row, part);
+        shared.bases[part] = place.base;
+        const Camera camera =
+            camera_of(place.camera_to_model, views.K + 9 * size_t(shared.row), views.width, views.height);
+        shared.views[part] = {camera, frustum_of(camera, shared.tile)};
+    }
 }
 
 // Add what a thread counted to the efforts of the frame.
@@ -58,14 +71,15 @@ SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const
     uint32_t* nodes = workspace.nodes + 3 * size_t(blockIdx.x) * workspace.node_capacity;
     while (next_tile(views, workspace, shared)) {
         if (!shared.drawn) continue;
-        cull(scene, shared, nodes, workspace.node_capacity);
+        view_parts(views, shared);  // which cull waits for
+        cull(scene, views, shared, nodes, workspace.node_capacity);
         find_candidates(scene, shared, nodes, workspace.node_capacity, keys);
         if (workspace.efforts != nullptr) note(workspace, shared, PROJECTED, thread() == 0 ? shared.count : 0);
         Pixels<WITH_DEPTH> pixels;
         pixels.begin(scene, shared.tile);
         begin_slabs(shared, keys, workspace.key_capacity);
         while (const uint32_t count = next_slab(shared)) {
-            const uint32_t shown = load_slab(scene, shared, count);
+            const uint32_t shown = load_slab(scene, views, shared, count);
             if (workspace.efforts != nullptr) note(workspace, shared, VISIBLE, thread() == 0 ? shown : 0);
             pixels.blend_slab(shared, shown);
             if (!__syncthreads_or(pixels.active != 0)) break;

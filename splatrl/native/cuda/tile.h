@@ -6,6 +6,7 @@
 #include "coverage.h"
 #include "flat_scene.h"
 #include "frustum.h"
+#include "places.h"
 
 namespace splatrl {
 
@@ -13,24 +14,27 @@ constexpr int THREADS = BLOCK_THREADS, WARPS = THREADS / WARP;
 static_assert(WARPS * 4 == PATCHES_ACROSS * PATCHES_DOWN, "four patches of 8×4 pixels a warp, in its registers");
 
 constexpr bool ANTIALIASED_IMAGE = ANTIALIASED_IMAGES != 0, WITH_LEVELS = LEVELS_OF_DETAIL != 0;
+constexpr bool WITH_PARTS = MOST_PARTS > 0;  // without, a row is the first model where it stands
+constexpr int VIEWS = WITH_PARTS ? MOST_PARTS : 1;
 
 constexpr int SLAB = 512;      // splats that are sorted and blended at once
 constexpr int BUCKETS = 1024;  // of a histogram of depths
 
-// Depth in the high bits, the index in the scene in the low ones: no two keys of an image are equal, so their order does
-// not hang on the order in which they were found.
+// Depth in the high bits, the index in the row in the low ones, which counts through its parts: no two keys of an image
+// are equal, so their order does not hang on the order in which they were found.
 using Key = uint64_t;
 constexpr int INDEX_BITS = 24;
 constexpr Key NO_KEY = ~Key(0);
 
-// A scene, every Gaussian by itself. A slot is its place; slots without one pad the groups.
+// The models of a renderer, one behind another, every Gaussian by itself. A slot is its place; slots without one pad the
+// groups.
 struct SceneArrays {
-    const float4* spheres;            // [slots] mean, world, metres; its reach (flat_scene.h) by bits, 0 for nothing
+    const float4* spheres;            // [slots] mean, metres; its reach (flat_scene.h) by bits, 0 for nothing
     const float4* shapes;             // [slots, 3] factor A of the covariance, log2 opacity, members and sum if merged
     const uint16_t* colors;           // [slots, color_stride] half floats, [harmonics, 3]; final colours at degree 0
-    const uint32_t* indices;          // [slots] index in the scene, merged Gaussians behind it
-    const uint32_t* slots;            // [indices]
-    const Cluster* clusters;          // the tree in preorder
+    const uint32_t* indices;          // [slots] index in the model, merged Gaussians behind it
+    const uint32_t* slots;            // [indices] of all models
+    const Cluster* clusters;          // the trees in preorder
     const GroupBounds* group_bounds;  // of each cluster
     float background[3];              // the colours are relative to it
     float tolerance;                  // pixels by which what is shown may be displaced
@@ -40,8 +44,13 @@ struct Views {
     const float* camera_to_world;     // [batch, 4, 4]
     const float* K;                   // [batch, 3, 3]
     const uint8_t* only;              // [batch] which to draw; null for all
-    int batch, width, height;
+    const Place* places;              // [batch, parts]; not looked at without parts
+    int batch, width, height, parts;
 };
+
+SPLAT_INLINE const Place& place_of(const Views& views, int row, int part) {
+    return views.places[size_t(row) * views.parts + part];
+}
 
 // Memory of the launch; [blocks] parts.
 struct Workspace {
@@ -78,10 +87,15 @@ struct Slabs {
     Key low, high;                    // of all keys
 };
 
+// What a model is culled with: the camera in its own frame.
+struct View {
+    Camera camera;
+    Frustum frustum;
+};
+
 // The shared memory of a block, which draws one tile at a time.
 struct Shared {
     Camera camera;
-    Frustum frustum;
     Tile tile;
     int item, row, drawn;             // drawn: whether the tile is drawn at all
     uint32_t count, gathered, accepted, frontier[2];
@@ -91,7 +105,9 @@ struct Shared {
     uint32_t ends[BUCKETS];           // where each bucket of the candidates ends
     Key sorted[SLAB];                 // the keys of a slab, in the end nearest first
     uint32_t patches[SLAB];           // that its splats show on, by bits
+    uint32_t bases[VIEWS];            // of the parts; not set without parts
     union {                           // what is needed one after another
+        View views[VIEWS];            // of the parts
         struct {
             uint32_t histogram[BUCKETS];
             Key dealt[SLAB];          // the keys of a slab in the order of their buckets

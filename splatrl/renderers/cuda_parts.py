@@ -1,0 +1,88 @@
+"""Where the parts of rows stand, worked out on the device: what ``CudaRenderer`` does before it draws them."""
+
+import ctypes
+
+import torch
+from torch import Tensor
+
+from splatrl.cameras import Cameras
+from splatrl.faults import FaultFlag
+from splatrl.native.cuda.kernels import Kernels
+from splatrl.renderers.cuda_models import MOST_INDICES, CudaModels
+from splatrl.renderers.parts import ABSENT, Parts, require_parts_of
+
+MOST_PARTS = 128
+"""The most parts of a row: a block of threads keeps the view of each in shared memory."""
+PLACE_WORDS = 16
+"""Of ``Place`` in cuda/places.h, 32 bits each."""
+
+
+class _Asked(ctypes.Structure):
+    """``Asked`` of cuda/place.cu."""
+
+    _fields_ = (
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("models", "model", "model_to_world", "camera_to_world", "only", "fault")
+        ),
+        *((name, ctypes.c_int) for name in ("parts", "model_count", "most_indices", "most_gaussians")),
+    )
+
+
+class CudaParts:
+    """Expresses cameras in the frames of parts and numbers the parts' Gaussians, without the host reading anything.
+
+    Args:
+        kernels: those of cuda/place.cu.
+        models: that parts choose from.
+        most_gaussians: of a row, merged ones not counted.
+    """
+
+    def __init__(self, kernels: Kernels, models: CudaModels, most_gaussians: int) -> None:
+        self._kernels, self._models, self._most_gaussians = kernels, models, most_gaussians
+        self._faults = FaultFlag(kernels.device)
+
+    def capacity(self, parts: Parts) -> int:
+        """The most Gaussians that a row of so many parts can draw: M times the largest model's, within the bound."""
+        return max(1, min(parts.model.shape[1] * self._models.gaussians, self._most_gaussians))
+
+    def places(self, cameras: Tensor, parts: Parts, only: Tensor | None) -> Tensor:
+        """Queue the placing of each part.
+
+        Args:
+            cameras: camera_to_world [B, 4, 4] float32, on the device.
+            parts: of the B rows.
+            only: [B] bool, rows to look at; None for all.
+
+        Returns:
+            [B, M, ``PLACE_WORDS``] int32, ``Place`` of cuda/places.h; not set in the other rows.
+        """
+        device = self._kernels.device
+        model = parts.model.to(device).contiguous()
+        poses = parts.model_to_world.detach().to(device).contiguous()
+        places = torch.empty(*model.shape, PLACE_WORDS, dtype=torch.int32, device=device)
+        given = (self._models.table, model, poses, cameras, only, self._faults.flag)
+        addresses = (None if value is None else value.data_ptr() for value in given)
+        numbers = (model.shape[1], len(self._models.models), MOST_INDICES, self.capacity(parts))
+        self._kernels.launch("place_parts", len(model), 32, _Asked(*addresses, *numbers), places)
+        return places
+
+    def raise_faults(self) -> None:
+        """Raise what was noted of parts since the last call; see ``Faulty``."""
+        row = self._faults.take()
+        if row is not None:
+            raise ValueError(
+                f"parts[{row}]: expected {ABSENT} or models in [0, {len(self._models.models)}), rigid model_to_world, "
+                f"and together at most {self._most_gaussians:,} Gaussians ({MOST_INDICES:,} with merged ones)"
+            )
+
+
+def require_few_parts_of(parts: Parts, cameras: Cameras) -> None:
+    """Refuse parts that do not belong to a batch of cameras or are too many, without looking at their values.
+
+    Raises:
+        ValueError: for another shape or type, or more than ``MOST_PARTS`` a row.
+    """
+    require_parts_of(parts, cameras)
+    if parts.model.shape[1] > MOST_PARTS:
+        raise ValueError(f"parts.model: expected at most {MOST_PARTS} parts a row, got {parts.model.shape[1]}")
