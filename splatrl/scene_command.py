@@ -27,7 +27,8 @@ from splatrl.scenes.placement import (
     rescaled,
     upright_frame,
 )
-from splatrl.scenes.scene import Scene, load_scene, robust_bounds
+from splatrl.scenes.scene import Scene, robust_bounds
+from splatrl.scenes.sources import read_scene
 from splatrl.scenes.survey import survey
 from splatrl.scenes.upright import Upright, guess_upright
 
@@ -81,7 +82,7 @@ def look(options: argparse.Namespace) -> None:
             raise ValueError(
                 f"{path}: expected no frame beside a folder's; edit its scene.yaml, or name the splat file"
             )
-        scene = load_scene(path)
+        scene = read_scene(path)
         upright = _print_guess(scene.gaussians, [0.0, 0.0, 1.0])
         _draw(scene, upright.floor, options, out)
         return

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splatrl.collision import Occupancy
-from splatrl.scenes import Gaussians, load_scene
+from splatrl.scenes import Gaussians, backyard
 
 
 def same(a: Occupancy, b: Occupancy) -> bool:
@@ -165,7 +165,7 @@ def test_from_scene_ends_a_tenth_beyond_the_bounds_or_at_the_crop():
 
 def test_the_backyard_is_read_back_from_its_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
-    scene = load_scene("backyard")
+    scene = backyard()
     built = Occupancy.from_scene(scene, resolution=0.1)
     assert built.contains([[0.0, 0.0, -0.02], [0.0, -0.4, 0.4]]).tolist() == [True, False]
     monkeypatch.setattr("splatrl.collision.occupancy.solid_voxels", lambda *_: pytest.fail("built again"))
