@@ -11,6 +11,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from splatrl.collision.density import DensitySettings
 from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.pictures import draw_blocks, draw_maps
 from splatrl.evaluation.viewpoint import eye_view, open_corner
@@ -132,7 +133,7 @@ def draw(scene: Scene, floor: float, height: float, resolution: float | None, ou
     edge = resolution or float(np.clip(0.05, diagonal / 256, diagonal / 50))
     margin = 0.1 * diagonal
     crop = ((lower - margin).tolist(), (upper + margin).tolist())
-    occupancy = Occupancy.from_gaussians(scene.gaussians, edge, min_volume=64 * edge**3, crop=crop)
+    occupancy = Occupancy.from_gaussians(scene.gaussians, edge, DensitySettings(min_volume=64 * edge**3), crop)
     room = max(float(upper[2]) - floor, 4 * edge)
     body = min(height, 0.5 * room)
     eye = min(EYE, 0.65 * room)
