@@ -7,7 +7,7 @@ import pytest
 import torch
 from PIL import Image
 
-from splatrl.scene_command import main
+from splatrl.commands.scene import main
 from splatrl.scenes import Gaussians, read_scene, similarity, write_gaussians
 from tests.scenes.test_survey import BOXES, FLOOR, dataparser, lying, surfaces
 
@@ -41,6 +41,7 @@ def test_a_capture_becomes_a_scene_folder_with_pictures_without_a_word_said(
     printed = capsys.readouterr().out
     assert "up          -y" in printed
     assert "cannot be known" in printed
+    assert "occupied  " in printed
     assert heights(splat.parent) == pytest.approx((0.0, 1.2), abs=0.02)
     pictures = [splat.with_name(f"yard-{kind}.png") for kind in ("free", "occupancy", "view")]
     for picture in pictures:
@@ -151,7 +152,7 @@ def test_files_that_are_missing_or_damaged_are_one_line_of_error(tmp_path: Path)
 
 
 def test_it_runs_as_a_module_and_explains_itself() -> None:
-    command = [sys.executable, "-m", "splatrl.scene_command", "--help"]
+    command = [sys.executable, "-m", "splatrl.commands.scene", "--help"]
     shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert "--nerfstudio" in shown
 

@@ -1,0 +1,1 @@
+"""The commands, ``splatrl-train`` and its like: they parse, call the library, and print."""
