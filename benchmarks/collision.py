@@ -3,9 +3,10 @@
     python benchmarks/collision.py                     # some minutes
     python benchmarks/collision.py --rounds 3 --json
 
-The scene is a synthetic yard of 20 m, at two resolutions. All rows take turns, round by round, so that a drifting
-machine drifts for all of them. FCL's loop is what python-fcl alone costs, one object made for each pose, without the
-look-ups of ``FclChecker``; its moves are ``FclChecker``'s, tested pose by pose.
+The scene is a synthetic yard of 20 m, at two resolutions. Before the clock starts, the native checker's answers are
+compared with FCL's. All rows take turns, round by round, so that a drifting machine drifts for all of them. FCL's loop
+is what python-fcl alone costs, one object made for each pose, without the look-ups of ``FclChecker``; its moves are
+``FclChecker``'s, tested pose by pose.
 """
 
 import argparse
@@ -28,7 +29,7 @@ from timing import take_turns
 from torch import Tensor
 
 from splatrl.bodies import Body, Box, Capsule, Sphere
-from splatrl.collision import FclChecker, Occupancy, TorchChecker
+from splatrl.collision import FclChecker, Occupancy, TorchChecker, verify, verify_sweeps
 from splatrl.collision.fcl import fcl_octrees, fcl_shape
 from splatrl.collision.native import NativeChecker
 from splatrl.evaluation.figures import BLUE, DPI, INK, PURPLE
@@ -46,6 +47,8 @@ STEP = 0.2
 BLOCKS = 4.0
 LEAST = 4096
 """Queries of one turn of the native checker, or a batch where that is more."""
+COMPARED = 512
+"""Queries of a kind that FCL is asked as well."""
 
 
 class Row(NamedTuple):
@@ -182,6 +185,15 @@ def hit_shares(
     return shares
 
 
+def print_agreement(occupancies: dict[str, Occupancy], queries: dict[tuple[str, str], Queries]) -> None:
+    """How often the native checker answers as FCL does near surfaces, and by how little it does not."""
+    for (voxels, occupancy), (name, body) in product(occupancies.items(), BODIES.items()):
+        native, oracle = NativeChecker(occupancy, body), FclChecker(occupancy, body)
+        start, end = (poses[:COMPARED] for poses in queries[voxels, "near"])
+        print(f"{name} in {voxels} voxels, static: {verify(native, oracle, start)}")
+        print(f"{name} in {voxels} voxels, swept: {verify_sweeps(native, oracle, start, end)}")
+
+
 def print_table(results: Sequence[Result]) -> None:
     """The results as Markdown, each beside FCL's loop of the same run."""
     loops = {(r.body, r.voxels, r.poses, r.query): r.ns for r in results if r.backend == "fcl"}
@@ -241,6 +253,7 @@ def main() -> None:
     occupancies = {name: yard(resolution) for name, resolution in RESOLUTIONS.items()}
     kinds = product(occupancies, ("uniform", "near"))
     queries = {(v, poses): queries_in(occupancies[v], poses == "near", max(BATCHES)) for v, poses in kinds}
+    print_agreement(occupancies, queries)
     plan, hits = planned(occupancies, queries), hit_shares(occupancies, queries)
     seconds = take_turns({row: run for row, (run, _) in plan.items()}, options.rounds)
     results = []

@@ -20,7 +20,7 @@ from record import RESULTS, print_markdown, today
 from tqdm import tqdm
 
 from splatrl.bodies import Box
-from splatrl.collision import NativeChecker, Occupancy
+from splatrl.collision import DensitySettings, NativeChecker, Occupancy
 from splatrl.files import replacing
 from splatrl.geometry import rigid
 
@@ -70,9 +70,9 @@ def measured(truth: Truth, resolution: float, recipe: dict[str, Any], count: int
     start = time.perf_counter()
     lower, upper = torch.tensor(truth.scene.bounds, dtype=torch.float64)
     margin = 0.1 * (upper - lower).max()
-    settings = {key: value for key, value in recipe.items() if key != "fill"}
+    density = DensitySettings(**{key: value for key, value in recipe.items() if key != "fill"})
     crop = ((lower - margin).tolist(), (upper + margin).tolist())
-    occupancy = Occupancy.from_gaussians(truth.scene.gaussians, resolution, crop=crop, **settings)
+    occupancy = Occupancy.from_gaussians(truth.scene.gaussians, resolution, density, crop)
     if "fill" in recipe:
         occupancy = occupancy.solid(recipe["fill"], [truth.seed])
     seconds = time.perf_counter() - start

@@ -8,8 +8,8 @@ import torch
 from scenes import SCENES, kitchen
 from torch import Tensor
 
-from splatrl.scenes import Scene, load_scene
-from splatrl.scenes.backyard import backyard_obstacles
+from splatrl.scenes import Scene, backyard
+from splatrl.scenes.yard import backyard_obstacles
 
 Box = tuple[Sequence[float], Sequence[float]]
 MARGIN = 0.12
@@ -133,7 +133,7 @@ def yard_truth() -> Truth:
         Wall(2, 3.0, (-2.8, 2.8)),
         Wall(-2, -2.9, (-1.6, 0.8)),
     ]
-    return Truth(load_scene(), place, solids, faces, walls, (0.7, 1.4), (0.15, 0.6), (0.6, 0.4, 0.4))
+    return Truth(backyard(), place, solids, faces, walls, (0.7, 1.4), (0.15, 0.6), (0.6, 0.4, 0.4))
 
 
 def _sides(low: Sequence[float], high: Sequence[float]) -> list[Box]:

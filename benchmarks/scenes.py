@@ -11,7 +11,7 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.geometry import quats_to_rotations
-from splatrl.scenes import Gaussians, Scene, load_scene, similarity
+from splatrl.scenes import Gaussians, Scene, backyard, read_scene, similarity
 
 ROOT = Path(__file__).parents[1]
 SCENES = Path(os.environ.get("SPLATRL_SCENES", ROOT.parent / "shared" / "scenes"))
@@ -73,7 +73,7 @@ def dense_backyard(count: int = DENSE_COUNT, degree: int = 3, seed: int = 0) -> 
         seed: of the noise.
     """
     g = torch.Generator().manual_seed(seed)
-    yard = load_scene()
+    yard = backyard()
     base = yard.gaussians
     parents = torch.arange(count) * len(base.means) // count
     shrunk = math.sqrt(1.5 * len(base.means) / count)  # flat Gaussians: their area is as the square
@@ -109,12 +109,12 @@ def kitchen() -> Subject | None:
     if not path.is_file():
         print(f"kitchen: skipped, no {path}; SPLATRL_SCENES names the folder of scenes")
         return None
-    return Subject(load_scene(path, similarity(["x", "-z", "y"])), KITCHEN)
+    return Subject(read_scene(path, similarity(["x", "-z", "y"])), KITCHEN)
 
 
 def from_file(path: str) -> Subject:
     """A splat file or a scene folder, seen from the middle half of its bounds."""
-    scene = load_scene(path)
+    scene = read_scene(path)
     corners = torch.tensor(scene.bounds)
     middle, quarter = corners.mean(0), (corners[1] - corners[0]) / 4
     lower, upper = ((middle + sign * quarter).tolist() for sign in (-1, 1))
@@ -123,7 +123,7 @@ def from_file(path: str) -> Subject:
 
 BUILT: dict[str, Callable[[], Subject | None]] = {
     "kitchen": kitchen,
-    "backyard": lambda: Subject(load_scene(), YARD),
+    "backyard": lambda: Subject(backyard(), YARD),
     "dense": lambda: Subject(dense_backyard(), YARD),
 }
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from splatrl import Cameras, load_scene
+from splatrl import Cameras, backyard
 from splatrl.cameras import intrinsics, look_at
 from splatrl.renderers import NativeRenderer
 
@@ -18,7 +18,7 @@ HEIGHT, GAP = 560, 8
 
 def main() -> None:
     """Render two views, and set the run's success map beside them."""
-    renderer = NativeRenderer(load_scene("backyard").gaussians)
+    renderer = NativeRenderer(backyard().gaussians)
 
     def view(
         position: tuple[float, ...], target: tuple[float, ...], fov_deg: float, width: int, height: int

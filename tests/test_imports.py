@@ -26,10 +26,10 @@ ORDER = [
     {"configuration"},
     {"world"},
     {"experiments"},
-    {"train", "evaluate", "scene_command", "experiment_command", "clips_command"},
+    {"train", "evaluate", "commands", "experiment_command", "clips_command"},
 ]
 """Rooms and single modules under splatrl/; a new one finds its place here."""
-ENTRY_POINTS = {"train", "evaluate", "scene_command", "experiment_command", "clips_command"}
+ENTRY_POINTS = {"train", "evaluate", "commands", "experiment_command", "clips_command"}
 HYDRA_USERS = {
     "hydra": {"configuration", "world"} | ENTRY_POINTS,
     "omegaconf": {"configuration", "world", "scenes"} | ENTRY_POINTS,

@@ -2,6 +2,7 @@
 
 from splatrl.collision.base import Checker
 from splatrl.collision.cuda import CudaChecker
+from splatrl.collision.density import DensitySettings
 from splatrl.collision.distances import DistanceField
 from splatrl.collision.fcl import FclChecker
 from splatrl.collision.native import NativeChecker
@@ -13,6 +14,7 @@ from splatrl.collision.verify import Disagreement, Verification, verify, verify_
 __all__ = [
     "Checker",
     "CudaChecker",
+    "DensitySettings",
     "Disagreement",
     "DistanceField",
     "FclChecker",

@@ -1,11 +1,13 @@
 """Where a scene's Gaussians are opaque enough to be solid."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from splatrl.collision.grid import Bounds, check_resolution, checked_crop, grid_shape
+from splatrl.collision.grid import Bounds, check_resolution, checked_box, grid_shape
 from splatrl.native._core import add_density
 from splatrl.scenes.gaussians import Gaussians
 
@@ -13,17 +15,51 @@ _EXTENT = 3.0
 """A Gaussian ends this many standard deviations from its mean."""
 
 
+@dataclass(frozen=True)
+class DensitySettings:
+    """Which Gaussians count, and how dense a voxel must be to be solid.
+
+    In YAML it is a node of its own: ``_target_: splatrl.collision.DensitySettings`` and these keys.
+
+    Attributes:
+        min_opacity: Gaussians below it are haze and left out, in [0, 1].
+        cutoff: absorbed share of light above which a voxel is solid, in (0, 1).
+        min_volume: cubic metres below which a connected component is a floater and dropped. The volume is that of
+            whole voxels, so on a grid of which fewer than two voxels reach it nothing is dropped.
+        max_scale: Gaussians with a larger standard deviation, metres, are sky and left out. None takes 20 voxels, or
+            1 m where that is more; this is what bounds the work for one Gaussian.
+
+    Raises:
+        ValueError: for a value out of range.
+    """
+
+    min_opacity: float = 0.1
+    cutoff: float = 0.5
+    min_volume: float = 0.008
+    max_scale: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.min_opacity <= 1.0:
+            raise ValueError(f"min_opacity: expected an opacity in [0, 1], got {self.min_opacity}")
+        if not 0.0 < self.cutoff < 1.0:
+            raise ValueError(f"cutoff: expected a share in (0, 1), got {self.cutoff}")
+        if not self.min_volume >= 0.0:
+            raise ValueError(f"min_volume: expected cubic metres of at least 0, got {self.min_volume}")
+        if self.max_scale is not None and not self.max_scale > 0.0:
+            raise ValueError(f"max_scale: expected metres above 0, or None, got {self.max_scale}")
+
+
+DEFAULT_DENSITY = DensitySettings()
+
+
 def solid_voxels(
     gaussians: Gaussians,
     resolution: float,
-    min_opacity: float,
-    cutoff: float,
-    min_volume: float,
-    max_scale: float | None,
+    settings: DensitySettings,
     crop: Bounds | None,
     max_voxels: int,
 ) -> tuple[NDArray[np.bool_], tuple[int, int, int], int]:
-    """Find the voxels that absorb at least ``cutoff`` of the light, and drop what floats.
+    """Find the voxels that absorb at least ``settings.cutoff`` of the light, and drop what floats.
 
     A voxel's density is σ = Σ opacity · exp(−½ d²) over the Gaussians whose 3σ extent reaches it, with d a lower bound
     of the Mahalanobis distance from the mean to the voxel: the distance to the box around the voxel that lies along
@@ -33,12 +69,7 @@ def solid_voxels(
     Args:
         gaussians: in the world frame.
         resolution: edge of a voxel, metres.
-        min_opacity: Gaussians below it are haze and left out.
-        cutoff: absorbed share of light above which a voxel is solid, in (0, 1).
-        min_volume: cubic metres below which a connected component is a floater and dropped. The volume is that of
-            whole voxels, so on a grid of which fewer than two voxels reach it nothing is dropped.
-        max_scale: Gaussians with a larger standard deviation, metres, are sky and left out. None takes 20 voxels, or
-            1 m where that is more; this is what bounds the work for one Gaussian.
+        settings: which Gaussians count and what is solid.
         crop: lower and upper corner of the grid, metres. None takes the box that holds the 5th to the 95th percentile
             of the Gaussians' extents along each axis, widened on all sides by half its longest one: all of a
             room, none of the splats that stray kilometres away.
@@ -48,13 +79,11 @@ def solid_voxels(
         Solid voxels [X, Y, Z] bool, the key of the first, and how many voxels were dropped with floaters.
 
     Raises:
-        ValueError: for a setting out of range, or a grid above ``max_voxels``.
+        ValueError: for a resolution or a crop out of range, or a grid above ``max_voxels``.
     """
     check_resolution(resolution)
-    if not 0.0 < cutoff < 1.0:
-        raise ValueError(f"cutoff: expected a share in (0, 1), got {cutoff}")
-    limit = max(1.0, 20.0 * resolution) if max_scale is None else max_scale
-    kept = (gaussians.opacities >= min_opacity) & (gaussians.scales.amax(1) <= limit)
+    limit = max(1.0, 20.0 * resolution) if settings.max_scale is None else settings.max_scale
+    kept = (gaussians.opacities >= settings.min_opacity) & (gaussians.scales.amax(1) <= limit)
     if not kept.any():
         return np.zeros((0, 0, 0), bool), (0, 0, 0), 0
     means, scales, quats, opacities = (
@@ -63,7 +92,7 @@ def solid_voxels(
     )
     axes = Rotation.from_quat(quats, scalar_first=True).as_matrix()
     reach = _EXTENT * np.sqrt(((axes * scales[:, None]) ** 2).sum(2))
-    lower, upper = _populated_bounds(means - reach, means + reach) if crop is None else checked_crop(crop)
+    lower, upper = _populated_bounds(means - reach, means + reach) if crop is None else checked_box("crop", crop)
     first = np.floor(np.maximum(means - reach, lower) / resolution).astype(np.int64)
     end = np.ceil(np.minimum(means + reach, upper) / resolution).astype(np.int64)
     inside = (end > first).all(1)
@@ -82,8 +111,8 @@ def solid_voxels(
         _EXTENT,
         density,
     )
-    dense = density >= -np.log1p(-cutoff)
-    solid = _without_floaters(dense, min_volume / resolution**3)
+    dense = density >= -np.log1p(-settings.cutoff)
+    solid = _without_floaters(dense, settings.min_volume / resolution**3)
     return solid, (int(origin[0]), int(origin[1]), int(origin[2])), int(dense.sum() - solid.sum())
 
 

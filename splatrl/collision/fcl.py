@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.bodies import Body, Box, Capsule, Sphere
+from splatrl.collision.displacement import Displacement, checked_poses
 from splatrl.collision.distances import DistanceField
-from splatrl.collision.motion import Move, checked_poses
 from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.octree import encode_octree
 
@@ -24,8 +24,8 @@ class FclChecker:
 
     FCL looks at one pose after the other, some microseconds each; the distance field settles the poses that are clear
     of everything beforehand and never changes an answer. A touch counts as a hit. A move is tested in steps in which
-    no point of the body travels more than half a voxel (``Move``), so it may graze a voxel's edge by less than that
-    unseen, and the answer is the same in both directions. A checker is for one thread; copies and pickles build
+    no point of the body travels more than half a voxel (``Displacement``), so it may graze a voxel's edge by less than
+    that unseen, and the answer is the same in both directions. A checker is for one thread; copies and pickles build
     their own octree.
 
     Attributes:
@@ -72,7 +72,7 @@ class FclChecker:
 
         0 where the body touches something at the start, 1 where it is free all the way and at the end.
         """
-        move = Move(
+        move = Displacement(
             checked_poses("start", start),
             checked_poses("end", end),
             self.body.radius,

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from torch import Tensor
 
-from splatrl.collision.grid import MAX_VOXELS, Bounds, checked_crop, checked_points, grid_shape
+from splatrl.collision.grid import MAX_VOXELS, Bounds, checked_box, checked_points, grid_shape
 
 Region = tuple[NDArray[np.bool_], tuple[int, int, int]]
 """Voxels [X, Y, Z] bool and the key of the first."""
@@ -74,7 +74,7 @@ def _widened(
     """The free voxels of the grid widened to hold ``around``, in a wall one voxel thick; and its first key."""
     first, end = origin, origin + occupied.shape
     if around is not None:
-        corners = checked_crop(around) / resolution
+        corners = checked_box("around", around) / resolution
         first = np.minimum(first, np.floor(corners[0])).astype(np.int64)
         end = np.maximum(end, np.ceil(corners[1])).astype(np.int64)
     free = np.ones(grid_shape(first, end, resolution, MAX_VOXELS), bool)

@@ -39,15 +39,15 @@ def checked_points(name: str, values: Tensor | ArrayLike) -> NDArray[np.float64]
     return array
 
 
-def checked_crop(crop: Bounds) -> NDArray[np.float64]:
-    """The corners of a crop as [2, 3] float64, metres.
+def checked_box(name: str, box: Bounds) -> NDArray[np.float64]:
+    """The corners of a box as [2, 3] float64, metres.
 
     Raises:
         ValueError: where they are not two finite corners with the lower one below.
     """
-    corners = checked_points("crop", [tuple(corner) for corner in crop])
+    corners = checked_points(name, [tuple(corner) for corner in box])
     if len(corners) != 2 or not (corners[0] < corners[1]).all():
-        raise ValueError(f"crop: expected a lower corner and an upper corner above it, got {corners.tolist()}")
+        raise ValueError(f"{name}: expected a lower corner and an upper corner above it, got {corners.tolist()}")
     return corners
 
 

@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from splatrl.bodies import Body, Box, Capsule
+from splatrl.collision.displacement import checked_poses
 from splatrl.collision.distances import DistanceField
 from splatrl.collision.grid import checked_points
-from splatrl.collision.motion import checked_poses
 from splatrl.collision.occupancy import Occupancy
 from splatrl.native import _core
 from splatrl.native.threads import usable_cores

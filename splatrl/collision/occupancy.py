@@ -1,10 +1,9 @@
 """Which voxels of a scene are solid: how they come about and how they are edited."""
 
-import inspect
 import math
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,12 +12,11 @@ from scipy import ndimage
 from torch import Tensor
 
 from splatrl.collision.boxes import box_keys
-from splatrl.collision.density import solid_voxels
+from splatrl.collision.density import DEFAULT_DENSITY, DensitySettings, solid_voxels
 from splatrl.collision.fill import unreached_voxels, warn_unfilled
-from splatrl.collision.grid import MAX_VOXELS, Bounds, check_resolution, checked_crop, checked_points, grid_shape
-from splatrl.collision.point_clouds import read_points
-from splatrl.collision.storage import read_arrays
-from splatrl.collision.voxels import ARRAYS, Voxels
+from splatrl.collision.grid import MAX_VOXELS, Bounds, check_resolution, checked_box, checked_points, grid_shape
+from splatrl.collision.point_clouds import file_digest, read_points
+from splatrl.collision.voxels import Voxels
 from splatrl.scenes.gaussians import Gaussians
 
 if TYPE_CHECKING:
@@ -81,7 +79,7 @@ class Occupancy(Voxels):
         check_resolution(resolution)
         cloud = checked_points("points", points)
         if crop is not None:
-            lower, upper = checked_crop(crop)
+            lower, upper = checked_box("crop", crop)
             cloud = cloud[((cloud >= lower) & (cloud < upper)).all(1)]
         return cls.from_keys(np.floor(cloud / resolution).astype(np.int64), resolution, max_voxels)
 
@@ -118,17 +116,12 @@ class Occupancy(Voxels):
         cls,
         gaussians: Gaussians,
         resolution: float = 0.05,
-        min_opacity: float = 0.1,
-        cutoff: float = 0.5,
-        min_volume: float = 0.008,
-        max_scale: float | None = None,
+        density: DensitySettings = DEFAULT_DENSITY,
         crop: Bounds | None = None,
         max_voxels: int = MAX_VOXELS,
     ) -> "Occupancy":
-        """The voxels that a scene's Gaussians make opaque; ``solid_voxels`` tells how and what each setting does."""
-        solid, origin, floaters = solid_voxels(
-            gaussians, resolution, min_opacity, cutoff, min_volume, max_scale, crop, max_voxels
-        )
+        """The voxels that a scene's Gaussians make opaque; ``solid_voxels`` tells how and what each argument does."""
+        solid, origin, floaters = solid_voxels(gaussians, resolution, density, crop, max_voxels)
         return cls(solid, origin, resolution, floaters).trimmed()
 
     @classmethod
@@ -158,81 +151,56 @@ class Occupancy(Voxels):
         scene: "Scene",
         seeds: Tensor | ArrayLike | None = None,
         around: Bounds | None = None,
+        resolution: float = 0.05,
+        density: DensitySettings = DEFAULT_DENSITY,
+        crop: Bounds | None = None,
+        max_voxels: int = MAX_VOXELS,
+        cloud: str | os.PathLike[str] | None = None,
         fill: float | None = None,
         clear: Sequence[Bounds] = (),
         add: Sequence[Bounds] = (),
-        **settings: Any,
     ) -> "Occupancy":
-        """What is solid in a scene, edited and filled, kept in the scene's cache.
+        """What is solid in a scene, edited and filled, kept in the scene's cache until an argument changes.
 
         Args:
             scene: holds ``gaussians`` in the world frame, ``bounds`` and a cache.
             seeds: [N, 3] places that robots reach, for ``fill``.
             around: lower and upper corner of where robots are, for ``fill``.
+            resolution: edge of a voxel, metres.
+            density: which Gaussians are solid; a cloud has no use for it.
+            crop: lower and upper corner of the grid, metres. None takes the scene's bounds, widened on all sides by a
+                tenth of their longest one.
+            max_voxels: the largest grid that may be made.
+            cloud: a point cloud file, PLY or PCD, in world metres: a scan of the place, by laser or by depth camera,
+                whose points say what is solid in place of the Gaussians. None takes the Gaussians.
             fill: widest opening, metres, that counts as closed when what lies behind it is made solid: see ``solid``.
                 None leaves what is hollow as it is.
             clear: boxes, as lower and upper corner, in which nothing is solid.
             add: boxes that are solid, also where one of ``clear`` is not.
-            **settings: what ``from_gaussians`` takes. Without a ``crop`` (or with None) the grid ends at the scene's
-                bounds, widened on all sides by a tenth of their longest one.
         """
-        if settings.get("crop") is None:
-            lower, upper = np.array(scene.bounds, np.float64)  # may be flat, as the scene may
-            margin = 0.1 * (upper - lower).max()
-            settings["crop"] = ((lower - margin).tolist(), (upper + margin).tolist())
-        recipe = inspect.signature(cls.from_gaussians).bind(scene.gaussians, **settings)
-        recipe.apply_defaults()
-        stated = {name: value for name, value in recipe.arguments.items() if name != "gaussians"}
-        boxes = {
-            name: [checked_crop(box).tolist() for box in given] for name, given in (("clear", clear), ("add", add))
+        within = _widened(scene.bounds) if crop is None else crop
+        cleared, added = _boxes("clear", clear), _boxes("add", add)
+        flood = None if fill is None else _flood(fill, seeds, around)
+        recipe = {
+            "resolution": resolution,
+            "density": asdict(density),
+            "crop": checked_box("crop", within).tolist(),
+            "max_voxels": max_voxels,
+            "cloud": None if cloud is None else file_digest(cloud),
+            "clear": cleared.tolist(),
+            "add": added.tolist(),
+            "fill": flood,
         }
-        flood: dict[str, Any] | None = None
-        if fill is not None:
-            places = None if seeds is None else checked_points("seeds", seeds).tolist()
-            flood = {
-                "opening": fill,
-                "seeds": places,
-                "around": None if around is None else checked_crop(around).tolist(),
-            }
 
         def build() -> dict[str, NDArray[Any]]:
-            occupancy = cls.from_gaussians(scene.gaussians, **stated)
-            for lower, upper in boxes["clear"]:
-                occupancy = occupancy.carved([lower], [upper])
-            for lower, upper in boxes["add"]:
-                occupancy = occupancy.with_boxes([lower], [upper])
+            if cloud is None:
+                occupancy = cls.from_gaussians(scene.gaussians, resolution, density, within, max_voxels)
+            else:
+                occupancy = cls.from_file(cloud, resolution, within, max_voxels)
+            occupancy = occupancy.carved(cleared[:, 0], cleared[:, 1]).with_boxes(added[:, 0], added[:, 1])
             return (occupancy if flood is None else occupancy.solid(**flood)).to_arrays()
 
-        return cls.from_arrays(scene.cached("occupancy", {**stated, **boxes, "fill": flood}, build))
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> "Occupancy":
-        """Read what ``save`` wrote.
-
-        Raises:
-            FileNotFoundError: where there is no such file.
-            ValueError: names the file, for one that is damaged or something else.
-        """
-        arrays = read_arrays(path, ARRAYS)
-        try:
-            return cls.from_arrays(arrays)
-        except (ValueError, TypeError, OverflowError) as error:
-            raise ValueError(f"{path}: expected an occupancy, got damaged arrays: {error}") from error
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "Occupancy":
-        """Undo ``to_arrays``.
-
-        Raises:
-            ValueError: where the bits do not fill the shape.
-        """
-        shape = tuple(int(extent) for extent in arrays["shape"])
-        count, packed = math.prod(shape), arrays["occupied_bits"]
-        if min(shape, default=0) < 0 or packed.dtype != np.uint8 or packed.shape != ((count + 7) // 8,):
-            raise ValueError(f"occupied_bits: expected uint8 bits of {shape} voxels, got {packed.dtype} {packed.shape}")
-        bits = np.unpackbits(packed, count=count).astype(bool).reshape(shape)
-        floaters, filled = int(arrays["floaters"]), int(arrays["filled"])
-        return cls(bits, tuple(arrays["origin_key"].tolist()), float(arrays["resolution"]), floaters, filled)
+        return cls.from_arrays(scene.cached("occupancy", recipe, build))
 
     def __or__(self, other: "Occupancy") -> "Occupancy":
         """What is solid in either of two grids of one resolution.
@@ -294,3 +262,23 @@ class Occupancy(Voxels):
 
 def _window(start: NDArray[np.int64], shape: tuple[int, ...]) -> tuple[slice, ...]:
     return tuple(slice(int(at), int(at) + extent) for at, extent in zip(start, shape, strict=True))
+
+
+def _widened(bounds: Bounds) -> Bounds:
+    lower, upper = np.array(bounds, np.float64)  # may be flat, as the scene may
+    margin = 0.1 * (upper - lower).max()
+    return (lower - margin).tolist(), (upper + margin).tolist()
+
+
+def _boxes(name: str, boxes: Sequence[Bounds]) -> NDArray[np.float64]:
+    """Lower and upper corners: [N, 2, 3]."""
+    return np.array([checked_box(name, box) for box in boxes]).reshape(-1, 2, 3)
+
+
+def _flood(opening: float, seeds: Tensor | ArrayLike | None, around: Bounds | None) -> dict[str, Any]:
+    """The arguments of ``solid``, as JSON can write them."""
+    return {
+        "opening": opening,
+        "seeds": None if seeds is None else checked_points("seeds", seeds).tolist(),
+        "around": None if around is None else checked_box("around", around).tolist(),
+    }

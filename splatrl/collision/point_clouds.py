@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from hashlib import blake2b
 from pathlib import Path
 
 import numpy as np
@@ -33,22 +34,39 @@ def read_points(path: str | os.PathLike[str]) -> NDArray[np.float64]:
         FileNotFoundError: where there is no such file.
         ValueError: for a file that is not what its ending says, is damaged, or holds no point.
     """
-    path = Path(path)
-    readers: dict[str, Callable[[Path], NDArray[np.float64]]] = {".ply": _read_ply, ".pcd": read_pcd}
-    reader = readers.get(path.suffix.lower())
-    if reader is None:
+    path = _checked_path(path)
+    points = READERS[path.suffix.lower()](path)
+    finite = points[np.isfinite(points).all(1)]
+    if len(finite) == 0:
+        raise ValueError(f"{path}: expected points, got {len(points)}, none of them finite")
+    return finite
+
+
+def file_digest(path: str | os.PathLike[str]) -> str:
+    """Fingerprint of a point cloud file's content, to know whether what was made of it is still true.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: for a path that does not end as point clouds do.
+    """
+    digest = blake2b(digest_size=16)
+    with _checked_path(path).open("rb") as stream:
+        while block := stream.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def _checked_path(path: str | os.PathLike[str]) -> Path:
+    path = Path(path).expanduser()
+    if path.suffix.lower() not in READERS:
         raise ValueError(
-            f"{path}: expected a point cloud that ends in {', '.join(readers)}, got {path.suffix or 'no ending'!r}"
+            f"{path}: expected a point cloud that ends in {', '.join(READERS)}, got {path.suffix or 'no ending'!r}"
         )
     if path.is_dir():
         raise ValueError(f"{path}: expected a point cloud, got a folder")
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such point cloud")
-    points = reader(path)
-    finite = points[np.isfinite(points).all(1)]
-    if len(finite) == 0:
-        raise ValueError(f"{path}: expected points, got {len(points)}, none of them finite")
-    return finite
+    return path
 
 
 def _read_ply(path: Path) -> NDArray[np.float64]:
@@ -91,3 +109,7 @@ def _binary_rows(path: Path, header: PlyHeader, vertex: PlyElement) -> NDArray[n
     if held < vertex.count * row.itemsize:
         raise ValueError(f"expected {vertex.count * row.itemsize} bytes of vertices, got {held}")
     return np.fromfile(path, row, vertex.count, offset=header.size + before)
+
+
+READERS: dict[str, Callable[[Path], NDArray[np.float64]]] = {".ply": _read_ply, ".pcd": read_pcd}
+"""File ending → reader. A reader takes a path of a file that is there."""

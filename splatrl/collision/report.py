@@ -32,10 +32,10 @@ class OccupancyReport:
         pieces = "1 piece" if self.components == 1 else f"{self.components:,} pieces"
         return "\n".join(
             [
-                f"grid      {x} × {y} × {z} voxels of {self.resolution:g} m",
-                f"occupied  {self.occupied:,} voxels, {self.occupied_volume:.3f} m³, in {pieces}",
-                f"free      {self.free_volume:.3f} m³",
-                f"filled    {self.filled:,} voxels that cannot be reached",
-                f"floaters  {self.floaters:,} voxels dropped",
+                f"grid        {x} × {y} × {z} voxels of {self.resolution:g} m",
+                f"occupied    {self.occupied:,} voxels, {self.occupied_volume:.3f} m³, in {pieces}",
+                f"free        {self.free_volume:.3f} m³",
+                f"filled      {self.filled:,} voxels that cannot be reached",
+                f"floaters    {self.floaters:,} voxels dropped",
             ]
         )

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from splatrl.bodies import Body, Box, Capsule
+from splatrl.collision.displacement import Displacement, checked_poses
 from splatrl.collision.grid import checked_points
-from splatrl.collision.motion import Move, checked_poses
 from splatrl.collision.occupancy import Occupancy
 from splatrl.geometry import quats_to_rotations, rotations_to_quats
 
@@ -114,7 +114,7 @@ class TorchChecker:
         """
         starts, ends = checked_poses("start", start), checked_poses("end", end)
         arm, longest = _arm(self.body), _TURN * self.occupancy.resolution
-        move = Move(starts, ends, arm, longest)
+        move = Displacement(starts, ends, arm, longest)
         turns = arm * (starts - ends)[:, :3, :3].abs().amax((1, 2)) > 0.0
         cuts = move.steps
         row = torch.arange(len(cuts)).repeat_interleave(torch.where(turns, cuts, 1))

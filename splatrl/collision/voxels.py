@@ -1,9 +1,10 @@
 """A grid of voxels: where they are, which are solid, and how many."""
 
-import os
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,10 +13,9 @@ from torch import Tensor
 
 from splatrl.collision.grid import check_resolution, checked_points
 from splatrl.collision.report import OccupancyReport
-from splatrl.collision.storage import write_arrays
 
-ARRAYS = ("occupied_bits", "shape", "origin_key", "resolution", "floaters", "filled")
-"""What ``to_arrays`` makes."""
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +104,17 @@ class Voxels:
             "filled": np.array(self.filled),
         }
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an npz file, which appears whole or not at all."""
-        write_arrays(path, self.to_arrays())
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "Self":
+        """Undo ``to_arrays``.
+
+        Raises:
+            ValueError: where the bits do not fill the shape.
+        """
+        shape = tuple(int(extent) for extent in arrays["shape"])
+        count, packed = math.prod(shape), arrays["occupied_bits"]
+        if min(shape, default=0) < 0 or packed.dtype != np.uint8 or packed.shape != ((count + 7) // 8,):
+            raise ValueError(f"occupied_bits: expected uint8 bits of {shape} voxels, got {packed.dtype} {packed.shape}")
+        bits = np.unpackbits(packed, count=count).astype(bool).reshape(shape)
+        floaters, filled = int(arrays["floaters"]), int(arrays["filled"])
+        return cls(bits, tuple(arrays["origin_key"].tolist()), float(arrays["resolution"]), floaters, filled)

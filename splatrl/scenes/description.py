@@ -1,14 +1,20 @@
-"""Writing ``scene.yaml``, the file that says where a splat lies in the world."""
+"""``scene.yaml``, the file that says where a splat lies in the world: reading and writing it."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
 
 from splatrl.files import replacing
 from splatrl.scenes.placement import Frame
-from splatrl.scenes.scene import SCENE_FILE, Bounds
+from splatrl.scenes.scene import Bounds
 
+SCENE_FILE = "scene.yaml"
+SCENE_KEYS = ("splat", "name", "world_from_splat", "bounds")
 COMMENTS = {
     "axes": "the file's axis that becomes the world's x, y and z (up)",
     "scale": "metres a unit of the file",
@@ -17,8 +23,38 @@ COMMENTS = {
 }
 
 
+def read_description(folder: Path) -> dict[str, Any]:
+    """What a scene folder says of itself: those of ``SCENE_KEYS`` that are not null, ``splat`` always among them.
+
+    Raises:
+        FileNotFoundError: for a folder without a ``scene.yaml``.
+        ValueError: names the file and the key, for what is not YAML, unknown keys or values of another kind.
+    """
+    path = folder / SCENE_FILE
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder}: expected a scene folder with {SCENE_FILE}, found none")
+    try:
+        content = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    except (YAMLError, OmegaConfBaseException, OSError, ValueError) as error:
+        raise ValueError(f"{path}: expected YAML, got {error}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: expected keys and values, got {content!r}")
+    unknown = [str(key) for key in content if key not in SCENE_KEYS]
+    if unknown:
+        raise ValueError(f"{path}: expected the keys {', '.join(SCENE_KEYS)}, got {', '.join(unknown)}")
+    stated = {str(key): value for key, value in content.items() if value is not None}
+    splat = stated.get("splat")
+    if not isinstance(splat, str) or Path(splat).name != splat:
+        raise ValueError(f"{path}: splat: expected the name of a file in this folder, got {splat!r}")
+    if not isinstance(stated.get("name", ""), str):
+        raise ValueError(f"{path}: name: expected text, got {stated['name']!r}")
+    if not isinstance(stated.get("world_from_splat", {}), dict):
+        raise ValueError(f"{path}: world_from_splat: expected keys and values, got {stated['world_from_splat']!r}")
+    return stated
+
+
 def write_description(folder: Path, splat: str, name: str, frame: Frame, bounds: Bounds, force: bool = False) -> Path:
-    """Write a ``scene.yaml`` that ``load_scene`` reads and people edit: a comment on every line.
+    """Write a ``scene.yaml`` that ``read_scene`` reads and people edit: a comment on every line.
 
     Args:
         folder: where to; exists.

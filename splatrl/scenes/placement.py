@@ -131,6 +131,20 @@ def rescaled(transform: Tensor, scale: float) -> Tensor:
     return result
 
 
+def floor_height(upright: Upright, world_from_splat: Tensor) -> float:
+    """Height of the floor once the file has been placed.
+
+    Args:
+        upright: how the file lies.
+        world_from_splat: [4, 4] float64.
+
+    Returns:
+        Metres, along world z.
+    """
+    on_floor = torch.from_numpy(upright.up * upright.floor)
+    return float(world_from_splat[2, :3] @ on_floor + world_from_splat[2, 3])
+
+
 def _standing(up: ArrayLike) -> NDArray[np.float64]:
     """The rotation that turns ``up`` to +z: what the nearest axis needs, then the smallest turn that is left."""
     direction = np.asarray(up, np.float64)

@@ -1,11 +1,16 @@
+import math
+
 import numpy as np
 import pytest
 import torch
 from scipy import ndimage
 
-from splatrl.collision import Occupancy
+from splatrl.collision import DensitySettings, Occupancy
 from splatrl.geometry import axis_rotations, quats_to_rotations, rotations_to_quats
 from splatrl.scenes.gaussians import Gaussians
+
+EVERY_PIECE = DensitySettings(min_volume=0.0)
+"""Drops no floater."""
 
 
 def gaussians(means, scales, opacities=0.9, quats=(1.0, 0.0, 0.0, 0.0)) -> Gaussians:
@@ -59,7 +64,7 @@ def test_solid_voxels_are_those_of_a_sum_over_all_pairs(resolution):
         torch.randn(count, 4, generator=generator),
     )
     crop = ((-2.0, -2.0, -2.0), (2.0, 2.0, 2.0))
-    occupancy = Occupancy.from_gaussians(g, resolution, min_volume=0.0, crop=crop)
+    occupancy = Occupancy.from_gaussians(g, resolution, density=EVERY_PIECE, crop=crop)
     assert 20 < occupancy.count < 0.9 * occupancy.occupied.size
     assert occupancy.keys().tolist() == brute_force(g, occupancy, 0.5).tolist()
 
@@ -74,7 +79,8 @@ def test_large_thin_gaussians_reach_every_voxel_that_a_sum_over_all_pairs_reache
         0.95,
         torch.randn(count, 4, generator=generator) if turned else (1.0, 0.0, 0.0, 0.0),
     )
-    occupancy = Occupancy.from_gaussians(g, 0.05, cutoff=0.02, min_volume=0.0, crop=((-2,) * 3, (2,) * 3))
+    recipe = DensitySettings(cutoff=0.02, min_volume=0.0)
+    occupancy = Occupancy.from_gaussians(g, 0.05, recipe, crop=((-2,) * 3, (2,) * 3))
     assert occupancy.count > 1000
     assert occupancy.keys().tolist() == brute_force(g, occupancy, 0.02).tolist()
 
@@ -96,7 +102,7 @@ def test_a_slanted_sheet_of_thin_large_gaussians_has_no_hole(axis):
     tilt = axis_rotations(axis, torch.tensor(0.6))
     flat = sheet((-1.0, 1.0), (-0.8, 0.8), 0.1)
     slanted = gaussians(flat @ tilt.T, (0.08, 0.08, 0.001), quats=rotations_to_quats(tilt))
-    occupancy = Occupancy.from_gaussians(slanted, 0.05, min_volume=0.0)
+    occupancy = Occupancy.from_gaussians(slanted, 0.05, density=EVERY_PIECE)
     assert occupancy.contains(sheet((-0.9, 0.9), (-0.7, 0.7), 0.007) @ tilt.T).all()
 
 
@@ -114,7 +120,8 @@ def test_floaters_below_the_smallest_volume_are_dropped_and_larger_things_stay()
     floater = gaussians([[0.5, 0.4, 0.3]], 0.04)
     ball = gaussians([[0.5, 0.4, 0.7]], 0.2)
     scene = joined(floor, floater, ball)
-    assert Occupancy.from_gaussians(scene, min_volume=0.0).contains([[0.5, 0.4, 0.3], [0.5, 0.4, 0.7]]).all()
+    every = Occupancy.from_gaussians(scene, density=EVERY_PIECE)
+    assert every.contains([[0.5, 0.4, 0.3], [0.5, 0.4, 0.7]]).all()
     kept = Occupancy.from_gaussians(scene)
     assert kept.contains([[0.5, 0.4, 0.02], [0.5, 0.4, 0.3], [0.5, 0.4, 0.7]]).tolist() == [True, False, True]
 
@@ -122,26 +129,29 @@ def test_floaters_below_the_smallest_volume_are_dropped_and_larger_things_stay()
 def test_the_smallest_volume_is_a_volume_at_every_resolution():
     rod = gaussians(sheet((0.0, 0.5), (0.0, 0.09), 0.02), 0.01)
     for resolution in (0.025, 0.05, 0.1):
-        volume = Occupancy.from_gaussians(rod, resolution, min_volume=0.0).volume
-        assert Occupancy.from_gaussians(rod, resolution, min_volume=0.99 * volume).volume == volume
-        assert Occupancy.from_gaussians(rod, resolution, min_volume=1.01 * volume).count == 0
+        volume = Occupancy.from_gaussians(rod, resolution, EVERY_PIECE).volume
+        below, above = (DensitySettings(min_volume=share * volume) for share in (0.99, 1.01))
+        assert Occupancy.from_gaussians(rod, resolution, below).volume == volume
+        assert Occupancy.from_gaussians(rod, resolution, above).count == 0
 
 
 def test_diagonal_neighbours_hang_together():
     means = [[0.075 + 0.05 * i, 0.075 + 0.05 * i, 0.075 + 0.05 * i] for i in range(10)]
     chain = gaussians(means, 0.002)
-    assert Occupancy.from_gaussians(chain, min_volume=10 * 0.05**3).keys().tolist() == [[i + 1] * 3 for i in range(10)]
+    whole = Occupancy.from_gaussians(chain, density=DensitySettings(min_volume=10 * 0.05**3))
+    assert whole.keys().tolist() == [[i + 1] * 3 for i in range(10)]
 
 
 def test_haze_below_the_smallest_opacity_is_free():
     fog = gaussians(sheet((0.0, 1.0), (0.0, 1.0), 0.01), 0.05, opacities=0.09)
     assert Occupancy.from_gaussians(fog).count == 0
-    assert Occupancy.from_gaussians(fog, min_opacity=0.05).count > 0
+    assert Occupancy.from_gaussians(fog, density=DensitySettings(min_opacity=0.05)).count > 0
 
 
 def test_a_lower_cutoff_makes_more_solid():
     thin = gaussians(sheet((0.0, 1.0), (0.0, 0.7), 0.06), 0.03, opacities=0.3)
-    counts = [Occupancy.from_gaussians(thin, cutoff=c, min_volume=0.0).count for c in (0.05, 0.3, 0.6, 0.95)]
+    recipes = [DensitySettings(cutoff=cutoff, min_volume=0.0) for cutoff in (0.05, 0.3, 0.6, 0.95)]
+    counts = [Occupancy.from_gaussians(thin, density=recipe).count for recipe in recipes]
     assert counts == sorted(counts, reverse=True)
     assert counts[0] > counts[1] > counts[2] > counts[3]
 
@@ -160,7 +170,7 @@ def test_a_larger_scale_limit_lets_large_gaussians_in():
     ball = gaussians([[0.0, 0.0, 0.0]], 1.5)
     assert Occupancy.from_gaussians(ball, 0.2).count > 0  # 20 voxels are 4 m
     assert Occupancy.from_gaussians(ball, 0.05).count == 0
-    assert Occupancy.from_gaussians(ball, 0.2, max_scale=1.4).count == 0
+    assert Occupancy.from_gaussians(ball, 0.2, density=DensitySettings(max_scale=1.4)).count == 0
 
 
 def test_a_crop_bounds_what_is_solid():
@@ -179,9 +189,23 @@ def test_a_single_gaussian_is_as_solid_as_it_is_large():
 
 def test_settings_out_of_range_are_refused_by_name():
     ball = gaussians([[0.0, 0.0, 0.0]], 0.2)
-    with pytest.raises(ValueError, match=r"cutoff: expected a share in \(0, 1\), got 1.0"):
-        Occupancy.from_gaussians(ball, cutoff=1.0)
     with pytest.raises(ValueError, match="resolution: expected finite metres above 0, got 0"):
         Occupancy.from_gaussians(ball, 0)
     with pytest.raises(ValueError, match=r"at a resolution of 0.001 m: expected at most 67108864 voxels"):
         Occupancy.from_gaussians(ball, 0.001)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("cutoff", 0.0),
+        ("cutoff", 1.0),
+        ("min_opacity", -0.1),
+        ("min_opacity", math.nan),
+        ("min_volume", -1.0),
+        ("max_scale", 0.0),
+    ],
+)
+def test_a_density_setting_out_of_range_is_refused_by_name(name, value):
+    with pytest.raises(ValueError, match=f"{name}: expected .*, got {value}"):
+        DensitySettings(**{name: value})

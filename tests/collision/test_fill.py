@@ -115,7 +115,7 @@ def test_an_opening_that_is_no_width_is_refused(opening):
 def test_malformed_seeds_and_corners_are_refused_by_name():
     with pytest.raises(ValueError, match=r"seeds: expected shape \[N, 3\], got \[3\]"):
         room_with_cupboard().solid(0.2, [0.0, 0.0, 0.0])
-    with pytest.raises(ValueError, match="crop: expected a lower corner"):
+    with pytest.raises(ValueError, match="around: expected a lower corner"):
         room_with_cupboard().solid(0.2, MIDDLE, ((0, 0, 0), (1, 1, 0)))
     with pytest.raises(ValueError, match="expected at most"):
         room_with_cupboard().solid(0.2, MIDDLE, ((0, 0, 0), (1e3, 1e3, 1e3)))

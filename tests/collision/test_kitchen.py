@@ -10,7 +10,7 @@ import torch
 from splatrl.bodies import Box
 from splatrl.collision import FclChecker, Occupancy
 from splatrl.geometry import rigid
-from splatrl.scenes import load_scene
+from splatrl.scenes import read_scene
 
 MIDDLE = ((-0.75, 0.0, 0.1), (0.75, 0.85, 1.9))
 """What the counters on three sides leave free, from above the floor up to the ceiling."""
@@ -18,7 +18,7 @@ MIDDLE = ((-0.75, 0.0, 0.1), (0.75, 0.85, 1.9))
 
 @pytest.fixture(scope="module")
 def occupancy(shared_scenes: Path) -> Occupancy:
-    scene = load_scene(shared_scenes / "kitchen" / "kitchen.spz", world_from_splat={"axes": ["x", "-z", "y"]})
+    scene = read_scene(shared_scenes / "kitchen" / "kitchen.spz", world_from_splat={"axes": ["x", "-z", "y"]})
     return Occupancy.from_gaussians(scene.gaussians)
 
 

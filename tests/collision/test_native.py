@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from splatrl.bodies import Body, Box, Capsule, Sphere
 from splatrl.collision import FclChecker, Occupancy, TorchChecker, verify, verify_sweeps
-from splatrl.collision.motion import Move
+from splatrl.collision.displacement import Displacement
 from splatrl.collision.native import NativeChecker
 from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
 from tests.collision.test_fcl import BODIES, CUBE, at, clutter, random_poses
@@ -58,7 +58,7 @@ def moves_in(occupancy: Occupancy, count: int, turning: bool, seed: int = 0) -> 
 
 
 def hit_in_100_steps(oracle: FclChecker, start: torch.Tensor, end: torch.Tensor) -> torch.Tensor:
-    move = Move(start.double(), end.double(), oracle.body.radius, 1.0)
+    move = Displacement(start.double(), end.double(), oracle.body.radius, 1.0)
     move.steps.fill_(100)
     hits = torch.zeros(len(start), dtype=torch.bool)
     rows = torch.arange(len(start))

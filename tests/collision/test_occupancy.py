@@ -1,4 +1,3 @@
-import inspect
 import json
 import pickle
 from types import SimpleNamespace
@@ -6,11 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from hydra.utils import instantiate
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from omegaconf import OmegaConf
 
-from splatrl.collision import Occupancy
-from splatrl.scenes import Gaussians, load_scene
+from splatrl.collision import DensitySettings, Occupancy
+from splatrl.scenes import Gaussians, backyard
 
 
 def same(a: Occupancy, b: Occupancy) -> bool:
@@ -124,28 +125,78 @@ def test_arrays_survive_an_npz_file(tmp_path):
         assert same(Occupancy.from_arrays(arrays), occupancy)
 
 
-def test_from_scene_builds_once_with_its_settings_and_then_reads_the_cache():
-    grid = torch.cartesian_prod(torch.arange(0, 1, 0.03), torch.arange(0, 0.6, 0.03), torch.arange(0, 0.3, 0.03))
-    gaussians = blobs(grid, 0.02)
-    kept, builds = {}, []
+def remembering(gaussians: Gaussians, bounds=((0.0, 0.0, 0.0), (1.0, 0.6, 1.2))) -> tuple[SimpleNamespace, list[str]]:
+    """A scene with a cache in memory, and the keys under which it was built."""
+    kept: dict[str, dict] = {}
 
     def cached(kind, settings, build):
         if (key := json.dumps([kind, settings])) not in kept:
-            builds.append((kind, settings))
             kept[key] = build()
+            builds.append(key)
         return kept[key]
 
-    scene = SimpleNamespace(gaussians=gaussians, bounds=((0.0, 0.0, 0.0), (1.0, 0.6, 0.3)), cached=cached)
+    builds: list[str] = []
+    return SimpleNamespace(gaussians=gaussians, bounds=bounds, cached=cached), builds
+
+
+def slab() -> Gaussians:
+    return blobs(
+        torch.cartesian_prod(torch.arange(0, 1, 0.03), torch.arange(0, 0.6, 0.03), torch.arange(0, 0.3, 0.03)), 0.02
+    )
+
+
+def test_from_scene_builds_once_and_then_reads_the_cache():
+    scene, builds = remembering(slab())
     first = Occupancy.from_scene(scene, resolution=0.1)
     assert same(first, Occupancy.from_scene(scene, resolution=0.1))
-    assert same(first, Occupancy.from_gaussians(gaussians, 0.1))
+    assert same(first, Occupancy.from_gaussians(scene.gaussians, 0.1))
     assert len(builds) == 1
-    assert Occupancy.from_scene(scene, resolution=0.05).resolution == 0.05
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"resolution": 0.2},
+        {"density": DensitySettings(min_opacity=0.2)},
+        {"density": DensitySettings(cutoff=0.4)},
+        {"density": DensitySettings(min_volume=0.0)},
+        {"density": DensitySettings(max_scale=0.7)},
+        {"crop": ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5))},
+        {"max_voxels": 10**6},
+        {"fill": 0.3},
+        {"fill": None},
+        {"seeds": [[0.5, 0.3, 0.9]]},
+        {"around": ((0.0, 0.0, 0.0), (1.0, 0.6, 1.5))},
+        {"clear": [[[0.0, 0.0, 0.0], [0.2, 0.2, 0.2]]]},
+        {"add": [[[0.0, 0.0, 0.0], [0.2, 0.2, 0.2]]]},
+    ],
+    ids=str,
+)
+def test_from_scene_builds_again_when_any_argument_changes(change):
+    scene, builds = remembering(slab())
+    stated = {"seeds": [[0.5, 0.3, 1.0]], "around": ((0.0, 0.0, 0.0), (1.0, 0.6, 1.2)), "resolution": 0.1, "fill": 0.2}
+    for arguments in (stated, stated | change, stated | change):
+        Occupancy.from_scene(scene, **arguments)
     assert len(builds) == 2
-    kind, settings = builds[0]
-    assert kind == "occupancy"
-    recipe = set(inspect.signature(Occupancy.from_gaussians).parameters) - {"gaussians"}
-    assert set(settings) == recipe | {"fill", "clear", "add"}
+
+
+def test_density_settings_and_the_rest_come_from_yaml_as_they_do_from_python():
+    node = OmegaConf.create(
+        """
+        _target_: splatrl.collision.Occupancy.from_scene
+        _partial_: true
+        resolution: 0.1
+        density: {_target_: splatrl.collision.DensitySettings, cutoff: 0.3, max_scale: null}
+        crop: [[0, 0, 0], [0.5, 0.5, 0.5]]
+        cloud: null
+        clear: [[[0, 0, 0], [0.2, 0.2, 0.2]]]
+        """
+    )
+    scene, builds = remembering(slab())
+    crop, clear = ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5)), [((0.0, 0.0, 0.0), (0.2, 0.2, 0.2))]
+    stated = Occupancy.from_scene(scene, None, None, 0.1, DensitySettings(cutoff=0.3), crop, clear=clear)
+    assert same(instantiate(node)(scene), stated)
+    assert len(builds) == 1
 
 
 def test_from_scene_ends_a_tenth_beyond_the_bounds_or_at_the_crop():
@@ -165,17 +216,11 @@ def test_from_scene_ends_a_tenth_beyond_the_bounds_or_at_the_crop():
 
 def test_the_backyard_is_read_back_from_its_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
-    scene = load_scene("backyard")
+    scene = backyard()
     built = Occupancy.from_scene(scene, resolution=0.1)
     assert built.contains([[0.0, 0.0, -0.02], [0.0, -0.4, 0.4]]).tolist() == [True, False]
     monkeypatch.setattr("splatrl.collision.occupancy.solid_voxels", lambda *_: pytest.fail("built again"))
     assert same(Occupancy.from_scene(scene, resolution=0.1), built)
-
-
-def test_from_scene_refuses_a_setting_that_does_not_exist():
-    scene = SimpleNamespace(gaussians=blobs(torch.zeros(1, 3), 0.1), bounds=((0.0,) * 3, (1.0,) * 3))
-    with pytest.raises(TypeError, match="cut_off"):
-        Occupancy.from_scene(scene, cut_off=0.5)
 
 
 def test_a_grid_above_the_cap_is_refused_with_its_bounds_and_resolution():

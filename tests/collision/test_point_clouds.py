@@ -3,9 +3,11 @@ import struct
 import numpy as np
 import plyfile
 import pytest
+import torch
 
 from splatrl.collision import Occupancy
 from splatrl.collision.point_clouds import read_points
+from tests.collision.test_occupancy import blobs, remembering
 
 CLOUD = np.array([[0.05, 0.12, -0.01], [1.5, -2.25, 3.0], [0.31, -0.29, 0.4]])
 
@@ -164,3 +166,33 @@ def test_a_crop_without_points_is_refused_with_where_the_points_are(tmp_path):
     write_ply(tmp_path / "cloud.ply")
     with pytest.raises(ValueError, match=r"cloud.ply: crop: expected points in it, got none .* \[1.5, 0.12, 3.0\]"):
         Occupancy.from_file(tmp_path / "cloud.ply", 0.1, crop=((7, 7, 7), (8, 8, 8)))
+
+
+def test_a_scene_takes_a_cloud_for_its_solid_voxels_and_edits_them(tmp_path):
+    (tmp_path / "cloud.pcd").write_bytes(pcd())
+    sheet = torch.cartesian_prod(torch.arange(-1, 1, 0.04), torch.arange(-1, 1, 0.04), torch.tensor([0.0]))
+    scene, builds = remembering(blobs(sheet, 0.03), ((0.0, -0.6, -0.1), (1.0, 0.4, 0.5)))
+    cloud = {"resolution": 0.1, "cloud": tmp_path / "cloud.pcd"}
+    assert Occupancy.from_scene(scene, **cloud).keys().tolist() == [[0, 1, -1], [3, -3, 4]]  # one lies outside
+    edited = Occupancy.from_scene(
+        scene, **cloud, clear=[((0, 0, -1), (1, 1, 1))], add=[((0.5, 0.1, 0.2), (0.6, 0.3, 0.3))]
+    )
+    assert edited.keys().tolist() == [[3, -3, 4], [5, 1, 2], [5, 2, 2]]
+    assert Occupancy.from_scene(scene, resolution=0.1).count > 100
+    assert len(builds) == 3
+
+
+def test_a_cloud_is_read_again_when_its_content_changes_and_only_then(tmp_path):
+    path = tmp_path / "cloud.pcd"
+    path.write_bytes(pcd())
+    scene, builds = remembering(blobs(torch.zeros(1, 3), 0.1), ((0.0, -3.0, -1.0), (2.0, 1.0, 4.0)))
+    assert Occupancy.from_scene(scene, cloud=path).count == 3
+    moved = path.rename(tmp_path / "moved.pcd")
+    assert Occupancy.from_scene(scene, cloud=str(moved)).count == 3
+    assert len(builds) == 1
+    moved.write_bytes(pcd(CLOUD[:2]))
+    assert Occupancy.from_scene(scene, cloud=moved).count == 2
+    with pytest.raises(FileNotFoundError, match=r"cloud.pcd: no such point cloud"):
+        Occupancy.from_scene(scene, cloud=path)
+    with pytest.raises(ValueError, match=r"cloud.las: expected a point cloud that ends in"):
+        Occupancy.from_scene(scene, cloud="cloud.las")

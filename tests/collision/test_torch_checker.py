@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from splatrl.bodies import Body, Box, Capsule, Sphere
 from splatrl.collision import DistanceField, FclChecker, Occupancy, TorchChecker, torch_checker, verify
-from splatrl.collision.motion import Move
+from splatrl.collision.displacement import Displacement
 from splatrl.collision.native import NativeChecker
 from splatrl.collision.verify import grown
 from splatrl.geometry import axis_rotations, rigid
@@ -76,7 +76,7 @@ def test_a_turning_sweep_misses_nothing_and_is_hardly_wider_than_the_body(seed, 
     occupancy = clutter(seed, 0.01)
     start, end = moves(6, seed, turning=True)
     swept = TorchChecker(occupancy, body).sweeps(start, end)
-    move = Move(start.double(), end.double(), body.radius, 0.01)
+    move = Displacement(start.double(), end.double(), body.radius, 0.01)
     rows = torch.arange(6).repeat_interleave(move.steps + 1)
     poses = torch.cat([move.at(rows[rows == k], torch.arange(int(move.steps[k]) + 1)) for k in range(6)])
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from splatrl import load_scene
+from splatrl import backyard
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.renderers import NativeRenderer, RenderOutput
 from splatrl.renderers.cuda import CudaRenderer
@@ -66,7 +66,7 @@ def test_any_scene_and_camera_look_as_on_the_cpu(make: Make, antialiased: bool, 
 @pytest.mark.parametrize("antialiased", [True, False])
 @pytest.mark.parametrize("tolerance", [0.0, 0.5, 2.0])
 def test_a_yard_looks_as_on_the_cpu_at_every_level_of_detail(make: Make, antialiased: bool, tolerance: float) -> None:
-    scene = load_scene()
+    scene = backyard()
     cameras = Cameras(
         look_at([[0.3, -1.0, 0.5], [-1.8, 1.2, 0.6]], [[1.0, 0.4, 0.3], [2.0, -2.0, 0.4]]),
         intrinsics(1.5, 48, 40),
@@ -107,7 +107,7 @@ def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order(make: Make) -> 
 
 @pytest.mark.gpu
 def test_thousands_of_frames_have_the_bytes_of_each_alone(cuda_device: torch.device) -> None:
-    renderer = CudaRenderer(load_scene(), tolerance=1.0, device=cuda_device)
+    renderer = CudaRenderer(backyard(), tolerance=1.0, device=cuda_device)
     cameras = on(renderer, random_cameras(4, 64, 64, 64))
     rows = torch.randint(64, (4096,), generator=torch.Generator().manual_seed(0)).to(cuda_device)
     assert torch.equal(renderer.pixels(cameras[rows]), renderer.pixels(cameras)[rows])

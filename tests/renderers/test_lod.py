@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatrl import load_scene
+from splatrl import backyard
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.native import _core
 from splatrl.renderers import LatticeRenderer, NativeRenderer
@@ -42,7 +42,7 @@ def psnrs(gaussians: Gaussians, cameras: Cameras, tolerance: float, antialiased:
 
 @pytest.fixture(scope="module")
 def yard() -> Gaussians:
-    return load_scene().gaussians
+    return backyard().gaussians
 
 
 @pytest.fixture(scope="module")

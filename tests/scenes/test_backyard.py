@@ -1,9 +1,11 @@
 import itertools
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from omegaconf import OmegaConf
 from torch import Tensor
 
 from splatrl.bodies import Box, Sphere
@@ -14,15 +16,21 @@ from splatrl.envs.tasks import Grid
 from splatrl.geometry import rigid
 from splatrl.motions import LatticeMotion
 from splatrl.renderers import NativeRenderer
-from splatrl.scenes.backyard import BOUNDS, EGG, GOAL, ROBOT_HEIGHT, backyard, backyard_obstacles
-from splatrl.scenes.backyard.clutter import BELONGS_TO, Move, clutter_moves, moved
-from splatrl.scenes.backyard.enclosure import enclosure
-from splatrl.scenes.backyard.furniture import egg, furniture
-from splatrl.scenes.backyard.layout import EGG_STONE, Solid, trees
-from splatrl.scenes.backyard.light import SUN, occluders, sunlight
 from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.yard import EGG, backyard_gaussians, backyard_obstacles
+from splatrl.scenes.yard.clutter import BELONGS_TO, Shift, clutter_moves, moved
+from splatrl.scenes.yard.enclosure import enclosure
+from splatrl.scenes.yard.furniture import egg, furniture
+from splatrl.scenes.yard.layout import EGG_STONE, Solid, trees
+from splatrl.scenes.yard.light import SUN, occluders, sunlight
 from splatrl.spherical_harmonics import C0
 
+SETTING = OmegaConf.load(Path(__file__).parents[2] / "conf" / "scene" / "backyard.yaml")
+GOAL = tuple(SETTING.landmarks.goal)
+"""The goal pose of the grid task: x and y in metres and yaw in degrees."""
+ROBOT_HEIGHT = SETTING.robot.height
+BOUNDS = ((-1.0, -1.0), (1.0, 1.0))
+"""Lowest and highest (x, y) of the robot's pose, inclusive, metres: 121 positions in steps of 0.2 m."""
 YARDS = ((0, 0), (7, 1))
 """Seed and clutter."""
 ROBOT = Box((0.4, 0.4, 0.1))
@@ -38,7 +46,7 @@ def numbers(request: pytest.FixtureRequest) -> tuple[int, int]:
 
 @pytest.fixture(scope="module")
 def yard(numbers: tuple[int, int]) -> Gaussians:
-    return backyard(*numbers)
+    return backyard_gaussians(*numbers)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +98,7 @@ def at(points: Tensor) -> Tensor:
 
 
 def test_a_seed_always_gives_the_same_bytes_and_another_seed_others() -> None:
-    first, second, other = backyard(3), backyard(3), backyard(4)
+    first, second, other = backyard_gaussians(3), backyard_gaussians(3), backyard_gaussians(4)
     for name in ("means", "quats", "scales", "opacities", "sh"):
         assert getattr(first, name).numpy().tobytes() == getattr(second, name).numpy().tobytes()
     assert first.means.numpy().tobytes() != other.means.numpy().tobytes()
@@ -177,7 +185,7 @@ def test_what_is_near_the_robot_stands_in_the_same_place_for_every_seed() -> Non
 def test_without_clutter_nothing_is_moved_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
     home = furniture(np.random.default_rng(0), clutter=0)
     elsewhere = furniture(np.random.default_rng(0), clutter=1)
-    monkeypatch.setattr("splatrl.scenes.backyard.furniture.moved", lambda part, center, move: part)
+    monkeypatch.setattr("splatrl.scenes.yard.furniture.moved", lambda part, center, move: part)
     never = furniture(np.random.default_rng(0), clutter=1)
     assert home.means.tobytes() == never.means.tobytes() != elsewhere.means.tobytes()
     assert home.axes.tobytes() == never.axes.tobytes()
@@ -202,16 +210,16 @@ def test_clutter_moves_its_things_out_of_the_robots_reach_and_nothing_else(clutt
 def test_every_clutter_is_another_and_a_negative_one_is_refused() -> None:
     assert len({str(clutter_moves(clutter)) for clutter in range(20)}) == 20
     with pytest.raises(ValueError, match="clutter"):
-        backyard(0, clutter=-1)
+        backyard_gaussians(0, clutter=-1)
 
 
 def test_a_moved_thing_is_turned_about_its_own_middle() -> None:
     part = furniture(np.random.default_rng(0))
-    turned = moved(part, (0.3, -1.0), Move(x=0.1, turn=math.pi))
+    turned = moved(part, (0.3, -1.0), Shift(x=0.1, turn=math.pi))
     assert np.allclose(turned.means[:, :2] + part.means[:, :2], [0.3 * 2 + 0.1, -2.0])
     assert np.allclose(turned.axes[:, :2], -part.axes[:, :2]) and np.allclose(turned.axes[:, 2], part.axes[:, 2])
     assert np.allclose(turned.normals * (-1, -1, 1), part.normals)
-    assert moved(part, (0.3, -1.0), Move()) is part
+    assert moved(part, (0.3, -1.0), Shift()) is part
 
 
 def test_a_cube_in_free_space_touches_nothing(numbers: tuple[int, int], occupancy: Occupancy) -> None:

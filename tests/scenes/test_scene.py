@@ -7,7 +7,7 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from splatrl.scenes import Gaussians, Scene, load_scene, write_gaussians
+from splatrl.scenes import Gaussians, Scene, backyard, read_scene, write_gaussians
 from splatrl.scenes.scene import robust_bounds
 from tests.scenes.samples import assert_same, sample_gaussians
 
@@ -44,7 +44,7 @@ def counting(calls: list[int], value: float = 1.0) -> dict[str, np.ndarray]:
 
 
 def test_a_splat_file_is_a_scene_of_its_name_in_splat_coordinates(splat: Path) -> None:
-    scene = load_scene(splat)
+    scene = read_scene(splat)
     assert scene.name == "garden"
     assert_same(scene.gaussians, sample_gaussians(9, 1))
     assert scene.bounds == robust_bounds(scene.gaussians)
@@ -52,10 +52,10 @@ def test_a_splat_file_is_a_scene_of_its_name_in_splat_coordinates(splat: Path) -
 
 def test_a_frame_stands_the_gaussians_upright_and_in_metres(splat: Path) -> None:
     x, y, z = sample_gaussians(9, 1).means.unbind(1)
-    upright = load_scene(str(splat), UPRIGHT)
+    upright = read_scene(str(splat), UPRIGHT)
     torch.testing.assert_close(upright.gaussians.means, 2 * torch.stack([x, -z, y], 1))
     matrix = torch.tensor([[2.0, 0, 0, 0], [0, 0, -2, 0], [0, 2, 0, 0], [0, 0, 0, 1]])
-    assert_same(load_scene(splat, matrix).gaussians, upright.gaussians)
+    assert_same(read_scene(splat, matrix).gaussians, upright.gaussians)
 
 
 def test_a_folder_says_what_its_splat_is(folder: Path) -> None:
@@ -63,23 +63,23 @@ def test_a_folder_says_what_its_splat_is(folder: Path) -> None:
         "splat: point_cloud.ply\nname: our yard\nworld_from_splat:\n  axes: [x, -z, y]\n  scale: 2.0\n"
         "bounds: [[-1, -2, 0], [1, 2, 3.5]]\n"
     )
-    scene = load_scene(folder)
+    scene = read_scene(folder)
     assert scene.name == "our yard"
     assert scene.bounds == ((-1.0, -2.0, 0.0), (1.0, 2.0, 3.5))
-    assert_same(scene.gaussians, load_scene(folder / "point_cloud.ply", UPRIGHT).gaussians)
+    assert_same(scene.gaussians, read_scene(folder / "point_cloud.ply", UPRIGHT).gaussians)
 
 
 def test_arguments_go_before_what_a_folder_says_key_by_key(folder: Path) -> None:
     (folder / "scene.yaml").write_text("splat: point_cloud.ply\nworld_from_splat: {axes: [x, -z, y], scale: 7.0}\n")
-    scene = load_scene(folder, {"axes": None, "scale": 2.0}, bounds=[(0, 0, 0), (1, 1, 1)], name="mine")
+    scene = read_scene(folder, {"axes": None, "scale": 2.0}, bounds=[(0, 0, 0), (1, 1, 1)], name="mine")
     assert scene.name == "mine"
     assert scene.bounds == ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-    assert_same(scene.gaussians, load_scene(folder / "point_cloud.ply", UPRIGHT).gaussians)
+    assert_same(scene.gaussians, read_scene(folder / "point_cloud.ply", UPRIGHT).gaussians)
 
 
 def test_a_folder_without_a_frame_or_a_name_takes_the_defaults(folder: Path) -> None:
     (folder / "scene.yaml").write_text("splat: point_cloud.ply\nworld_from_splat: null\nname:\n")
-    scene = load_scene(folder)
+    scene = read_scene(folder)
     assert scene.name == "yard"
     assert_same(scene.gaussians, sample_gaussians(9, 1))
 
@@ -102,7 +102,7 @@ def test_a_folder_without_a_frame_or_a_name_takes_the_defaults(folder: Path) -> 
 def test_a_scene_yaml_that_is_wrong_is_refused_by_key(folder: Path, content: str, message: str) -> None:
     (folder / "scene.yaml").write_text(content)
     with pytest.raises(ValueError, match=rf"scene\.yaml: {message}"):
-        load_scene(folder)
+        read_scene(folder)
 
 
 def test_a_frame_with_other_keys_is_refused(folder: Path, splat: Path) -> None:
@@ -110,17 +110,17 @@ def test_a_frame_with_other_keys_is_refused(folder: Path, splat: Path) -> None:
     for path, frame in ((folder, None), (splat, {"up": "z"})):
         message = "world_from_splat: expected the keys axes, scale, translation, matrix, got up"
         with pytest.raises(ValueError, match=message):
-            load_scene(path, frame)
+            read_scene(path, frame)
 
 
 def test_what_is_not_there_is_named(tmp_path: Path, folder: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"none\.ply: no such splat file"):
-        load_scene(tmp_path / "none.ply")
+        read_scene(tmp_path / "none.ply")
     with pytest.raises(FileNotFoundError, match=r"yard: expected a scene folder with scene\.yaml"):
-        load_scene(folder)
+        read_scene(folder)
     (folder / "scene.yaml").write_text("splat: none.spz")
     with pytest.raises(FileNotFoundError, match=r"none\.spz: no such splat file"):
-        load_scene(folder)
+        read_scene(folder)
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def test_what_is_not_there_is_named(tmp_path: Path, folder: Path) -> None:
 )
 def test_bounds_that_bound_nothing_are_refused(splat: Path, bounds: object) -> None:
     with pytest.raises(ValueError, match="bounds: expected"):
-        load_scene(splat, bounds=bounds)
+        read_scene(splat, bounds=bounds)
 
 
 def test_bounds_leave_out_floaters_and_what_is_hardly_there() -> None:
@@ -145,15 +145,26 @@ def test_bounds_leave_out_floaters_and_what_is_hardly_there() -> None:
     assert robust_bounds(gaussians)[0][2] == -50.0
 
 
-def test_the_backyard_is_built_in_and_its_seed_makes_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_seed_and_clutter_make_the_backyard_whose_bounds_are_the_yards(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "splatrl.scenes.scene.backyard", lambda seed, clutter: sample_gaussians(seed=seed + 10 * clutter)
+        "splatrl.scenes.sources.backyard_gaussians", lambda seed, clutter: sample_gaussians(seed=seed + 10 * clutter)
     )
-    assert_same(load_scene().gaussians, sample_gaussians(seed=0))
-    scene = load_scene("backyard", seed=1)
-    assert_same(scene.gaussians, sample_gaussians(seed=1))
+    assert_same(backyard().gaussians, sample_gaussians(seed=0))
+    scene = backyard(seed=1, clutter=2)
+    assert_same(scene.gaussians, sample_gaussians(seed=21))
     assert scene.name == "backyard"
     assert scene.bounds == ((-3.0, -3.0, 0.0), (3.0, 3.0, 3.0))
+    assert backyard(bounds=[[0, 0, 0], [1, 2, 3]]).bounds == ((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
+    with pytest.raises(ValueError, match="bounds: expected lower below upper along z"):
+        backyard(bounds=[[0, 0, 0], [1, 2, -3]])
+
+
+def test_a_file_called_backyard_is_a_file_like_any_other(tmp_path: Path) -> None:
+    (tmp_path / "backyard").mkdir()
+    with pytest.raises(FileNotFoundError, match="expected a scene folder"):
+        read_scene(tmp_path / "backyard")
+    write_gaussians(tmp_path / "backyard.ply", sample_gaussians(9, 1))
+    assert_same(read_scene(tmp_path / "backyard.ply").gaussians, sample_gaussians(9, 1))
 
 
 def test_what_is_cached_is_built_again_exactly_when_something_that_it_is_made_of_changes() -> None:
@@ -188,17 +199,17 @@ def test_a_node_of_the_configuration_loads_a_scene(path: Path, splat: Path) -> N
     scene = instantiate(node)
     assert isinstance(scene, Scene)
     if path.stem == "kitchen":
-        assert_same(scene.gaussians, load_scene(splat, {"axes": ["x", "-z", "y"]}).gaussians)
+        assert_same(scene.gaussians, read_scene(splat, {"axes": ["x", "-z", "y"]}).gaussians)
     if path.stem == "file":
         node.world_from_splat = {"axes": ["x", "-z", "y"], "scale": 2}
         node.bounds = [[0, 0, 0], [1, 1, 1]]
         scene = instantiate(node)
-        assert_same(scene.gaussians, load_scene(splat, UPRIGHT).gaussians)
+        assert_same(scene.gaussians, read_scene(splat, UPRIGHT).gaussians)
         assert scene.bounds == ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
 
 def test_the_captured_kitchen_stands_on_its_floor(shared_scenes: Path) -> None:
-    scene = load_scene(shared_scenes / "kitchen" / "kitchen.spz", {"axes": ["x", "-z", "y"]})
+    scene = read_scene(shared_scenes / "kitchen" / "kitchen.spz", {"axes": ["x", "-z", "y"]})
     extents = [high - low for low, high in zip(*scene.bounds, strict=True)]
     assert extents == pytest.approx([3.6, 2.1, 2.3], abs=0.15)
     opaque = scene.gaussians.means[scene.gaussians.opacities > 0.5]

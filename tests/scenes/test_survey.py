@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from splatrl.geometry import axis_rotations, rigid
-from splatrl.scenes import Gaussians, load_scene, read_gaussians, similarity, write_gaussians
+from splatrl.scenes import Gaussians, read_gaussians, read_scene, similarity, write_gaussians
 from splatrl.scenes.description import write_description
 from splatrl.scenes.placement import (
     STANDING,
@@ -186,19 +186,19 @@ def test_a_written_description_is_read_back_as_the_same_scene(tmp_path: Path, ti
     bounds = ((-1.0, -1.0, 0.0), (1.0, 1.0, 2.25))
     path = write_description(tmp_path, 'a "yard".ply', "Höfchen #1: ${x}", frame, bounds)
     assert all("  # " in line for line in path.read_text(encoding="utf-8").splitlines())
-    scene = load_scene(tmp_path)
+    scene = read_scene(tmp_path)
     assert (scene.name, scene.bounds) == ("Höfchen #1: ${x}", bounds)
     torch.testing.assert_close(scene.gaussians.means, gaussians.transformed(similarity(**frame)).means)
     with pytest.raises(FileExistsError, match="--force"):
         write_description(tmp_path, "b.ply", "b", frame, bounds)
     write_description(tmp_path, 'a "yard".ply', "b", frame, bounds, force=True)
-    assert load_scene(tmp_path).name == "b"
+    assert read_scene(tmp_path).name == "b"
 
 
 def test_flat_bounds_are_left_to_the_loader(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "flat.ply", surfaces([FLOOR]))
     write_description(tmp_path, "flat.ply", "flat", {"scale": 1.0}, ((0.0, 0.0, 0.0), (6.0, 4.0, 0.0)))
-    assert load_scene(tmp_path).bounds[1][0] > 5.0
+    assert read_scene(tmp_path).bounds[1][0] > 5.0
 
 
 def dataparser(folder: Path, **changes: object) -> Path:

@@ -4,20 +4,20 @@ import numpy as np
 import torch
 
 from splatrl.geometry import rotations_to_quats
-from splatrl.scenes.backyard.enclosure import enclosure
-from splatrl.scenes.backyard.furniture import furniture
-from splatrl.scenes.backyard.ground import bed, country, stones, turf
-from splatrl.scenes.backyard.layout import HOUSE, solids, trees
-from splatrl.scenes.backyard.light import lit, occluders
-from splatrl.scenes.backyard.materials import Rng
-from splatrl.scenes.backyard.plants import tree
-from splatrl.scenes.backyard.sky import RADIUS, sky
-from splatrl.scenes.backyard.surfels import Surfels, join
 from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.yard.enclosure import enclosure
+from splatrl.scenes.yard.furniture import furniture
+from splatrl.scenes.yard.ground import bed, country, stones, turf
+from splatrl.scenes.yard.layout import HOUSE, solids, trees
+from splatrl.scenes.yard.light import lit, occluders
+from splatrl.scenes.yard.materials import Rng
+from splatrl.scenes.yard.plants import tree
+from splatrl.scenes.yard.sky import RADIUS, sky
+from splatrl.scenes.yard.surfels import Surfels, join
 from splatrl.spherical_harmonics import C0
 
 
-def backyard(seed: int = 0, clutter: int = 0) -> Gaussians:
+def backyard_gaussians(seed: int = 0, clutter: int = 0) -> Gaussians:
     """A backyard of 6 × 6 m in the sun: lawn, hedge, fence, brick wall, shed, trees, things in the way, a red egg.
 
     The task in it is the same for every seed; leaves, grain, clouds and the place of the trees are not. The same

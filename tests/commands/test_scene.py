@@ -7,8 +7,8 @@ import pytest
 import torch
 from PIL import Image
 
-from splatrl.scene_command import main
-from splatrl.scenes import Gaussians, load_scene, similarity, write_gaussians
+from splatrl.commands.scene import main
+from splatrl.scenes import Gaussians, read_scene, similarity, write_gaussians
 from tests.scenes.test_survey import BOXES, FLOOR, dataparser, lying, surfaces
 
 UPRIGHT = ["x", "z", "-y"]
@@ -30,7 +30,7 @@ def splat(tmp_path: Path) -> Path:
 
 def heights(folder: Path) -> tuple[float, float]:
     """Of the floor and of the highest box of a scene folder."""
-    z = load_scene(folder).gaussians.means[:, 2]
+    z = read_scene(folder).gaussians.means[:, 2]
     return float(z.median()), float(z.max())
 
 
@@ -41,6 +41,7 @@ def test_a_capture_becomes_a_scene_folder_with_pictures_without_a_word_said(
     printed = capsys.readouterr().out
     assert "up          -y" in printed
     assert "cannot be known" in printed
+    assert "occupied  " in printed
     assert heights(splat.parent) == pytest.approx((0.0, 1.2), abs=0.02)
     pictures = [splat.with_name(f"yard-{kind}.png") for kind in ("free", "occupancy", "view")]
     for picture in pictures:
@@ -70,7 +71,7 @@ def test_a_description_is_replaced_only_by_force_and_nothing_is_drawn_without(sp
     assert splat.with_name("scene.yaml").read_text() == "mine"
     assert not splat.with_name("yard-view.png").exists()
     main([str(splat), "--force"])
-    assert load_scene(splat.parent).name == "yard"
+    assert read_scene(splat.parent).name == "yard"
 
 
 def test_out_leaves_the_files_own_folder_alone(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -110,7 +111,7 @@ def test_nerfstudios_own_frame_is_undone(tmp_path: Path) -> None:
     moved = torch.tensor([[1.0, 0, 0, 0.5], [0, 0, -1, 2], [0, 1, 0, -1], [0, 0, 0, 4]], dtype=torch.float64) * 0.25
     write_gaussians(tmp_path / "splat.ply", world().transformed(moved))
     main([str(tmp_path / "splat.ply"), "--nerfstudio", str(transforms)])
-    torch.testing.assert_close(load_scene(tmp_path).gaussians.means, world().means, atol=1e-4, rtol=0)
+    torch.testing.assert_close(read_scene(tmp_path).gaussians.means, world().means, atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +152,7 @@ def test_files_that_are_missing_or_damaged_are_one_line_of_error(tmp_path: Path)
 
 
 def test_it_runs_as_a_module_and_explains_itself() -> None:
-    command = [sys.executable, "-m", "splatrl.scene_command", "--help"]
+    command = [sys.executable, "-m", "splatrl.commands.scene", "--help"]
     shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert "--nerfstudio" in shown
 
@@ -162,6 +163,6 @@ def test_the_kitchen_stands_in_metres_with_its_floor_at_zero(shared_scenes: Path
     assert 'axes: ["x", "-z", "y"]' in written
     assert "scale: 1.0 " in written
     (tmp_path / "kitchen.spz").symlink_to((shared_scenes / "kitchen" / "kitchen.spz").resolve())
-    scene = load_scene(tmp_path)
+    scene = read_scene(tmp_path)
     opaque = scene.gaussians.means[scene.gaussians.opacities > 0.5]
     assert ((opaque[:, 2].abs() < 0.03).float().mean()) > 0.2  # a fifth and more of what is opaque is the floor

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from splatrl.scenes.backyard.materials import Rng, mixed, waves
-from splatrl.scenes.backyard.surfels import Surfels, frames, surfels
+from splatrl.scenes.yard.materials import Rng, mixed, waves
+from splatrl.scenes.yard.surfels import Surfels, frames, surfels
 
 RADIUS = 30.0
 """Metres."""

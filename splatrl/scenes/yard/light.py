@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splatrl.scenes.backyard.layout import Solid, Tree
-from splatrl.scenes.backyard.surfels import Array, Surfels
+from splatrl.scenes.yard.layout import Solid, Tree
+from splatrl.scenes.yard.surfels import Array, Surfels
 
 SUN = np.array([-0.50, -0.47, 0.73])
 """Unit vector to the sun, in the south-west: hedge and fence lie in the light, wall and shed in the shade."""

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from splatrl.scenes.backyard.layout import HALF_WIDTH
-from splatrl.scenes.backyard.materials import Color, Rng, shades, waves
-from splatrl.scenes.backyard.plants import grass, lawn_colors, shrub
-from splatrl.scenes.backyard.surfels import THICKNESS, Array, Rectangle, Surfels, join, lathe, painted, surfels
+from splatrl.scenes.yard.layout import HALF_WIDTH
+from splatrl.scenes.yard.materials import Color, Rng, shades, waves
+from splatrl.scenes.yard.plants import grass, lawn_colors, shrub
+from splatrl.scenes.yard.surfels import THICKNESS, Array, Rectangle, Surfels, join, lathe, painted, surfels
 
 NEAR = 1.8
 """Half width of the part of the lawn that robots see from close by, metres."""

@@ -5,7 +5,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatrl.collision.motion import Move, checked_poses
+from splatrl.collision.displacement import Displacement, checked_poses
 from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
 
 
@@ -16,7 +16,7 @@ def random_poses(count: int, seed: int, reach: float = 1.0) -> torch.Tensor:
     return rigid(quats_to_rotations(quats), places)
 
 
-def path(move: Move, row: int) -> torch.Tensor:
+def path(move: Displacement, row: int) -> torch.Tensor:
     """All poses of one row: [steps + 1, 4, 4]."""
     return torch.cat([move.at(torch.tensor([row]), torch.tensor([index])) for index in range(int(move.steps[row]) + 1)])
 
@@ -71,7 +71,7 @@ def test_another_shape_is_refused():
 
 def test_a_move_starts_and_ends_exactly_where_it_should():
     start, end = random_poses(20, 2), random_poses(20, 3)
-    move = Move(start, end, 0.5, 0.1)
+    move = Displacement(start, end, 0.5, 0.1)
     for row in range(20):
         poses = path(move, row)
         assert torch.equal(poses[0], start[row])
@@ -82,7 +82,7 @@ def test_the_origin_goes_straight_and_the_body_turns_evenly():
     start = torch.eye(4, dtype=torch.float64)[None]
     turn = axis_rotations(2, torch.tensor([1.2], dtype=torch.float64))
     end = rigid(turn, torch.tensor([[0.6, -0.3, 0.0]], dtype=torch.float64))
-    poses = path(Move(start, end, 0.5, 0.1), 0)
+    poses = path(Displacement(start, end, 0.5, 0.1), 0)
     steps = len(poses) - 1
     assert steps == math.ceil((math.hypot(0.6, 0.3) + 0.5 * 1.2) / 0.1)
     shares = torch.linspace(0, 1, steps + 1, dtype=torch.float64)
@@ -93,7 +93,7 @@ def test_the_origin_goes_straight_and_the_body_turns_evenly():
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10_000), max_travel=st.floats(0.05, 0.5), radius=st.floats(0.05, 1.0))
 def test_no_point_of_the_body_travels_further_than_allowed_between_two_poses(seed, max_travel, radius):
-    move = Move(random_poses(3, seed), random_poses(3, seed + 1), radius, max_travel)
+    move = Displacement(random_poses(3, seed), random_poses(3, seed + 1), radius, max_travel)
     surface = torch.nn.functional.normalize(
         torch.randn(50, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64), dim=1
     )
@@ -109,7 +109,7 @@ def test_a_move_and_its_reverse_have_the_same_poses_bit_by_bit(seed):
     start, end = random_poses(4, seed), random_poses(4, seed + 1)
     end[2] = start[2].clone()
     end[3, :3, :3] = start[3, :3, :3] @ axis_rotations(0, torch.tensor(math.pi, dtype=torch.float64))
-    forth, back = Move(start, end, 0.4, 0.1), Move(end, start, 0.4, 0.1)
+    forth, back = Displacement(start, end, 0.4, 0.1), Displacement(end, start, 0.4, 0.1)
     assert torch.equal(forth.steps, back.steps)
     for row in range(4):
         assert torch.equal(path(forth, row), path(back, row).flip(0))
@@ -119,7 +119,7 @@ def test_a_pure_shift_keeps_the_rotation_that_was_given():
     start = random_poses(2, 5)
     end = start.clone()
     end[:, :3, 3] += torch.tensor([0.3, 0.1, 0.0])
-    poses = path(Move(start, end, 0.4, 0.05), 1)
+    poses = path(Displacement(start, end, 0.4, 0.05), 1)
     assert len(poses) > 5
     assert torch.equal(poses[:, :3, :3], start[1, :3, :3].expand(len(poses), 3, 3))
 
@@ -127,7 +127,7 @@ def test_a_pure_shift_keeps_the_rotation_that_was_given():
 def test_the_body_turns_the_shorter_way_round():
     start = torch.eye(4, dtype=torch.float64)[None]
     end = rigid(axis_rotations(2, torch.tensor([3.5], dtype=torch.float64)), torch.zeros(1, 3, dtype=torch.float64))
-    poses = path(Move(start, end, 1.0, 0.1), 0)
+    poses = path(Displacement(start, end, 1.0, 0.1), 0)
     assert len(poses) - 1 == math.ceil((2 * math.pi - 3.5) / 0.1)
     assert (poses[1:-1, 1, 0] < 0).all()
 
@@ -135,11 +135,11 @@ def test_the_body_turns_the_shorter_way_round():
 def test_a_turn_across_half_a_circle_goes_the_shorter_way_too():
     yaw = torch.tensor([2.9, -2.9], dtype=torch.float64)
     start, end = rigid(axis_rotations(2, yaw), torch.zeros(2, 3, dtype=torch.float64)).split(1)
-    poses = path(Move(start, end, 1.0, 0.1), 0)
+    poses = path(Displacement(start, end, 1.0, 0.1), 0)
     assert len(poses) - 1 == math.ceil((2 * math.pi - 5.8) / 0.1)
     assert (poses[:, 0, 0] <= math.cos(2.9) + 1e-12).all()
 
 
 def test_batches_of_different_length_are_refused():
     with pytest.raises(ValueError, match="end: expected as many poses as start, 3, got 2"):
-        Move(random_poses(3, 0), random_poses(2, 0), 0.1, 0.1)
+        Displacement(random_poses(3, 0), random_poses(2, 0), 0.1, 0.1)

@@ -4,11 +4,11 @@ from dataclasses import fields
 
 import numpy as np
 
-from splatrl.scenes.backyard.furniture import roof
-from splatrl.scenes.backyard.layout import BRICK_WALL, FENCE, GARAGE, HEDGE, HOUSE, SHED, SOUTH_WALL, Solid
-from splatrl.scenes.backyard.materials import Color, Rng, boards, brickwork, plaster, shades
-from splatrl.scenes.backyard.plants import leaves
-from splatrl.scenes.backyard.surfels import Rectangle, Surfels, faces, join
+from splatrl.scenes.yard.furniture import roof
+from splatrl.scenes.yard.layout import BRICK_WALL, FENCE, GARAGE, HEDGE, HOUSE, SHED, SOUTH_WALL, Solid
+from splatrl.scenes.yard.materials import Color, Rng, boards, brickwork, plaster, shades
+from splatrl.scenes.yard.plants import leaves
+from splatrl.scenes.yard.surfels import Rectangle, Surfels, faces, join
 
 BRICK = ((0.56, 0.33, 0.25), (0.69, 0.46, 0.35))
 BLUE = (0.16, 0.33, 0.68)

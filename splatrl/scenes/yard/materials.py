@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from splatrl.scenes.backyard.surfels import Array, Rectangle, Surfels, join
+from splatrl.scenes.yard.surfels import Array, Rectangle, Surfels, join
 
 Rng = np.random.Generator
 Color = tuple[float, float, float]

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from splatrl.scenes.backyard.layout import Tree
-from splatrl.scenes.backyard.materials import Color, Rng, mixed, shades, waves
-from splatrl.scenes.backyard.surfels import Array, Surfels, frames, join, lathe, painted, surfels
+from splatrl.scenes.yard.layout import Tree
+from splatrl.scenes.yard.materials import Color, Rng, mixed, shades, waves
+from splatrl.scenes.yard.surfels import Array, Surfels, frames, join, lathe, painted, surfels
 
 
 def leaves(points: Array, outward: Array, depth: Array, size: float, palette: tuple[Color, Color], rng: Rng) -> Surfels:

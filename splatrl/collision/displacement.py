@@ -29,7 +29,7 @@ def checked_poses(name: str, body_to_world: Tensor) -> Tensor:
     return poses
 
 
-class Move:
+class Displacement:
     """Straight moves, each cut into steps in which no point within ``radius`` of the origin travels far.
 
     The origin goes along a line, the body turns about its origin by spherical linear interpolation. The poses are the

@@ -1,22 +1,17 @@
-"""Where everything stands in the backyard, and the task that is set in it.
+"""Where everything stands in the backyard.
 
 World frame, metres, ground at z = 0. The yard is 6 m wide: a hedge in the east (+x), a wooden fence in the north
-(+y), a brick wall in the west and a shed in the south. What a robot inside ``BOUNDS`` can touch stands in the same
-place for every seed; only the trees move with it. What ``clutter`` moves is in ``clutter.py``.
+(+y), a brick wall in the west and a shed in the south. Robots stay within a metre of the middle along x
+and y, and what they can touch there stands in the same place for every seed; only the trees move with it. What
+``clutter`` moves is in ``clutter.py``.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from splatrl.scenes.backyard.clutter import BELONGS_TO, Move, clutter_moves
+from splatrl.scenes.yard.clutter import BELONGS_TO, Shift, clutter_moves
 
-BOUNDS = ((-1.0, -1.0), (1.0, 1.0))
-"""Lowest and highest (x, y) of the robot's pose, inclusive, metres: 121 positions in steps of 0.2 m."""
-ROBOT_HEIGHT = 0.4
-"""Height of the robot's pose, which is its camera's too, metres. Its body is ``Box((0.4, 0.4, 0.1))``."""
-GOAL = (0.6, 0.4, 0.0)
-"""The goal pose: x and y in metres and yaw in degrees. It looks straight at the egg."""
 EGG = (1.25, 0.4, 0.41)
 """Centre of the red egg on its stone, metres."""
 EGG_RADII = (0.12, 0.12, 0.16)
@@ -130,9 +125,9 @@ def solids(seed: int, clutter: int = 0) -> list[Solid]:
     return [moved_solid(solid, moves) for solid in near + around] + trunks
 
 
-def moved_solid(solid: Solid, moves: dict[str, Move]) -> Solid:
+def moved_solid(solid: Solid, moves: dict[str, Shift]) -> Solid:
     """The box of a solid where its thing has been moved to."""
-    move = moves.get(BELONGS_TO.get(solid.name, ""), Move())
+    move = moves.get(BELONGS_TO.get(solid.name, ""), Shift())
     (x0, y0, z0), (x1, y1, z1) = solid.low, solid.high
     return Solid(solid.name, (x0 + move.x, y0 + move.y, z0), (x1 + move.x, y1 + move.y, z1))
 
@@ -140,7 +135,7 @@ def moved_solid(solid: Solid, moves: dict[str, Move]) -> Solid:
 def backyard_obstacles(
     seed: int = 0, clutter: int = 0
 ) -> list[tuple[str, tuple[float, float, float], tuple[float, float, float]]]:
-    """The ground truth for collision: what is solid in ``backyard(seed, clutter)``.
+    """The ground truth for collision: what is solid in ``backyard_gaussians(seed, clutter)``.
 
     Args:
         seed: the one that the scene was made with.

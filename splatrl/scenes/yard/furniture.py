@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from splatrl.scenes.backyard.clutter import BELONGS_TO, Move, clutter_moves, moved
-from splatrl.scenes.backyard.layout import (
+from splatrl.scenes.yard.clutter import BELONGS_TO, Shift, clutter_moves, moved
+from splatrl.scenes.yard.layout import (
     BENCH,
     EGG,
     EGG_BOX,
@@ -17,9 +17,9 @@ from splatrl.scenes.backyard.layout import (
     WOOD_PILE,
     table_legs,
 )
-from splatrl.scenes.backyard.materials import Color, Rng, boards, brickwork, plaster, shades, waves
-from splatrl.scenes.backyard.plants import blossoms, shrub
-from splatrl.scenes.backyard.surfels import Rectangle, Surfels, faces, join, lathe, painted
+from splatrl.scenes.yard.materials import Color, Rng, boards, brickwork, plaster, shades, waves
+from splatrl.scenes.yard.plants import blossoms, shrub
+from splatrl.scenes.yard.surfels import Rectangle, Surfels, faces, join, lathe, painted
 
 SAND = ((0.72, 0.58, 0.43), (0.83, 0.72, 0.55))
 PINE = (0.70, 0.53, 0.33)
@@ -184,7 +184,7 @@ def furniture(rng: Rng, clutter: int = 0) -> Surfels:
     parts = []
     for build, solid in things:
         (x0, y0, _), (x1, y1, _) = solid.low, solid.high
-        move = moves.get(BELONGS_TO.get(solid.name, ""), Move())
+        move = moves.get(BELONGS_TO.get(solid.name, ""), Shift())
         parts.append(moved(build(rng), ((x0 + x1) / 2, (y0 + y1) / 2), move))
     return join(parts)
 

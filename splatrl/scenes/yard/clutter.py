@@ -5,11 +5,11 @@ from math import pi
 
 import numpy as np
 
-from splatrl.scenes.backyard.surfels import Surfels
+from splatrl.scenes.yard.surfels import Surfels
 
 
 @dataclass(frozen=True)
-class Move:
+class Shift:
     """How a thing has been moved from where ``layout`` puts it: turned about its own vertical, then shifted.
 
     Attributes:
@@ -44,7 +44,7 @@ BELONGS_TO = {
 """The thing with which each solid moves, by the solid's name."""
 
 
-def clutter_moves(clutter: int) -> dict[str, Move]:
+def clutter_moves(clutter: int) -> dict[str, Shift]:
     """How each thing in ``REACHES`` has been moved.
 
     Args:
@@ -56,16 +56,16 @@ def clutter_moves(clutter: int) -> dict[str, Move]:
     if clutter < 0:
         raise ValueError(f"clutter: expected a whole number of at least 0, got {clutter}")
     if clutter == 0:
-        return {thing: Move() for thing in REACHES}
+        return {thing: Shift() for thing in REACHES}
     rng = np.random.default_rng([clutter, 2])
     moves = {}
     for thing, (*shifts, turn) in REACHES.items():
         x, y = (STEP * int(rng.integers(*ends, endpoint=True)) for ends in shifts)
-        moves[thing] = Move(x, y, float(rng.uniform(*turn)))
+        moves[thing] = Shift(x, y, float(rng.uniform(*turn)))
     return moves
 
 
-def moved(part: Surfels, center: tuple[float, float], move: Move) -> Surfels:
+def moved(part: Surfels, center: tuple[float, float], move: Shift) -> Surfels:
     """The surfels of a thing where it has been moved to.
 
     Args:
@@ -73,7 +73,7 @@ def moved(part: Surfels, center: tuple[float, float], move: Move) -> Surfels:
         center: x and y about which it turns, metres.
         move: how.
     """
-    if move == Move():
+    if move == Shift():
         return part  # to the byte
     cos, sin = np.cos(move.turn), np.sin(move.turn)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

@@ -1,0 +1,70 @@
+"""Pictures by which a person judges a captured scene: what is free, what is solid, and a view from inside."""
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from splatrl.collision.density import DensitySettings
+from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.pictures import draw_blocks, draw_maps
+from splatrl.evaluation.viewpoint import eye_view, open_corner
+from splatrl.files import replacing
+from splatrl.scenes.scene import Scene
+
+EYE = 1.6
+"""Metres: height of a person's eye."""
+FLAT = 0.15
+"""Of its width: a scene that is lower is looked at from above."""
+_SMALLEST_PIECE = 64
+"""Voxels: a piece with fewer is a floater, whatever the scene's units are."""
+
+
+def survey_occupancy(scene: Scene, resolution: float | None = None) -> Occupancy:
+    """What is solid in a scene whose units may still be wrong, without a cache.
+
+    Args:
+        scene: in the world frame.
+        resolution: edge of a voxel, metres; None takes 0.05 within a 256th to a 50th of the scene's diagonal.
+
+    Raises:
+        ValueError: for a scene at a single point, or a grid that becomes too large.
+    """
+    lower, upper = np.array(scene.bounds)
+    diagonal = float(np.linalg.norm(upper - lower))
+    if diagonal == 0.0:
+        raise ValueError(f"{scene.name}: expected a scene with an extent, got one at a single point")
+    edge = resolution or float(np.clip(0.05, diagonal / 256, diagonal / 50))
+    margin = 0.1 * diagonal
+    crop = ((lower - margin).tolist(), (upper + margin).tolist())
+    return Occupancy.from_gaussians(scene.gaussians, edge, DensitySettings(min_volume=_SMALLEST_PIECE * edge**3), crop)
+
+
+def draw_scene(scene: Scene, occupancy: Occupancy, floor: float, height: float, folder: Path) -> list[Path]:
+    """Draw free space at a robot's height, the occupancy, and a view from eye height.
+
+    Args:
+        scene: in the world frame.
+        occupancy: what is solid in it.
+        floor: its height, metres.
+        height: of the robot, metres; at most half of the scene's is used, for scenes whose units are unknown.
+        folder: for the pictures; is made where there is none.
+
+    Returns:
+        The files: ``<name>-free.png``, ``<name>-occupancy.png`` and ``<name>-view.png``.
+    """
+    lower, upper = np.array(scene.bounds)
+    room = max(float(upper[2]) - floor, 4 * occupancy.resolution)
+    body = min(height, 0.5 * room)
+    eye = min(EYE, 0.65 * room)
+    across = float(np.hypot(*(upper - lower)[:2]))
+    if room < FLAT * across:  # seen from the air: from its own height there would be only ground
+        eye = 0.4 * across
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"{scene.name}-{kind}.png" for kind in ("free", "occupancy", "view")]
+    draw_maps(occupancy, files[0], round(floor + 0.5 * body, 3), round(floor + body, 3))
+    draw_blocks(occupancy, files[1], below=floor + 0.85 * room, quarter_turns=open_corner(occupancy))
+    image = Image.fromarray(eye_view(scene.gaussians, occupancy, scene.bounds, floor, floor + eye).numpy())
+    with replacing(files[2]) as stream:
+        image.save(stream, "PNG")
+    return files

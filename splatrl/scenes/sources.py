@@ -1,0 +1,111 @@
+"""Where scenes come from: the generated backyard, splat files, and folders that say how their splat file stands."""
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from splatrl.scenes.description import read_description
+from splatrl.scenes.formats import read_gaussians
+from splatrl.scenes.frame import checked_similarity, similarity
+from splatrl.scenes.scene import Bounds, Point, Scene, robust_bounds
+from splatrl.scenes.yard import backyard_gaussians
+from splatrl.scenes.yard.layout import HALF_WIDTH
+
+FRAME_KEYS = ("axes", "scale", "translation", "matrix")
+"""Arguments of ``similarity``."""
+YARD: Bounds = ((-HALF_WIDTH, -HALF_WIDTH, 0.0), (HALF_WIDTH, HALF_WIDTH, HALF_WIDTH))
+"""The backyard without the country and the sky around it."""
+
+
+def backyard(seed: int = 0, clutter: int = 0, bounds: Sequence[Sequence[float]] | None = None) -> Scene:
+    """Generate a backyard in the sun, 6 × 6 m, with a red egg to be found in it.
+
+    Example:
+        >>> backyard().name
+        'backyard'
+
+    Args:
+        seed: of leaves, grain, clouds and the places of the trees; from 0.
+        clutter: which arrangement of pots, wood pile, barrel and bench; 0 is the one to train in, and every other
+            number moves them elsewhere, out of the robots' reach.
+        bounds: lower and upper corner, world, metres; None takes the yard.
+
+    Raises:
+        ValueError: for bounds that bound nothing, or a ``clutter`` below 0.
+    """
+    corners = YARD if bounds is None else _checked_bounds(bounds)
+    return Scene("backyard", backyard_gaussians(seed, clutter), corners)
+
+
+def read_scene(
+    path: str | os.PathLike[str],
+    world_from_splat: Mapping[str, Any] | Tensor | None = None,
+    bounds: Sequence[Sequence[float]] | None = None,
+    name: str | None = None,
+) -> Scene:
+    """Read a scene from a splat file or from a folder.
+
+    A folder holds the splat file and a ``scene.yaml`` with the keys ``splat`` (the file's name), ``name``,
+    ``world_from_splat`` and ``bounds``. Arguments override what it says, key by key.
+
+    Example:
+        >>> read_scene("kitchen.spz", world_from_splat={"axes": ["x", "-z", "y"]})  # doctest: +SKIP
+
+    Args:
+        path: of a splat file or a folder.
+        world_from_splat: the arguments of ``similarity`` by name, None standing for the default, or a 4×4 tensor.
+            Without it, splat coordinates are world metres.
+        bounds: lower and upper corner, world, metres; by default where the opaque Gaussians are.
+        name: by default that of the file or folder.
+
+    Raises:
+        FileNotFoundError: where there is no such file or folder.
+        ValueError: for a damaged file, unknown keys, a frame that is not a similarity, or bounds that bound nothing.
+    """
+    splat = Path(path).expanduser()
+    stated: dict[str, Any] = {}
+    fallback = splat.stem
+    if splat.is_dir():
+        stated, fallback = read_description(splat), splat.resolve().name
+        splat = splat / stated["splat"]
+    gaussians = read_gaussians(splat)
+    transform = _transform(stated.get("world_from_splat"), world_from_splat)
+    if transform is not None:
+        gaussians = gaussians.transformed(transform)
+    corners = stated.get("bounds") if bounds is None else bounds
+    return Scene(
+        name=name or stated.get("name", fallback),
+        gaussians=gaussians,
+        bounds=robust_bounds(gaussians) if corners is None else _checked_bounds(corners),
+    )
+
+
+def _transform(own: Mapping[str, Any] | None, given: Mapping[str, Any] | Tensor | None) -> Tensor | None:
+    """The frame that a folder states, overridden by an argument; None where neither says anything."""
+    if isinstance(given, Tensor):
+        return checked_similarity(given)
+    stated = {**(own or {}), **{key: value for key, value in (given or {}).items() if value is not None}}
+    unknown = [str(key) for key in stated if key not in FRAME_KEYS]
+    if unknown:
+        raise ValueError(f"world_from_splat: expected the keys {', '.join(FRAME_KEYS)}, got {', '.join(unknown)}")
+    stated = {key: value for key, value in stated.items() if value is not None}
+    return similarity(**stated) if stated else None
+
+
+def _checked_bounds(corners: Sequence[Sequence[float]]) -> Bounds:
+    if not isinstance(corners, Sequence) or [len(c) if isinstance(c, Sequence) else 0 for c in corners] != [3, 3]:
+        raise ValueError(f"bounds: expected a lower and an upper corner of 3 metres each, got {corners!r}")
+    lower, upper = (_point(corner) for corner in corners)
+    for axis, low, high in zip("xyz", lower, upper, strict=True):
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise ValueError(f"bounds: expected lower below upper along {axis}, got {low} and {high}")
+    return lower, upper
+
+
+def _point(corner: Sequence[float]) -> Point:
+    x, y, z = (float(value) for value in corner)
+    return x, y, z

@@ -1,0 +1,54 @@
+"""Where a splat file lies in the world as far as a person says so; a guess decides the rest."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from splatrl.scenes.frame import similarity
+from splatrl.scenes.placement import Frame, matrix_frame, rescaled, upright_frame
+from splatrl.scenes.upright import Upright
+
+
+@dataclass(frozen=True, eq=False)
+class StatedFrame:
+    """What is known of a file's frame; None where nothing is.
+
+    Attributes:
+        axes: signed axes of the file that become the world's x, y and z, as for ``similarity``.
+        transform: [4, 4] float64, from the file to world metres, in place of axes and translation.
+        scale: metres a unit; a transform is rescaled about the world's origin.
+        translation: [3] metres, added last.
+
+    Raises:
+        ValueError: for axes that ``similarity`` refuses, a transform beside axes or a translation, or a scale that is
+            not finite and above 0.
+    """
+
+    axes: Sequence[str] | None = None
+    transform: Tensor | None = None
+    scale: float | None = None
+    translation: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.transform is not None and (self.axes is not None or self.translation is not None):
+            raise ValueError("transform: expected no axes and no translation beside it, got them")
+        if self.axes is not None:
+            similarity(self.axes)
+        if self.scale is not None and not 0.0 < self.scale < float("inf"):
+            raise ValueError(f"scale: expected finite metres above 0, got {self.scale}")
+
+    def up(self) -> list[float] | None:
+        """The direction in the file that is up, where axes or a transform say so: [3]."""
+        turned = self.transform if self.axes is None else similarity(self.axes)
+        return None if turned is None else turned[2, :3].tolist()
+
+    def frame(self, upright: Upright) -> Frame:
+        """Arguments of ``similarity``: what is stated, and a guess where nothing is.
+
+        Args:
+            upright: the guess.
+        """
+        if self.transform is None:
+            return upright_frame(upright, self.axes, self.scale, self.translation)
+        return matrix_frame(self.transform if self.scale is None else rescaled(self.transform, self.scale))

@@ -1,0 +1,6 @@
+"""The generator behind ``splatrl.scenes.backyard``: a yard in the sun, made in seconds, with a red egg to be found."""
+
+from splatrl.scenes.yard.generator import backyard_gaussians
+from splatrl.scenes.yard.layout import EGG, backyard_obstacles
+
+__all__ = ["EGG", "backyard_gaussians", "backyard_obstacles"]

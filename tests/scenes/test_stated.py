@@ -1,0 +1,51 @@
+import numpy as np
+import pytest
+import torch
+
+from splatrl.scenes.frame import similarity
+from splatrl.scenes.placement import floor_height
+from splatrl.scenes.stated import StatedFrame
+from splatrl.scenes.upright import Guess, Upright
+
+NO_GUESS = Guess("given", "the test says so")
+LYING = Upright(np.array([0.0, -1.0, 0.0]), -0.7, None, 2.0, NO_GUESS, NO_GUESS, NO_GUESS, NO_GUESS)
+"""A file that is −y up, with its floor 0.7 units below the origin and 2 m a unit."""
+TURNED = similarity(["x", "z", "-y"], 3.0, [1.0, 2.0, 5.0])
+
+
+@pytest.mark.parametrize(
+    ("stated", "floor"),
+    [
+        (StatedFrame(), 0.0),
+        (StatedFrame(scale=5.0), 0.0),
+        (StatedFrame(axes=["x", "z", "-y"]), 0.0),
+        (StatedFrame(translation=[1.0, 2.0, 0.0]), -1.4),
+        (StatedFrame(transform=TURNED), 5.0 - 2.1),
+        (StatedFrame(transform=TURNED, scale=1.5), 2.5 - 1.05),
+    ],
+)
+def test_what_is_stated_overrides_the_guess_and_the_floor_follows(stated: StatedFrame, floor: float) -> None:
+    world_from_splat = similarity(**stated.frame(LYING))
+    assert floor_height(LYING, world_from_splat) == pytest.approx(floor)
+    direction = world_from_splat[:3, :3] @ torch.from_numpy(LYING.up)
+    torch.testing.assert_close(direction / direction.norm(), torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+
+
+def test_up_is_known_where_axes_or_a_transform_say_so() -> None:
+    assert StatedFrame(scale=2.0, translation=[0.0, 0.0, 1.0]).up() is None
+    assert StatedFrame(axes=["x", "z", "-y"]).up() == [0.0, -1.0, 0.0]
+    assert StatedFrame(transform=TURNED).up() == [0.0, -3.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"axes": ["x", "y"]}, "axes: expected 3"),
+        ({"axes": ["x", "y", "z"], "transform": TURNED}, "transform: expected no axes"),
+        ({"translation": [0.0, 0.0, 1.0], "transform": TURNED}, "transform: expected no axes and no translation"),
+        ({"scale": 0.0}, "scale: expected finite metres above 0, got 0.0"),
+    ],
+)
+def test_a_frame_that_makes_no_sense_is_refused(arguments: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        StatedFrame(**arguments)
