@@ -1,12 +1,33 @@
-"""Fixtures that several rooms share."""
+"""Fixtures that several rooms share.
+
+PyTorch and the package are imported where they are used: the process that only hands tests to workers needs neither.
+"""
+
+from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
-import torch
 
-from splatrl.scenes import Gaussians, read_gaussians, similarity
+if TYPE_CHECKING:
+    import torch
+
+    from splatrl.scenes import Gaussians
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # a worker has a core, and so have the programs that tests start
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Give PyTorch one thread again: TorchRL's parallel envs and collectors leave more behind than they found."""
+    import torch
+
+    yield
+    if torch.get_num_threads() != 1:
+        torch.set_num_threads(1)
 
 
 @pytest.fixture(scope="session")
@@ -21,17 +42,25 @@ def shared_scenes() -> Path:
 @pytest.fixture(scope="session")
 def kitchen(shared_scenes: Path) -> Gaussians:
     """A captured kitchen, z up, metres."""
+    from splatrl.scenes import read_gaussians, similarity
+
     return read_gaussians(shared_scenes / "kitchen" / "kitchen.spz").transformed(similarity(["x", "-z", "y"]))
 
 
-NO_GPU = "no CUDA device" if not torch.cuda.is_available() else ""
+def no_gpu() -> str:
+    """Why nothing can run on a GPU here; empty where it can."""
+    import torch
+
+    return "" if torch.cuda.is_available() else "no CUDA device"
 
 
 @pytest.fixture(scope="session")
 def cuda_device() -> torch.device:
     """The GPU; tests that need it are marked ``gpu``, and are skipped where there is none."""
-    if NO_GPU:
-        pytest.skip(NO_GPU)
+    import torch
+
+    if no_gpu():
+        pytest.skip(no_gpu())
     pytest.importorskip("cuda.bindings", reason="needs the extra cuda")
     return torch.device("cuda", torch.cuda.current_device())
 
@@ -39,5 +68,7 @@ def cuda_device() -> torch.device:
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     """Say where the tests of ``-m gpu`` ran, or that they did not."""
     if "gpu" in (config.option.markexpr or "").replace("not gpu", ""):
-        where = NO_GPU and f"{NO_GPU}: nothing that needs one was tested"
+        import torch
+
+        where = f"{no_gpu()}: nothing that needs one was tested" if no_gpu() else ""
         terminalreporter.write_line(where or f"tested on {torch.cuda.get_device_name()}")

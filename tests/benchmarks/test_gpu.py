@@ -60,15 +60,19 @@ def test_a_dry_run_measures_everything_and_leaves_no_result(tmp_path: Path) -> N
     assert {path: path.stat().st_mtime_ns for path in RESULTS.iterdir()} == before
 
 
-def test_a_dry_run_keeps_out_of_the_results() -> None:
-    done = started("--dry-run", "--only", "gsplat", "--folder", RESULTS)
-    assert done.returncode != 0 and "expected another folder for a dry run" in done.stderr
+def test_a_dry_run_keeps_out_of_the_results(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["gpu.py", "--dry-run", "--only", "gsplat", "--folder", str(RESULTS)])
+    with pytest.raises(SystemExit, match="expected another folder for a dry run"):
+        benchmark("gpu").main()
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_without_a_gpu_it_says_so() -> None:
-    done = started()
-    assert done.returncode == 1 and "no CUDA device: nothing was measured" in done.stdout
+def test_without_a_gpu_it_says_so(
+    benchmark: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["gpu.py"])
+    assert benchmark("gpu").main() == 1
+    assert "no CUDA device: nothing was measured" in capsys.readouterr().out
 
 
 def test_a_section_that_fails_or_hangs_leaves_the_others_alone(

@@ -7,7 +7,9 @@ from scipy import ndimage
 
 from splatrl.collision import DensitySettings, Occupancy
 from splatrl.geometry import axis_rotations, quats_to_rotations, rotations_to_quats
+from splatrl.native._core import add_density
 from splatrl.scenes.gaussians import Gaussians
+from tests.collision.density_twin import density_of
 
 EVERY_PIECE = DensitySettings(min_volume=0.0)
 """Drops no floater."""
@@ -36,21 +38,33 @@ def sheet(first, second, spacing: float, z: float = 0.0) -> torch.Tensor:
 
 
 def brute_force(g: Gaussians, occupancy: Occupancy, cutoff: float) -> np.ndarray:
-    """Keys of the solid voxels of a padded grid: every voxel against every Gaussian, one formula."""
-    rotations = quats_to_rotations(g.quats.double()).numpy()
-    scales, means, opacities = (v.double().numpy() for v in (g.scales, g.means, g.opacities))
+    """Keys of the solid voxels of a padded grid."""
     lower = np.array(occupancy.origin_key) - 3
     keys = np.argwhere(np.ones(np.array(occupancy.occupied.shape) + 6, bool)) + lower
-    centers = (keys + 0.5) * occupancy.resolution
-    density = np.zeros(len(keys))
-    for mean, rotation, scale, opacity in zip(means, rotations, scales, opacities, strict=True):
-        along = np.abs((centers - mean) @ rotation)
-        half = 0.5 * occupancy.resolution * np.abs(rotation).sum(0)
-        squares = (np.maximum((along - half) / scale, 0.0) ** 2).sum(1)
-        reach = 3 * np.sqrt(((rotation * scale) ** 2).sum(1))
-        reached = (np.abs(centers - mean) < reach + 0.5 * occupancy.resolution).all(1)
-        density += np.where((squares <= 9.0) & reached, opacity * np.exp(-0.5 * squares), 0.0)
+    density = density_of(g, (keys + 0.5) * occupancy.resolution, occupancy.resolution)
     return keys[1 - np.exp(-density) >= cutoff]
+
+
+@pytest.mark.parametrize(("seed", "shape"), [(0, (9, 14, 11)), (1, (17, 6, 8))])
+def test_the_density_is_that_of_its_readable_twin(seed: int, shape: tuple[int, int, int]) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    count = 60
+    g = gaussians(
+        torch.rand(count, 3, generator=generator) * torch.tensor(shape),
+        torch.exp(torch.rand(count, 3, generator=generator) * 5.0 - 4.0),  # a hundredth of a voxel to three voxels
+        torch.rand(count, generator=generator),
+        torch.randn(count, 4, generator=generator),
+    )
+    means, axes, scales, opacities = (
+        values.double().numpy() for values in (g.means, quats_to_rotations(g.quats.double()), g.scales, g.opacities)
+    )
+    reach = 3.0 * np.sqrt(((axes * scales[:, None]) ** 2).sum(2))
+    first, end = np.floor(means - reach).astype(np.int64), np.ceil(means + reach).astype(np.int64)
+    density = np.zeros(shape, np.float32)
+    add_density(means, axes, scales, opacities, first, end, 3.0, density)
+    expected = density_of(g, np.argwhere(np.ones(shape)) + 0.5, 1.0).reshape(shape)
+    assert 0.0 < np.median(expected) < expected.max()
+    np.testing.assert_allclose(density, expected, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("resolution", [0.05, 0.13])

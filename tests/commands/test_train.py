@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from splatrl import train
 from splatrl.training import load_checkpoint
 from tests.tiny import tiny_overrides
 
@@ -93,8 +94,11 @@ def test_evaluating_again_gives_the_same_figures(run: tuple[Path, str]) -> None:
     assert json.loads((folder / "evaluation.json").read_text()) == before
 
 
-def test_a_resume_of_nothing_says_so(tmp_path: Path) -> None:
-    process = command("train", f"resume={tmp_path / 'nowhere'}")
-    output, _ = process.communicate(timeout=100)
-    assert process.returncode != 0
-    assert "expected a run folder" in output
+def test_a_resume_of_nothing_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["splatrl-train", f"resume={tmp_path / 'nowhere'}"])
+    with pytest.raises(SystemExit) as ended:
+        train.main()
+    assert ended.value.code != 0
+    assert "expected a run folder" in capsys.readouterr().err

@@ -7,7 +7,6 @@ import os
 import re
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,21 @@ import torch
 
 from splatrl.native.cuda.compiler import NATIVE
 from splatrl.native.cuda.kernels import packed
+from tests.builds import built
 
 HERE = Path(__file__).parent
+_FLAGS = [
+    "-std=c++17",
+    "-O1",  # -O2 takes twice as long to compile, and tests run each kernel for moments
+    "-g1",
+    "-fPIC",
+    "-shared",
+    "-Wall",
+    "-Wextra",
+    "-Wno-unknown-pragmas",
+    "-ffp-contract=fast",
+    "-U_FORTIFY_SOURCE",
+]
 _KERNEL = re.compile(r"__global__\s+void\s+(?:__launch_bounds__\([^)]*\)\s*)?(\w+)\s*\(")
 
 
@@ -81,40 +93,19 @@ extern "C" int launch(const char* name, unsigned blocks, unsigned threads, void*
 }}
 """
     folders = [HERE, NATIVE / "cuda", NATIVE]
-    digest = hashlib.sha256(program.encode() + repr(defines).encode())
+    macros = [f"-D{name}={value}" for name, value in defines]
+    flags = [*_FLAGS, *macros, *(part for f in folders for part in ("-I", str(f)))]
+    digest = hashlib.sha256(program.encode() + repr(flags).encode())
     for file in sorted({path, *(f for folder in folders for f in folder.glob("*.*")), *NATIVE.glob("cuda/*.cu")}):
         if file.is_file():
             digest.update(file.read_bytes())
-    library = (
-        Path(tempfile.gettempdir()) / f"splatrl-emulator-{os.getuid()}" / f"{path.stem}-{digest.hexdigest()[:20]}.so"
-    )
-    if library.is_file():
-        return library
-    library.parent.mkdir(mode=0o700, exist_ok=True)
+    return built(f"{path.stem}-{digest.hexdigest()[:20]}.so", lambda made: _compile(program, flags, made))
+
+
+def _compile(program: str, flags: list[str], made: Path) -> None:
+    """Make a shared library of a program."""
     compiler = os.environ.get("CXX") or shutil.which("c++") or shutil.which("g++")
     assert compiler, "expected the C++ compiler that builds the package"
-    with tempfile.TemporaryDirectory() as folder:
-        main = Path(folder) / "main.cpp"
-        main.write_text(program)
-        made = Path(folder) / "library.so"
-        flags = [
-            "-std=c++17",
-            "-O2",
-            "-g1",
-            "-fPIC",
-            "-shared",
-            "-Wall",
-            "-Wextra",
-            "-Wno-unknown-pragmas",
-            "-ffp-contract=fast",
-            "-U_FORTIFY_SOURCE",
-        ]
-        macros = [f"-D{name}={value}" for name, value in defines]
-        includes = [part for f in folders for part in ("-I", str(f))]
-        command = [compiler, *flags, *macros, *includes, str(main), "-o", str(made)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        temporary = library.with_name(f"{library.name}.{os.getpid()}")
-        shutil.copy(made, temporary)
-        temporary.replace(library)
-    return library
+    command = [compiler, *flags, "-x", "c++", "-", "-o", str(made)]
+    done = subprocess.run(command, input=program, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -1,5 +1,7 @@
+import functools
 import itertools
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,8 @@ from torch import Tensor
 
 from splatrl.bodies import Box, Sphere
 from splatrl.cameras import Cameras, intrinsics, look_at
-from splatrl.collision import FclChecker, Occupancy
+from splatrl.collision import FclChecker, Occupancy, fcl
+from splatrl.collision.distances import DistanceField
 from splatrl.curriculum.planner import Plan, plan
 from splatrl.envs.tasks import Grid
 from splatrl.geometry import rigid
@@ -36,6 +39,14 @@ YARDS = ((0, 0), (7, 1))
 ROBOT = Box((0.4, 0.4, 0.1))
 ABOVE_GRASS = 0.15
 ROUND = ("shrub", "pots on the table", "egg", "egg stone", "shrub pot", "rain barrel", "trunk")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_distance_field() -> Iterator[None]:
+    """Let all checkers of an occupancy share its distance field, which takes most of a second to compute."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fcl, "DistanceField", functools.lru_cache(maxsize=1)(DistanceField))
+        yield
 
 
 @pytest.fixture(scope="module", params=YARDS)

@@ -1,5 +1,6 @@
 """Damaged files: whatever the damage, a reader raises ValueError or returns Gaussians that keep their promises."""
 
+import functools
 import gzip
 import json
 import warnings
@@ -118,11 +119,17 @@ def test_a_damaged_compressed_ply_file_is_refused_or_valid(folder: Path, content
     check(folder / "a.ply", damage(content))
 
 
+@functools.cache
+def sog() -> dict[str, bytes]:
+    """The files of a scene with harmonics of degree 1; encoded once."""
+    return sog_entries(bands=1)[0]
+
+
 @settings(deadline=None, max_examples=100)
 @given(damage=damages())
 def test_a_damaged_sog_file_is_refused_or_valid(folder: Path, damage: Damage) -> None:
     pytest.importorskip("imagecodecs", reason="needs the extra gsply")
-    check(folder / "a.sog", damage(zip_bytes(sog_entries(bands=1)[0])))
+    check(folder / "a.sog", damage(zip_bytes(sog())))
 
 
 @settings(deadline=None, max_examples=200)
@@ -131,7 +138,7 @@ def test_a_sog_file_with_damage_behind_the_checksum_is_refused_or_valid(
     folder: Path, name: str, damage: Damage
 ) -> None:
     pytest.importorskip("imagecodecs", reason="needs the extra gsply")
-    entries = sog_entries(bands=1)[0]
+    entries = sog()
     key = name if name in entries else f"{name}.webp"
     check(folder / "a.sog", zip_bytes({**entries, key: damage(entries[key])}))
 
@@ -157,7 +164,7 @@ def test_a_sog_file_with_any_json_in_place_of_a_field_is_refused_or_valid(
     folder: Path, keys: tuple[str, ...], value: object
 ) -> None:
     pytest.importorskip("imagecodecs", reason="needs the extra gsply")
-    entries = sog_entries(bands=1)[0]
+    entries = sog()
     meta = json.loads(entries["meta.json"])
     (meta if len(keys) == 1 else meta[keys[0]])[keys[-1]] = value
     check(folder / "a.sog", zip_bytes({**entries, "meta.json": json.dumps(meta).encode()}))

@@ -1,0 +1,141 @@
+"""The level-of-detail tree from its definition, slowly: the readable twin of ``splatrl/native/levels.cpp``.
+
+A merged Gaussian is here the list of the Gaussians that it stands for, and all that it holds is computed from these in
+float64. The C++ code merges in pairs, in float32.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splatrl.scenes.cache import Arrays
+from splatrl.spherical_harmonics import C0
+
+CAPACITY = 256
+"""Gaussians that a node holds at most."""
+RUN = 16
+"""Neighbours that lie next to each other in memory, in any order."""
+BUCKET = 64
+"""Neighbours among which partners are sought."""
+LEAST_CONTRAST = 0.2
+"""Of colours: merging equal ones is not free."""
+
+Numbers = NDArray[np.float64]
+Group = NDArray[np.int64]  # indices of the Gaussians that one stands for
+
+
+def tree_of(means: Numbers, axes: Numbers, opacities: Numbers, sh: Numbers) -> Arrays:
+    """Build the tree; see ``splatrl.renderers.lod.build_levels`` for arguments and result."""
+    return _Twin(means, axes @ axes.swapaxes(1, 2), opacities, sh).arrays()
+
+
+class _Twin:
+    def __init__(self, means: Numbers, covariances: Numbers, opacities: Numbers, sh: Numbers) -> None:
+        self.means, self.covariances, self.opacities, self.sh = means, covariances, opacities, sh
+        self.masses = opacities * projected_area(covariances)
+        self.order: list[int] = []
+        self.nodes: list[list[int]] = []
+        self.errors: list[float] = []
+        self.merged: list[Group] = []
+        self.build(np.arange(len(means)))
+
+    def build(self, members: Group) -> list[Group]:
+        """Append the node over some Gaussians and all below it; what it shows."""
+        node = len(self.nodes)
+        self.nodes.append([0, 0, 0, 0])
+        self.errors.append(0.0)
+        if len(members) <= CAPACITY:
+            members = members[in_space(self.means[members], RUN)]
+            groups = [np.array([member]) for member in members]
+            self.nodes[node] = [len(self.order), len(members), 0, 1]
+            self.order.extend(members.tolist())
+        else:
+            left, right = halves(self.means[members], CAPACITY)
+            groups = self.merge(self.build(members[left]) + self.build(members[right]))
+            self.nodes[node] = [len(self.merged), len(groups), 0, 0]
+            self.errors[node] = self.error(groups)
+            self.merged.extend(groups)
+        self.nodes[node][2] = len(self.nodes)  # the node behind all below this one
+        return groups
+
+    def merge(self, groups: list[Group]) -> list[Group]:
+        """Merge the cheapest pair of neighbours again and again, until a node holds what is left."""
+        groups = [groups[i] for i in in_space(self.centers(groups), BUCKET)]
+        masses, centers, colors = (np.array(values) for values in zip(*map(self.summary, groups), strict=True))
+        bucket = np.arange(len(groups)) // BUCKET
+        alive = np.ones(len(groups), bool)
+
+        def costs(i: int) -> Numbers:
+            """What is lost by merging i with each: mass that moves · how far² · how different its colour is."""
+            moved = masses[i] * masses / (masses[i] + masses)
+            distances, contrasts = (((values[i] - values) ** 2).sum(1) for values in (centers, colors))
+            possible = alive & (bucket == bucket[i]) & (np.arange(len(groups)) != i)
+            return np.where(possible, moved * distances * (LEAST_CONTRAST**2 + contrasts), np.inf)
+
+        table = np.array([costs(i) for i in range(len(groups))])
+        while alive.sum() > CAPACITY and table.min() < np.inf:
+            i, j = sorted(np.unravel_index(table.argmin(), table.shape))
+            groups[i] = np.concatenate([groups[i], groups[j]])
+            masses[i], centers[i], colors[i] = self.summary(groups[i])
+            alive[j] = False
+            table[j], table[:, j] = np.inf, np.inf
+            table[i] = table[:, i] = costs(i)
+        groups = [group for group, lives in zip(groups, alive, strict=True) if lives]
+        return [groups[i] for i in in_space(self.centers(groups), RUN)]
+
+    def summary(self, group: Group) -> tuple[float, Numbers, Numbers]:
+        """Mass, mean and mean colour."""
+        return self.masses[group].sum(), self.mean(self.means, group), C0 * self.mean(self.sh[:, 0], group)
+
+    def mean(self, values: Numbers, group: Group) -> Numbers:
+        """Of the group's members, by mass."""
+        return np.average(values[group], axis=0, weights=self.masses[group])
+
+    def centers(self, groups: list[Group]) -> Numbers:
+        return np.array([self.mean(self.means, group) for group in groups])
+
+    def covariance(self, group: Group) -> Numbers:
+        """Of the whole: the mean of the members' covariances, and the covariance of their means."""
+        offsets = self.means - self.mean(self.means, group)
+        return self.mean(self.covariances + offsets[:, :, None] * offsets[:, None], group)
+
+    def error(self, groups: list[Group]) -> float:
+        """By how much members lie off their merged mean: root mean square by mass, metres."""
+        squares = np.concatenate([((self.means[g] - self.mean(self.means, g)) ** 2).sum(1) for g in groups])
+        return float(np.sqrt(np.average(squares, weights=self.masses[np.concatenate(groups)])))
+
+    def arrays(self) -> Arrays:
+        covariances = np.array([self.covariance(group) for group in self.merged]).reshape(-1, 3, 3)
+        masses = np.array([self.masses[group].sum() for group in self.merged])
+        return {
+            "order": np.array(self.order),
+            "nodes": np.array(self.nodes),
+            "errors": np.array(self.errors),
+            "means": self.centers(self.merged),
+            "axes": np.linalg.cholesky(covariances),
+            "opacities": masses / projected_area(covariances),
+            "sh": np.array([self.mean(self.sh, group) for group in self.merged]),
+            "members": masses**2 / np.array([(self.masses[group] ** 2).sum() for group in self.merged]),
+            "sums": np.array([self.opacities[group].sum() for group in self.merged]),
+        }
+
+
+def projected_area(covariances: Numbers) -> Numbers:
+    """The area, over π, of the ellipses that covariances project to: root mean square over all directions."""
+    minors = np.linalg.det(covariances) * np.trace(np.linalg.inv(covariances), axis1=1, axis2=2)
+    return np.sqrt(minors / 3.0)
+
+
+def halves(points: Numbers, multiple: int) -> tuple[Group, Group]:
+    """Which points come first along the longest axis of their box, and which second: half, at a multiple."""
+    along = points[:, np.ptp(points, axis=0).argmax()]
+    parts = -(-len(points) // multiple)
+    middle = (parts + 1) // 2 * multiple
+    order = np.argsort(along, kind="stable")
+    return order[:middle], order[middle:]
+
+
+def in_space(points: Numbers, run: int) -> Group:
+    """An order in which neighbours follow each other: halved until runs are left."""
+    if len(points) <= run:
+        return np.arange(len(points))
+    return np.concatenate([half[in_space(points[half], run)] for half in halves(points, run)])
