@@ -19,6 +19,8 @@ from splatrl.scenes.scene import Scene
 
 MOST_INDICES = 2**24
 """The most Gaussians, merged ones included, that the index in a key tells apart."""
+MOST_CLUSTERS = 2**25
+"""The most nodes of all models' trees: as many as ``Node`` of cuda/candidates.h tells apart."""
 
 
 class _SceneArrays(ctypes.Structure):
@@ -75,7 +77,7 @@ class CudaModels:
         degree, flats = degree_of(scenes), list[dict[str, Any]]()
         self.models, self.clusters = list[Model](), 0
         slots = clusters = indices = 0
-        for number, scene in enumerate(scenes):
+        for scene in scenes:
             arrays, levels = _of_degree(degree, scene, tolerance)
             flat = _core.flat_scene(
                 **arrays,
@@ -88,19 +90,28 @@ class CudaModels:
                 first_cluster=clusters,
             )
             size = len(flat["slots"])
-            if size > MOST_INDICES:
-                raise ValueError(
-                    f"scene[{number}]: expected at most {MOST_INDICES:,} Gaussians, merged ones counted, got {size:,}"
-                )
             self.models.append(Model(clusters, indices, size, gaussians_of(scene).numel()))
             self.clusters = max(self.clusters, len(flat["clusters"]))
             slots, clusters, indices = slots + len(flat["indices"]), clusters + len(flat["clusters"]), indices + size
             values = {"background": background, "tolerance": flat.pop("tolerance")}
             flats.append(flat)
+        _require_room(self.models, clusters)
         self.gaussians = max(model.gaussians for model in self.models)
         self.table = torch.tensor(self.models, dtype=torch.int32, device=device)
         self._kept = {name: uploaded(_joined(flats, name), device) for name in flats[0]}
         self.arrays = _SceneArrays(**{name: value.data_ptr() for name, value in self._kept.items()}, **values)
+
+
+def _require_room(models: Sequence[Model], clusters: int) -> None:
+    """Refuse what the numbers in keys and in nodes of trees have too few bits for."""
+    sizes = [model.size for model in models]
+    if max(sizes) > MOST_INDICES:
+        number, most = sizes.index(max(sizes)), f"{MOST_INDICES:,} Gaussians, merged ones counted"
+        raise ValueError(f"scene[{number}]: expected at most {most}, got {max(sizes):,}")
+    if clusters > MOST_CLUSTERS:
+        raise ValueError(
+            f"scene: expected at most {MOST_CLUSTERS:,} nodes in the trees of all models, got {clusters:,}"
+        )
 
 
 def degree_of(scenes: Sequence[Scene | Gaussians]) -> int:

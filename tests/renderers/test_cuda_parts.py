@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
-from splatrl.renderers import ABSENT, Parts
+from splatrl.renderers import ABSENT, NativeRenderer, Parts
+from splatrl.renderers import cuda_models as cuda_models_module
 from splatrl.renderers import cuda_parts as cuda_parts_module
 from splatrl.renderers.cuda import CudaRenderer
 from splatrl.renderers.cuda_parts import MOST_PARTS
@@ -16,7 +17,7 @@ from splatrl.renderers.parts import camera_to_models
 from splatrl.scenes import Gaussians
 from tests.emulator import emulated
 from tests.envs.devices import NoHostReads
-from tests.renderers.cases import ahead, gaussians, random_cameras, random_gaussians
+from tests.renderers.cases import LIKENESS, ahead, gaussians, psnr, random_cameras, random_gaussians
 from tests.renderers.parts_cases import (
     BACKGROUND,
     IDENTITY,
@@ -95,6 +96,14 @@ def test_a_part_is_drawn_at_the_level_of_detail_of_its_own_model(
         assert_like(renderer.render(cameras[one], parts.rows(one)), alone, 1e-3)
     exact = make(models, antialiased).efforts(cameras, parts)[:, 0]
     assert (renderer.efforts(cameras, parts)[:, 0] < 0.8 * exact).any()
+
+
+@pytest.mark.parametrize("antialiased", [True, False])
+def test_parts_with_level_of_detail_look_as_on_the_cpu(make: Make, antialiased: bool) -> None:
+    models, cameras, parts = random_models((1, 3, 0), (3000, 2000, 600)), random_cameras(33, 4), random_parts(34, 4)
+    image = make(models, antialiased, tolerance=2.0).render(cameras, parts)
+    expected = NativeRenderer(models, antialiased, BACKGROUND, tolerance=2.0).render(cameras, parts)
+    assert psnr(image.rgb, expected.rgb) >= LIKENESS and psnr(image.alpha, expected.alpha) >= LIKENESS
 
 
 def test_a_part_before_another_is_laid_over_it(make: Make) -> None:
@@ -265,3 +274,9 @@ def test_parts_and_bounds_that_cannot_be_are_refused() -> None:
         CudaRenderer([], load=emulated)
     with pytest.raises(ValueError, match="most_gaussians: expected at least 1, at most 16,777,216, got 16,777,217"):
         CudaRenderer(random_gaussians(0, 9), most_gaussians=2**24 + 1, load=emulated)
+
+
+def test_a_model_that_no_key_has_room_for_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cuda_models_module, "MOST_INDICES", 89)
+    with pytest.raises(ValueError, match=r"scene\[1\]: expected at most 89 Gaussians, merged ones counted, got 90"):
+        CudaRenderer(random_models([0, 0, 0], (40, 90, 40)), load=emulated)
