@@ -123,10 +123,10 @@ def test_a_sweep_misses_nothing_that_a_hundred_steps_of_fcl_find(scenes, name, b
 @pytest.mark.parametrize("name", SCENES)
 def test_no_straight_sweep_differs_from_the_readable_twin(scenes, name, body):
     occupancy = scenes[name]
-    start, end = moves_in(occupancy, 2000, turning=False, seed=3)
+    start, end = moves_in(occupancy, 1000, turning=False, seed=3)
     native, twin = NativeChecker(occupancy, body), TorchChecker(occupancy, body)
     found = verify_sweeps(native, twin, start, end)
-    assert 200 < found.hits < 1900
+    assert 100 < found.hits < 950
     assert not found.beyond(1e-6), str(found)
     same = torch.ones(len(start), dtype=torch.bool)
     same[[one.row for one in found.disagreements]] = False
