@@ -105,7 +105,7 @@ def measure(subject: Subject, tolerances: Sequence[float], options: argparse.Nam
         steps[key] = random_poses(subject, renderers[key], batch)
         key = "SplatEnv", "backyard", tolerance
         env = backyard_env(tolerance, batch, threads)
-        renderers[key] = env.renderer = TimedRenderer(env.renderer)
+        renderers[key] = env.drawing.renderer = TimedRenderer(env.drawing.renderer)
         steps[key] = random_actions(env)
 
     rendering: dict[tuple[str, str, float], list[float]] = {key: [] for key in steps}

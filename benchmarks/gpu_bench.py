@@ -16,11 +16,13 @@ from gpu_device import CHAINS, RATE, STEPS, Machine, measured_machine
 from scenes import Room, Subject, chosen
 
 from splatrl.bodies import Body
-from splatrl.build import World, build_world
+from splatrl.build import build_world
 from splatrl.cameras import Cameras
 from splatrl.collision import Occupancy
 from splatrl.collision.cuda import CudaChecker
 from splatrl.configuration import load_config
+from splatrl.envs.drawing import SceneDrawing
+from splatrl.envs.world import World
 from splatrl.renderers.cuda import CudaRenderer
 from splatrl.renderers.gsplat import GsplatRenderer
 from splatrl.scenes import Gaussians, Scene
@@ -220,8 +222,8 @@ class DryRun(Bench):
 
     def world(self, folder: Path, overrides: list[str]) -> tuple[World, float]:
         world, tolerance = super().world(folder, overrides)
-        renderer = self.renderer(world.scene, tolerance)
-        return replace(world, renderer=renderer, checker=self.checker(world.occupancy, world.robot.body)), tolerance
+        drawing = SceneDrawing(self.renderer(world.scene, tolerance))
+        return replace(world, drawing=drawing, checker=self.checker(world.occupancy, world.robot.body)), tolerance
 
 
 def on(cameras: Cameras, device: torch.device) -> Cameras:

@@ -13,12 +13,13 @@ from gpu_device import Rate, in_turns, rate
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from splatrl.build import World, build_trainer
+from splatrl.build import build_trainer
 from splatrl.cameras import Cameras
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs.nesting import layers
 from splatrl.envs.restart import restart
+from splatrl.envs.world import World
 from splatrl.renderers import Parts, Renderer, RenderOutput
 from splatrl.training.cuda_graph import CudaGraph
 
@@ -95,10 +96,10 @@ def repeated(call: Callable[[], object], times: int) -> Callable[[], None]:
 def recorded(env: EnvBase, step: Callable[[], None], steps: int) -> list[Cameras]:
     """Cameras that an env asks for in some steps."""
     base = layers(env)[0]
-    recording = Recording(base.renderer)
-    base.renderer = recording
+    recording = Recording(base.drawing.renderer)
+    base.drawing.renderer = recording
     repeated(step, steps)()
-    base.renderer = recording.renderer
+    base.drawing.renderer = recording.renderer
     return recording.cameras
 
 
@@ -132,7 +133,7 @@ def step_rates(bench: Bench, world: World, robots: int, budget: float) -> dict[s
         step = stepper(env)
         repeated(step, steps)()  # robots come from where they began
         if name == "plain":
-            calls["bare"] = repeated(redrawing(base.renderer, recorded(env, step, steps)), steps)
+            calls["bare"] = repeated(redrawing(base.drawing.renderer, recorded(env, step, steps)), steps)
         elif not (base.capturable and bench.device.type == "cuda"):
             continue
         calls[name] = repeated(step if name == "plain" else CudaGraph(step, [base.generator]), steps)

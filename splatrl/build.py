@@ -16,8 +16,8 @@ from splatrl.bodies import Body
 from splatrl.collision import NativeChecker
 from splatrl.collision.base import Checker
 from splatrl.configuration import load_config, require_values
-from splatrl.curriculum import Plan, plan
-from splatrl.device import AUTO, chosen_device
+from splatrl.curriculum import plan
+from splatrl.device import AUTO, KINDS, chosen_device
 from splatrl.envs.tasks import Task
 from splatrl.envs.world import World
 from splatrl.evaluation.rollouts import run_episodes, spread
@@ -52,7 +52,7 @@ def build_world(cfg: DictConfig) -> World:
         instantiate(cfg.drawing)(renderer),
         robot,
         task,
-        _plan(task, planner, cfg.starts.farthest, partial(_fits, scene.bounds, solid)),
+        plan(task.motion, planner, task.reached, cfg.starts.farthest, partial(_fits, scene.bounds, solid)),
         partial(_make_transforms, cfg.transforms, cfg.network.get("memory", 0)),
         device,
     )
@@ -66,17 +66,9 @@ def _constructor(cfg: DictConfig, group: str, device: torch.device) -> Callable[
     """
     node = cfg[group].get(device.type)
     if node is None:
-        others = [kind for kind in ("cpu", "cuda") if cfg[group].get(kind) is not None]
+        others = [kind for kind in KINDS if cfg[group].get(kind) is not None]
         raise ValueError(f"{group}: expected device={' or '.join(others)} for this choice, got device={device}")
     return instantiate(node)
-
-
-def _plan(task: Task, checker: Checker, farthest: int | None, fits: Callable[[Tensor], Tensor]) -> Plan:
-    """Paths of a task; one without goal states has none."""
-    motion: Any = task.motion
-    some = motion.states()[:1]
-    reached: Any = None if task.reached(some) is None else task.reached
-    return plan(motion, checker, reached, farthest, fits)
 
 
 def _fits(bounds: Bounds, solid: Checker, body_to_world: Tensor) -> Tensor:
@@ -107,9 +99,8 @@ def _start_region(task: Task, body: Body) -> tuple[Tensor, tuple[list[float], li
 
     The places are those of the goal, or of all states where a task has none.
     """
-    motion: Any = task.motion
-    states = motion.states()
-    places = motion.body_to_world(states)[:, :3, 3]
+    states = task.motion.states()
+    places = task.motion.body_to_world(states)[:, :3, 3]
     reached = task.reached(states)
     lower, upper = places.amin(0) - body.radius, places.amax(0) + body.radius
     return places if reached is None else places[reached], (lower.tolist(), upper.tolist())

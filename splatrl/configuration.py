@@ -24,6 +24,10 @@ def conf_dir() -> Path:
     return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
 
 
+PATHS = ("scene.path", "collision.occupancy.cloud")
+"""Keys that hold a path, which a run folder keeps absolute."""
+
+
 @contextmanager
 def _hydra() -> Iterator[ConfigLoader]:
     """Hydra with our configs and those of the search path's plugins; a Hydra that runs already is left as it is."""
@@ -34,7 +38,7 @@ def _hydra() -> Iterator[ConfigLoader]:
         with initialize_config_dir(str(conf_dir()), version_base="1.3"):
             yield instance.config_loader()
     finally:
-        instance.hydra = outer
+        GlobalHydra.instance().hydra = outer  # another instance by now
 
 
 def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfig:
@@ -57,8 +61,7 @@ def with_scene_paths(overrides: Sequence[str]) -> list[str]:
     for override in overrides:
         key, _, value = override.partition("=")
         path = value.strip("'\"")
-        named = (conf_dir() / "scene" / f"{path}.yaml").is_file()
-        if key == "scene" and path and not named and Path(path).expanduser().exists():
+        if key == "scene" and path and Path(path).expanduser().exists() and path not in options("scene"):
             result += ["scene=file", f"scene.path={quoted(path)}"]
         else:
             result.append(override)
@@ -99,8 +102,13 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
 
 def is_group(key: str) -> bool:
     """Whether a key of an override names a config group, of ours or of a plugin's."""
+    return bool(options(key.split("@")[0]))
+
+
+def options(group: str) -> list[str]:
+    """What can be chosen in a config group, ours and that of plugins; nothing where there is no such group."""
     with _hydra() as loader:
-        return bool(loader.get_group_options(key.split("@")[0]))
+        return list(loader.get_group_options(group))
 
 
 def _check_key(key: str, known: DictConfig) -> None:
@@ -118,8 +126,10 @@ def _check_key(key: str, known: DictConfig) -> None:
 def save_config(cfg: DictConfig, folder: Path) -> None:
     """Write ``config.yaml`` into a run folder: all that resuming and evaluating need to know, from wherever."""
     cfg = cfg.copy()
-    if cfg.scene.get("path") is not None:
-        cfg.scene.path = str(Path(cfg.scene.path).expanduser().absolute())
+    for key in PATHS:
+        path = OmegaConf.select(cfg, key)
+        if path is not None:
+            OmegaConf.update(cfg, key, str(Path(path).expanduser().absolute()))
     with replacing(folder / "config.yaml") as stream:
         stream.write(OmegaConf.to_yaml(cfg).encode())
 

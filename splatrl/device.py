@@ -5,6 +5,8 @@ from importlib.util import find_spec
 import torch
 
 AUTO = "auto"
+KINDS = ("cpu", "cuda")
+"""Kinds of device that config groups have a node for."""
 
 
 def chosen_device(name: str) -> torch.device:

@@ -4,65 +4,152 @@ from pathlib import Path
 
 import pytest
 import torch
-from omegaconf import OmegaConf
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from torchrl.envs import RewardScaling
 
-from splatrl.build import build_trainer, build_world, make_env
-from splatrl.configuration import check_overrides, conf_dir, load_config, resumed_config, run_config, save_config
+from splatrl.build import _constructor, build_trainer, build_world, make_env
+from splatrl.collision import CudaChecker, NativeChecker, NoChecker
+from splatrl.commands.evaluate import evaluate_run
+from splatrl.configuration import (
+    command_line,
+    conf_dir,
+    load_config,
+    resumed_config,
+    run_config,
+    save_config,
+    with_scene_paths,
+)
+from splatrl.envs.tasks.base import Anywhere, Outcome, Step, TaskModule, Verdict
+from splatrl.envs.transforms import FrameStack, PoseNoise
+from splatrl.motions import LatticeMotion
+from splatrl.renderers import CudaRenderer, GsplatRenderer, LatticeRenderer, NativeRenderer, ReferenceRenderer
 from tests.envs.devices import pretend_device
-from tests.tiny import tiny_overrides
+from tests.tiny import tiny_gaussians, tiny_overrides
 
 TASKS = sorted((conf_dir() / "task").glob("*.yaml"))
 SCENES = sorted((conf_dir() / "scene").glob("*.yaml"))
 NOT_OF_TRAIN = {"scene", "task", "experiment"}
-OF_GPUS = {Path("renderer/cuda"), Path("renderer/gsplat"), Path("collision/cuda")}
+OF_GPUS = {Path("renderer/gsplat")}
 OPTIONS = sorted(
     path.relative_to(conf_dir()).with_suffix("")
     for path in conf_dir().rglob("*/*.yaml")
     if path.relative_to(conf_dir()).parts[0] not in NOT_OF_TRAIN
 )
+TASK_OF = {"transforms/sprite/apple": "apple", "motion/drive": "fps", "motion/forward": "fps", "motion/orbit": "circle"}
+"""A task other than grid for the options that do not go with it."""
+PACKAGES = {"motion": "motion@task.motion", "rewards": "rewards@task.rewards"}
+"""How a group is named on the command line where its name alone does not say where it goes."""
 
 
 @pytest.mark.parametrize("option", [option for option in OPTIONS if option not in OF_GPUS], ids=str)
 def test_every_option_of_every_group_builds_an_env_that_steps(option: Path, tmp_path: Path) -> None:
-    task = "apple" if option.parent.name == "sprite" else "grid"
-    env = make_env([*tiny_overrides(tmp_path, task), f"{option.parent.as_posix()}={option.name}"], batch_size=[2])
+    group = PACKAGES.get(str(option.parent), option.parent.as_posix())
+    task = TASK_OF.get(option.as_posix(), "grid")
+    env = make_env([*tiny_overrides(tmp_path, task), f"{group}={option.name}"], batch_size=[2])
     assert env.rollout(2)["next", "reward"].shape[0] == 2
 
 
-@pytest.mark.parametrize("option", sorted(OF_GPUS), ids=str)
-def test_what_runs_on_gpus_alone_says_so(option: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    chosen = [*tiny_overrides(tmp_path), f"{option.parent}={option.name}"]
-    with pytest.raises(ValueError, match=r"splatrl\..*: expected device=cuda, got device=cpu"):
-        build_world(load_config(chosen))
-    if option.name == "cuda":
-        monkeypatch.setattr(world, "cuda_extra", lambda: False)
-        with pytest.raises(ValueError, match=r"expected the extra cuda, .* pip install 'splatrl\[cuda\]'"):
+def test_a_task_takes_another_motion_and_other_rewards(tmp_path: Path) -> None:
+    chosen = ["motion@task.motion=drive", "rewards@task.rewards=unit", "task.rewards.step=-0.5"]
+    task = build_world(load_config([*tiny_overrides(tmp_path, "fps"), *chosen])).task
+    assert type(task.motion).__name__ == "DriveMotion" and task.motion.upper.tolist() == [1.0, 1.5]
+    assert task.outcome_rewards.tolist() == [-0.5, 1.0, -1.0, -1.0]
+
+
+def test_what_runs_on_gpus_alone_says_so(tmp_path: Path) -> None:
+    for option in OF_GPUS:
+        chosen = [*tiny_overrides(tmp_path), f"{option.parent}={option.name}", "device=cpu"]
+        with pytest.raises(ValueError, match=f"{option.parent}: expected device=cuda for this choice, got device=cpu"):
             build_world(load_config(chosen))
 
 
-def test_the_parts_for_a_gpu_are_those_of_its_nodes() -> None:
-    """Those that ``auto`` names, and where a group is chosen by name that alone."""
-    gpu, cpu = torch.device("cuda"), torch.device("cpu")
-    cfg = load_config(["renderer.antialiased=false", "renderer.tolerance=0.25"])
-    assert world._node(cfg.renderer, "views", gpu)._target_ == "splatrl.renderers.cuda.CudaRenderer"
-    assert world._node(cfg.collision, "checker", gpu)._target_ == "splatrl.collision.cuda.CudaChecker"
-    assert (cfg.renderer.gpu.antialiased, cfg.renderer.gpu.tolerance) == (False, 0.25)
-    assert world._node(cfg.renderer, "views", cpu)._target_ == "splatrl.renderers.NativeRenderer"
-    named = load_config(["renderer=native", "collision=fcl"])
-    assert world._node(named.renderer, "views", gpu)._target_ == "splatrl.renderers.NativeRenderer"
-    assert world._node(named.collision, "checker", gpu)._target_ == "splatrl.collision.FclChecker"
+def test_what_runs_on_cpus_alone_says_so() -> None:
+    with pytest.raises(ValueError, match="collision: expected device=cpu for this choice, got device=cuda:1"):
+        _constructor(load_config(["collision=fcl"]), "collision", torch.device("cuda:1"))
 
 
-def test_a_config_of_before_there_were_gpus_still_builds(tmp_path: Path) -> None:
-    cfg = load_config([*tiny_overrides(tmp_path), "renderer=native", "collision=native", "memory=stack"])
-    del cfg.collector.cuda_graph, cfg.optim.compile
-    cfg.transforms.stack._target_ = "torchrl.envs.CatFrames"
-    folder = tmp_path / "run"
-    folder.mkdir()
-    save_config(cfg, folder)
-    old = run_config(folder)
-    trainer = build_trainer(old, build_world(old), folder)
+@pytest.mark.parametrize(
+    ("overrides", "cpu", "cuda"),
+    [
+        (["renderer=auto"], NativeRenderer, CudaRenderer),
+        (["renderer=reference"], ReferenceRenderer, ReferenceRenderer),
+        (["renderer=gsplat"], None, GsplatRenderer),
+        (["collision=auto"], NativeChecker, CudaChecker),
+        (["collision=none"], NoChecker, NoChecker),
+    ],
+)
+def test_a_group_has_a_part_for_each_kind_of_device(overrides: list[str], cpu: type | None, cuda: type) -> None:
+    group = overrides[0].split("=")[0]
+    cfg = load_config([*overrides, "device=cuda:1"])
+    made = _constructor(cfg, group, torch.device("cuda:1"))
+    assert made.func is cuda
+    assert made.keywords.get("device", "cuda:1") == "cuda:1"
+    if cpu is not None:
+        assert _constructor(cfg, group, torch.device("cpu")).func is cpu
+
+
+def test_what_is_said_of_a_renderer_holds_on_every_device() -> None:
+    said = {"antialiased": False, "background": [0.5, 0.0, 1.0]}
+    for name, own in (("auto", {"tolerance": 0.25}), ("reference", {}), ("gsplat", {})):
+        values = {**said, **own}
+        cfg = load_config([f"renderer={name}", *(f"renderer.{key}={value}" for key, value in values.items())])
+        for kind in ("cpu", "cuda"):
+            if cfg.renderer[kind] is not None:
+                keywords = _constructor(cfg, "renderer", torch.device(kind)).keywords
+                assert {key: keywords[key] for key in values} == values, (name, kind)
+
+
+def test_views_are_remembered_on_a_cpu_unless_that_is_left_out(tmp_path: Path) -> None:
+    overrides = tiny_overrides(tmp_path)
+    kept = build_world(load_config(overrides)).drawing.renderer
+    assert isinstance(kept, LatticeRenderer) and isinstance(kept.renderer, NativeRenderer)
+    plain = build_world(load_config([*overrides, "renderer.cache=null"])).drawing.renderer
+    assert isinstance(plain, NativeRenderer)
+
+
+def test_a_run_is_built_again_from_its_saved_config(tmp_path: Path) -> None:
+    save_config(load_config([*tiny_overrides(tmp_path), "memory=stack"]), tmp_path)
+    saved = run_config(tmp_path)
+    trainer = build_trainer(saved, build_world(saved), tmp_path)
     assert trainer.ppo.collect()["pixels"].shape[-1] == 12
+
+
+MINE = [
+    "+transforms.mine._target_=torchrl.envs.RewardScaling",
+    "+transforms.mine.loc=1.0",
+    "+transforms.mine.scale=0.0",
+]
+
+
+@pytest.mark.parametrize(
+    ("order", "kinds"),
+    [
+        ("[pose_noise,mine,appearance,stack]", [PoseNoise, RewardScaling, FrameStack]),
+        ("[stack,mine,pose_noise]", [FrameStack, RewardScaling, PoseNoise]),  # what is off needs no place
+    ],
+)
+def test_a_transform_of_ones_own_takes_the_place_that_it_is_given(
+    order: str, kinds: list[type], tmp_path: Path
+) -> None:
+    chosen = ["memory=stack", "transforms/pose_noise=uniform", *MINE, f"transforms.order={order}"]
+    env = make_env([*tiny_overrides(tmp_path), *chosen], batch_size=[2])
+    assert [type(transform) for transform in env.transform] == kinds
+    rewards = env.rollout(2)["next", "reward"]
+    torch.testing.assert_close(rewards, torch.ones_like(rewards), atol=1e-3, rtol=0)
+
+
+def test_an_order_that_names_no_transform_or_leaves_one_out_is_refused(tmp_path: Path) -> None:
+    overrides = tiny_overrides(tmp_path)
+    known = r"expected some of pose_noise, appearance, stack, got stak"
+    with pytest.raises(ValueError, match=rf"transforms\.order: {known}"):
+        make_env([*overrides, "transforms.order=[pose_noise,stak]"])
+    with pytest.raises(ValueError, match=r"transforms\.order: expected a place for mine, got \['pose_noise', .*\]"):
+        make_env([*overrides, *MINE])
+    with pytest.raises(ValueError, match=r"transforms\.order: expected a place for stack, got \[\]"):
+        make_env([*overrides, "memory=stack", "transforms.order=[]"])
 
 
 def test_a_task_moves_with_its_env_and_the_plan_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,7 +168,7 @@ def test_every_task_builds_an_env_that_steps(path: Path, tmp_path: Path) -> None
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_every_scene_composes_and_sets_the_goal_and_the_height(path: Path) -> None:
     cfg = load_config([f"scene={path.stem}"])
-    assert cfg.scene._target_ == "splatrl.load_scene"
+    assert cfg.scene._target_ == ("splatrl.backyard" if path.stem == "backyard" else "splatrl.read_scene")
     if path.stem != "file":
         assert len(cfg.task.goal) == 3
         assert cfg.task.motion.height == cfg.robot.height > 0
@@ -98,11 +185,13 @@ def test_the_kitchen_is_the_task_that_figures_are_compared_on(shared_scenes: Pat
 
 def test_a_mistyped_key_stops_with_the_valid_ones() -> None:
     with pytest.raises(SystemExit, match=r"loss.gama: no such key, did you mean loss.gamma\?\n.*clip_epsilon"):
-        check_overrides("train", ["scene=backyard", "loss.gama=0.9"])
+        command_line("train", ["scene=backyard", "loss.gama=0.9"])
     with pytest.raises(SystemExit, match=r"sede: no such key, did you mean seed\?\n.*collector"):
-        check_overrides("train", ["sede=1"])
+        command_line("train", ["sede=1"])
     with pytest.raises(SystemExit, match=r"valid keys of evaluation\.seed: none"):
-        check_overrides("train", ["evaluation.seed.x=1"])
+        command_line("train", ["evaluation.seed.x=1"])
+    with pytest.raises(SystemExit, match=r"task\.motion\.turn: no such key.*\n.*time_step"):
+        command_line("train", ["task=fps", "motion@task.motion=drive", "task.motion.turn=1"])
 
 
 def test_a_value_that_nobody_gave_is_named(tmp_path: Path) -> None:
@@ -112,12 +201,131 @@ def test_a_value_that_nobody_gave_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("argument", ["task.goal=[0.0", "scene=kitchn"])
 def test_grammar_and_the_options_of_groups_are_left_to_hydra(argument: str) -> None:
-    check_overrides("train", [argument])
+    assert command_line("train", [argument]) == [argument]
 
 
-def test_right_overrides_pass_sweeps_and_hydra_options_among_them() -> None:
-    check_overrides("train", ["-m", "seed=0,1", "curriculum=distance,none", "hydra.run.dir=x", "+extra=1", "~logger"])
-    check_overrides("train", ["scene=kitchen", "scene.path=/a/b.spz", "--cfg", "job"])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["-m", "seed=0,1", "curriculum=distance,none", "hydra.run.dir=x", "+extra=1", "~logger"],
+        ["scene=kitchen", "scene.path=/a/b.spz", "--cfg", "job"],
+        ["task=fps", "motion@task.motion=drive", "task.motion.time_step=0.1", "rewards@task.rewards=unit"],
+    ],
+)
+def test_right_overrides_pass_sweeps_and_hydra_options_among_them(arguments: list[str]) -> None:
+    assert command_line("train", arguments) == arguments
+
+
+@pytest.fixture
+def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with a splat file, a scene's folder, and a file with the name of one of our scenes."""
+    monkeypatch.chdir(tmp_path)
+    tiny_overrides(tmp_path)
+    for name in ("it's, a (room).ply", "kitchen"):
+        (tmp_path / name).write_bytes((tmp_path / "tiny.ply").read_bytes())
+    (tmp_path / "garden").mkdir()
+    (tmp_path / "tiny.ply").rename(tmp_path / "garden" / "splat.ply")
+    frame = {"axes": ["y", "-x", "z"], "scale": 2.0}
+    OmegaConf.save(
+        OmegaConf.create({"splat": "splat.ply", "world_from_splat": frame}), tmp_path / "garden" / "scene.yaml"
+    )
+    return tmp_path
+
+
+@pytest.mark.parametrize("path", ["garden", "garden/splat.ply", "it's, a (room).ply", "./kitchen"])
+def test_the_path_of_a_scene_stands_for_its_config(path: str, places: Path) -> None:
+    for written in (path, str(places / path)):
+        for overrides in (
+            with_scene_paths([f"scene={written}"]),
+            command_line("train", ["seed=1", f"scene={written}"]),
+        ):
+            cfg = load_config(overrides)
+            assert (cfg.scene._target_, cfg.scene.path) == ("splatrl.read_scene", written)
+        assert load_config([f"scene={written}"]).scene.path == written
+
+
+def test_a_path_in_quotes_is_that_path(places: Path) -> None:
+    for quote in "'\"":
+        assert load_config([f"scene={quote}garden/splat.ply{quote}"]).scene.path == "garden/splat.ply"
+
+
+def test_the_name_of_a_scene_goes_before_a_file_of_that_name(places: Path) -> None:
+    assert with_scene_paths(["scene=kitchen", "task=fps"]) == ["scene=kitchen", "task=fps"]
+    assert OmegaConf.is_missing(load_config(["scene=kitchen"]).scene, "path")
+
+
+def test_what_is_no_path_of_a_scene_is_left_as_it_is(places: Path) -> None:
+    others = ["scene=nowhere.ply", "scene=", "scene.path=garden", "task=garden", "+scene=garden", "~scene", "-m"]
+    assert with_scene_paths(others) == others
+
+
+def test_a_scenes_folder_says_how_it_stands(places: Path) -> None:
+    room = tiny_overrides(places)
+    tiny = ("scene=", "scene.path=", "task.motion.", "robot.height", "robot.body")
+    kept = [override for override in room if not override.startswith(tiny)]
+    scene = build_world(load_config(["scene=garden", *kept, "robot.height=1.0", "collision=none"])).scene
+    means = tiny_gaussians().means
+    expected = 2 * torch.stack([means[:, 1], -means[:, 0], means[:, 2]], 1)
+    torch.testing.assert_close(scene.gaussians.means, expected, atol=1e-4, rtol=0)
+
+
+def test_a_hydra_that_runs_already_is_left_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / "other.yaml").write_text("size: 3\n")
+    assert not GlobalHydra.instance().is_initialized()
+    with initialize_config_dir(str(tmp_path), version_base="1.3"):
+        outer = GlobalHydra.instance().hydra
+        assert load_config(["task=fps"]).task._target_ == "splatrl.envs.tasks.Fps"
+        with pytest.raises(HydraException):
+            load_config(["task=nothing"])
+        assert GlobalHydra.instance().hydra is outer
+        assert compose("other", ["size=4"]).size == 4
+    load_config()
+    assert not GlobalHydra.instance().is_initialized()
+
+
+class Wander(TaskModule):
+    """Has no goal: robots are paid for every step that is free."""
+
+    def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
+        hit = (step.move.free_fraction < 1).unsqueeze(1)
+        return Verdict((~hit).float(), hit, torch.where(hit, Outcome.COLLISION, Outcome.RUNNING))
+
+
+def aimless(folder: Path) -> DictConfig:
+    """A training of the task above on the tiny lattice."""
+    overrides = [one for one in tiny_overrides(folder) if not one.startswith("task.max_steps")]
+    settings = {"total_frames": 256, "frames_per_batch": 128}
+    return load_config(
+        [
+            *overrides,
+            "~task.goal",
+            "~task.rewards",
+            "task._target_=tests.test_configuration.Wander",
+            "task.max_steps=8",
+            *(f"collector.{key}={value}" for key, value in settings.items()),
+            "env.num_envs=16",
+            "logger.num_test_episodes=8",
+            "logger.video=false",
+        ]
+    )
+
+
+def test_a_task_without_goal_states_is_planned_trained_and_evaluated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cfg = aimless(tmp_path)
+    world = build_world(cfg)
+    assert isinstance(world.task.motion, LatticeMotion)
+    plan = world.plan
+    assert plan.field is None and not plan.at_goal(plan.states).any()
+    assert torch.equal(plan.start_rows, plan.free.nonzero().squeeze(1)) and 0 < len(plan.start_rows) < len(plan.free)
+    build_trainer(cfg, world, tmp_path).fit()
+    summary = evaluate_run(cfg, tmp_path, world)
+    assert not {"spl", "spl_argmax", "mean_shortest"} & summary.keys()
+    assert summary["success_rate"] == 0 and summary["collision_rate"] + summary["timeout_rate"] == 1
+    assert 0 < summary["mean_return"] <= 8
+    said = capsys.readouterr().out
+    assert "SPL" not in said and f"return {summary['mean_return']:.1f}" in said
 
 
 def test_a_resumed_config_is_the_saved_one_with_single_keys_changed(tmp_path: Path) -> None:
@@ -133,7 +341,7 @@ def test_a_saved_config_finds_its_scene_from_elsewhere(tmp_path: Path, monkeypat
     save_config(load_config(["scene=file", "scene.path=scenes/garden.ply"]), tmp_path)
     assert run_config(tmp_path).scene.path == str(tmp_path / "scenes" / "garden.ply")
     save_config(load_config(), tmp_path)
-    assert run_config(tmp_path).scene.path == "backyard"
+    assert "path" not in run_config(tmp_path).scene
 
 
 def test_a_folder_without_a_run_is_named(tmp_path: Path) -> None:

@@ -1,44 +1,60 @@
-"""The order of the rooms: each imports only from those before it, and few know Hydra or choose a device."""
+"""The order of the rooms: each names only what comes before it, and few know Hydra or choose a device."""
 
 import ast
+import pkgutil
+import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
+from omegaconf import OmegaConf
 
 import splatrl
+from splatrl.configuration import conf_dir
 
 PACKAGE = Path(splatrl.__file__).parent
+ROOT = Path(__file__).parents[1]
 ORDER = [
-    {"files", "faults", "geometry", "spherical_harmonics"},
+    {"device", "faults", "files", "geometry", "spherical_harmonics"},
     {"cameras"},
     {"bodies"},
     {"native"},
     {"scenes"},
     {"renderers"},
     {"collision"},
+    {"motions"},
     {"curriculum"},
     {"envs"},
     {"training"},
     {"evaluation"},
-    {"reconstruct"},
-    {"device"},
     {"configuration"},
-    {"world"},
+    {"build"},
+    {"runs"},
     {"experiments"},
-    {"train", "evaluate", "commands", "experiment_command", "clips_command"},
+    {"commands"},
 ]
 """Rooms and single modules under splatrl/; a new one finds its place here."""
-ENTRY_POINTS = {"train", "evaluate", "commands", "experiment_command", "clips_command"}
-HYDRA_USERS = {
-    "hydra": {"configuration", "world"} | ENTRY_POINTS,
-    "omegaconf": {"configuration", "world", "scenes"} | ENTRY_POINTS,
+ONLY = {
+    "hydra": {"configuration", "build", "commands"},
+    "omegaconf": {"scenes", "configuration", "build", "runs", "experiments", "commands"},
+    "splatrl.device": {"build", "commands"},
 }
+"""What only some rooms may import."""
+CONF_LIMITS = {"experiment": "experiments"}
+"""The last room that the configs of a group may name; those of other groups, and root configs: ``evaluation``."""
 DEVICE_CHOICES = {"cuda", "mps", "xpu"}
+CHOOSERS = {"device", "build", "commands"}
 CUDA_ALONE = ("native/cuda/", "renderers/cuda.py", "renderers/gsplat.py", "collision/cuda.py")
 """What runs on a CUDA device and on no other: to name it is no choice."""
+DOTTED = re.compile(r"splatrl(\.\w+)+")
+MODULE = re.compile(r"-m (splatrl[\w.]*\w)")
 
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
+CONFIGS = sorted(conf_dir().rglob("*.yaml"))
 
 
 def room(path: Path) -> str:
@@ -49,6 +65,28 @@ def room(path: Path) -> str:
 def rank(name: str) -> int:
     """Place of a room in the order."""
     return next(place for place, rooms in enumerate(ORDER) if name in rooms)
+
+
+def rooms_of(name: str) -> set[str]:
+    """The rooms that a dotted name leads through, and that in which its object is made; none outside splatrl.
+
+    Raises:
+        ImportError: where there is no such module.
+        AttributeError: where there is no such object in it.
+    """
+    thing = pkgutil.resolve_name(name)
+    homes = (name, getattr(thing, "__module__", None) or "")
+    found = {home.split(".")[1] for home in homes if home.startswith("splatrl.")}
+    return {each for each in found if any(each in rooms for rooms in ORDER)}
+
+
+def name_faults(name: str, limit: str) -> list[str]:
+    """What is wrong with a dotted name where rooms up to ``limit`` may be named."""
+    try:
+        rooms = rooms_of(name)
+    except (ImportError, AttributeError):
+        return [f"{name}: expected the name of something, there is no such thing"]
+    return [f"{name}: {other} comes after {limit}" for other in sorted(rooms) if rank(other) > rank(limit)]
 
 
 def imported(tree: ast.AST) -> Iterator[str]:
@@ -62,20 +100,46 @@ def imported(tree: ast.AST) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
+def written(tree: ast.AST) -> Iterator[str]:
+    """Dotted names of splatrl that are a string, or stand in one after ``-m``; a resolver of OmegaConf's is none."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield from MODULE.findall(node.value)
+            if DOTTED.fullmatch(node.value) and not OmegaConf.has_resolver(node.value):
+                yield node.value
+
+
 def faults(name: str, source: str) -> list[str]:
-    """What is wrong with the imports of a module of the room ``name``."""
-    found = []
-    for target in imported(ast.parse(source)):
+    """What is wrong with the names that a module of the room ``name`` imports or writes."""
+    found, tree = [], ast.parse(source)
+    for target in imported(tree):
+        for prefix, rooms in ONLY.items():
+            if f"{target}.".startswith(f"{prefix}.") and name not in rooms:
+                found.append(f"{target}: only {sorted(rooms)} may import {prefix}")
         top, _, rest = target.partition(".")
-        if top in HYDRA_USERS and name not in HYDRA_USERS[top]:
-            found.append(f"{target}: only {sorted(HYDRA_USERS[top])} may import {top}")
         if top == "splatrl":
-            other = rest.split(".")[0]
-            if not any(other in rooms for rooms in ORDER):
+            if any(rest.split(".")[0] in rooms for rooms in ORDER):
+                found += name_faults(target, name)
+            else:
                 found.append(f"{target}: expected an import from a room, not from the package's own names")
-            elif rank(other) > rank(name):
-                found.append(f"{target}: {other} comes after {name}")
-    return found
+    return found + [fault for target in written(tree) for fault in name_faults(target, name)]
+
+
+def conf_names(node: Any) -> Iterator[str]:
+    """Dotted names in a config: the targets, whoever's they are, and all other strings that name something of ours."""
+    if isinstance(node, list):
+        node = dict(enumerate(node))
+    if isinstance(node, dict):
+        for key, value in node.items():
+            if isinstance(value, str) and (key == "_target_" or DOTTED.fullmatch(value)):
+                yield value
+            yield from conf_names(value)
+
+
+def conf_faults(path: Path, source: str) -> list[str]:
+    """What is wrong with the names in a config, by its path in conf/."""
+    limit = CONF_LIMITS.get(path.parts[0], "evaluation")
+    return [fault for name in conf_names(yaml.safe_load(source)) for fault in name_faults(name, limit)]
 
 
 def device_choices(source: str) -> list[int]:
@@ -95,18 +159,35 @@ def device_choices(source: str) -> list[int]:
     return lines
 
 
-def test_every_module_has_a_place_in_the_order() -> None:
-    assert {room(path) for path in MODULES} <= set().union(*ORDER)
+def test_every_module_has_a_place_in_the_order_and_every_place_a_module() -> None:
+    assert {room(path) for path in MODULES} == set().union(*ORDER)
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_a_module_imports_only_from_rooms_before_its_own(path: Path) -> None:
+def test_a_module_names_only_what_its_own_room_and_those_before_it_have(path: Path) -> None:
     assert faults(room(path), path.read_text()) == []
 
 
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: str(path.relative_to(conf_dir())))
+def test_a_config_names_only_what_there_is_in_the_rooms_that_it_may_know(path: Path) -> None:
+    assert conf_faults(path.relative_to(conf_dir()), path.read_text()) == []
+
+
+def test_the_configs_name_what_they_build() -> None:
+    named = {name for path in CONFIGS for name in conf_names(yaml.safe_load(path.read_text()))}
+    assert {"splatrl.renderers.NativeRenderer", "splatrl.experiments.clip_scores.score_experiment"} <= named
+    assert len(named) > 30
+
+
+def test_every_command_is_there() -> None:
+    scripts = re.findall(r'^splatrl-\w+ = "(.*)"$', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
+    assert len(scripts) == 5
+    assert all(callable(pkgutil.resolve_name(script)) for script in scripts)
+
+
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_only_entry_points_and_the_module_they_ask_choose_a_device(path: Path) -> None:
-    if room(path) not in ENTRY_POINTS | {"device"} and not path.relative_to(PACKAGE).as_posix().startswith(CUDA_ALONE):
+def test_only_entry_points_and_the_modules_they_ask_choose_a_device(path: Path) -> None:
+    if room(path) not in CHOOSERS and not path.relative_to(PACKAGE).as_posix().startswith(CUDA_ALONE):
         assert device_choices(path.read_text()) == []
 
 
@@ -116,14 +197,58 @@ def test_only_entry_points_and_the_module_they_ask_choose_a_device(path: Path) -
         ("curriculum", "from splatrl.envs import SplatEnv", "envs comes after curriculum"),
         ("curriculum", "import splatrl.envs.robot", "envs comes after curriculum"),
         ("scenes", "def f():\n    from splatrl import renderers", "renderers comes after scenes"),
+        ("motions", "from splatrl.curriculum import Plan", "curriculum comes after motions"),
         ("envs", "from splatrl import SplatEnv", "not from the package's own names"),
         ("envs", "import splatrl", "not from the package's own names"),
         ("envs", "from hydra.utils import instantiate", "may import hydra"),
         ("training", "import omegaconf", "may import omegaconf"),
+        ("envs", "from splatrl.device import chosen_device", "may import splatrl.device"),
+        ("envs", "def f():\n    from splatrl.scenes import Nothing", "there is no such thing"),
+        ("envs", "import splatrl.scenes.nothing", "there is no such thing"),
+        ("experiments", "x = ['-m', 'splatrl.commands.train']", "commands comes after experiments"),
+        ("experiments", "x = 'python -m splatrl.commands.train task=fps'", "commands comes after experiments"),
+        ("commands", "x = ('-m', 'splatrl.train')", "there is no such thing"),
+        ("commands", "'python -m splatrl.train.'", "there is no such thing"),
     ],
 )
-def test_an_import_that_goes_up_is_found(name: str, source: str, fault: str) -> None:
+def test_a_name_that_goes_up_or_leads_nowhere_is_found(name: str, source: str, fault: str) -> None:
     assert [fault in found for found in faults(name, source)] == [True]
+
+
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("experiments", "from splatrl.experiments import Run\nimport splatrl.build"),
+        ("commands", "x = ('-m', 'splatrl.commands.train')\nimport hydra"),
+        ("scenes", "'see splatrl.envs.nothing for more'"),
+        ("configuration", "x = 'splatrl.run_dir'"),
+    ],
+)
+def test_a_name_that_goes_down_is_no_fault(name: str, source: str) -> None:
+    assert faults(name, source) == []
+
+
+@pytest.mark.parametrize(
+    ("path", "source", "fault"),
+    [
+        ("task/new.yaml", "_target_: splatrl.experiments.Run", "experiments comes after evaluation"),
+        ("train.yaml", "node: {_target_: splatrl.make_env}", "build comes after evaluation"),
+        ("clips.yaml", "steps: [{call: splatrl.runs.load_policy}]", "runs comes after evaluation"),
+        ("experiment/new.yaml", "score: splatrl.commands.train.run", "commands comes after experiments"),
+        ("experiment/new.yaml", "score: splatrl.experiments.score_nothing", "there is no such thing"),
+        ("task/new.yaml", "_target_: splatrl.envs.motions.DriveMotion", "there is no such thing"),
+        ("memory/new.yaml", "_target_: torchrl.envs.NoFrames", "there is no such thing"),
+        ("scene/new.yaml", "scene: {_target_: splatrl.load_scene}", "there is no such thing"),
+    ],
+)
+def test_a_name_in_a_config_that_goes_up_or_leads_nowhere_is_found(path: str, source: str, fault: str) -> None:
+    assert [fault in found for found in conf_faults(Path(path), source)] == [True]
+
+
+def test_names_in_configs_that_go_down_are_no_fault() -> None:
+    assert conf_faults(Path("experiment/new.yaml"), "score: splatrl.experiments.clip_scores.score_experiment") == []
+    ours = "a: {_target_: splatrl.collision.Occupancy.from_scene}\nb: [{_target_: splatrl.backyard}]\nc: splatrl is it"
+    assert conf_faults(Path("task/new.yaml"), f"{ours}\nd: {{_target_: torchrl.envs.CatFrames}}") == []
 
 
 @pytest.mark.parametrize("source", ["x.to('cuda')", "device = 'cuda:1'", "torch.cuda.is_available()"])
@@ -134,3 +259,32 @@ def test_the_choice_of_a_device_is_found(source: str) -> None:
 @pytest.mark.parametrize("source", ["x.is_cuda", "if device.type == 'cuda': pass", "'no cuda here'", "device='cpu'"])
 def test_asking_for_a_device_is_no_choice(source: str) -> None:
     assert device_choices(source) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "absent"),
+    [("splatrl", {"hydra", "omegaconf", "torchrl", "torch"}), ("splatrl.geometry", {"hydra", "omegaconf", "torchrl"})],
+)
+def test_a_small_import_brings_no_large_library(module: str, absent: set[str]) -> None:
+    asks = f"import sys, {module}; print(*sorted({absent!r} & sys.modules.keys()))"
+    done = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+
+
+@pytest.mark.parametrize("name", splatrl.__all__)
+def test_every_name_of_the_package_is_there_under_its_own_name(name: str) -> None:
+    assert getattr(splatrl, name).__name__ == name
+    assert name in dir(splatrl)
+
+
+def test_what_type_checkers_see_of_the_package_is_what_it_gives() -> None:
+    tree = ast.parse((PACKAGE / "__init__.py").read_text())
+    checked = next(node for node in tree.body if isinstance(node, ast.If))
+    names = {name.removeprefix("splatrl."): name.rsplit(".")[-1] for name in imported(checked)}
+    assert sorted(names.values()) == sorted(splatrl.__all__)
+    assert {name: home.rpartition(".")[0] for home, name in names.items()} == splatrl._HOMES
+
+
+def test_a_name_that_the_package_lacks_is_refused() -> None:
+    with pytest.raises(AttributeError, match="module 'splatrl' has no attribute 'nothing'"):
+        _ = splatrl.nothing

@@ -11,6 +11,8 @@ from splatrl.motions.base import PlannedMotion, Taps
 
 FAR = 1e6
 """Steps to the goal from where there is no way to it."""
+Reached = Callable[[Tensor], Tensor | None]
+"""Whether states [N, ...] are at a goal, [N] bool; None where there are no goal states."""
 SETTLED = 1e-3
 """Steps: the field is done when no node changes by more in an iteration."""
 
@@ -49,7 +51,7 @@ def _slim(taps: Taps) -> Taps:
     return Taps(taps.node[:, used], taps.weight[:, used])
 
 
-def cost_field(motion: PlannedMotion, checker: Checker, reached: Callable[[Tensor], Tensor]) -> Field:
+def cost_field(motion: PlannedMotion, checker: Checker, reached: Reached) -> Field:
     """Steps to the goal from every state, by value iteration: a state is one step farther than the best it leads to.
 
     Where every action leads from node to node, as with finitely many states, the field is exact and equals a
@@ -60,7 +62,7 @@ def cost_field(motion: PlannedMotion, checker: Checker, reached: Callable[[Tenso
     Args:
         motion: the actions, and where they lead.
         checker: tells which poses and moves are free.
-        reached: states [N, ...] -> [N] bool, whether a state is at the goal.
+        reached: tells which states are at the goal.
 
     Raises:
         ValueError: when no pose is free, or none at the goal.
@@ -68,6 +70,7 @@ def cost_field(motion: PlannedMotion, checker: Checker, reached: Callable[[Tenso
     nodes = motion.nodes()
     free = motion.inside(nodes) & ~checker.collides(motion.body_to_world(nodes))
     at_goal = reached(nodes)
+    assert at_goal is not None, "there are no paths without goal states"
     if not free.any():
         raise ValueError(f"scene: expected free poses, got {len(nodes)} poses that all collide")
     if not (goals := free & at_goal).any():

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from splatrl.collision.base import Checker
-from splatrl.curriculum.field import FAR, Field, cost_field
+from splatrl.curriculum.field import FAR, Field, Reached, cost_field
 from splatrl.motions.base import PlannedMotion
 
 UNREACHABLE = -1
@@ -30,8 +30,8 @@ class Plan:
         checker: tells which moves are free.
         start_rows: [N] int64, rows of the start set: free states from which a goal state can be reached, goal states
             left out; without a goal all free states.
+        reached: tells which states are at the goal.
         field: steps to the goal from any state inside the bounds; None without a goal.
-        reached: whether states are at the goal, [N, D] -> [N] bool; None without a goal.
     """
 
     states: Tensor
@@ -41,8 +41,8 @@ class Plan:
     motion: PlannedMotion
     checker: Checker
     start_rows: Tensor
+    reached: Reached
     field: Field | None = None
-    reached: Callable[[Tensor], Tensor] | None = None
 
     @property
     def starts(self) -> Tensor:
@@ -67,7 +67,8 @@ class Plan:
 
     def at_goal(self, state: Tensor) -> Tensor:
         """Whether states are at the goal, which is nowhere without one: [N, D] -> [N] bool."""
-        return torch.zeros(len(state), dtype=torch.bool) if self.reached is None else self.reached(state)
+        reached = self.reached(state)
+        return torch.zeros(len(state), dtype=torch.bool, device=state.device) if reached is None else reached
 
     def optimal(self, state: Tensor) -> Tensor:
         """Which actions begin a shortest path.
@@ -98,7 +99,7 @@ class Plan:
 def plan(
     motion: PlannedMotion,
     checker: Checker,
-    reached: Callable[[Tensor], Tensor] | None,
+    reached: Reached,
     farthest: int | None = None,
     fits: Callable[[Tensor], Tensor] | None = None,
 ) -> Plan:
@@ -110,8 +111,8 @@ def plan(
     Args:
         motion: lists the states and moves between them.
         checker: tells which poses and moves are free.
-        reached: states [S, D] -> [S] bool, whether a state is at the goal; None for a task without goal states: there
-            are no paths then, and every free state is a start.
+        reached: tells which states are at the goal. Where there are no goal states, there are no paths, and every free
+            state is a start.
         farthest: longest path of a start, steps; None for any.
         fits: body_to_world [S, 4, 4] -> [S] bool, where an episode may begin; None takes what the checker finds free. A
             robot that can go through things should not begin inside one.
@@ -122,19 +123,18 @@ def plan(
     states, actions = motion.states(), motion.actions()
     poses = motion.body_to_world(states)
     free = ~checker.collides(poses)
-    field = None if reached is None else cost_field(motion, checker, reached)
+    at_goal = reached(states)
+    field = None if at_goal is None else cost_field(motion, checker, reached)
     free = free if fits is None else free & fits(poses)
-    if reached is None or field is None:
-        distance = torch.where(free, 0, UNREACHABLE)
-        starts = free
-    else:
-        left = field(states)
-        distance = torch.where(free & (left < FAR), left.round().clamp_min(1).long(), UNREACHABLE)
-        distance = torch.where(free & reached(states), 0, distance)
-        starts = (distance > 0) & (distance <= (distance.max() if farthest is None else farthest))
-    if reached is None and not starts.any():
-        raise ValueError(f"scene: expected free poses, got {len(states)} poses in which no robot can begin")
+    if at_goal is None or field is None:
+        if not free.any():
+            raise ValueError(f"scene: expected free poses, got {len(states)} poses in which no robot can begin")
+        rows = free.nonzero().squeeze(1)
+        return Plan(states, free, torch.where(free, 0, UNREACHABLE), actions, motion, checker, rows, reached)
+    left = field(states)
+    distance = torch.where(free & (left < FAR), left.round().clamp_min(1).long(), UNREACHABLE)
+    distance = torch.where(free & at_goal, 0, distance)
+    starts = (distance > 0) & (distance <= (distance.max() if farthest is None else farthest))
     if not starts.any():
         raise ValueError(f"task.goal: expected a way to it from some free pose, got none from {int(free.sum())}")
-    rows = starts.nonzero().squeeze(1)
-    return Plan(states, free, distance, actions, motion, checker, rows, field, reached)
+    return Plan(states, free, distance, actions, motion, checker, starts.nonzero().squeeze(1), reached, field)

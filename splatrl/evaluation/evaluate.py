@@ -78,11 +78,9 @@ def evaluate(
     }
     write_json(folder / "evaluation.json", summary)
     pictures = Pictures(world.scene.gaussians, world.occupancy, plan, env, folder)
-    files = [
-        pictures.learning_curve(checkpoint["history"]),
-        pictures.starts(sampled),
-        pictures.success_map(sampled),
-    ]
+    files = [pictures.learning_curve(checkpoint["history"])]
+    if plan.field is not None:
+        files += [pictures.starts(sampled), pictures.success_map(sampled)]
     if video:
         files.append(pictures.video(world.env(EPISODES_IN_VIDEO), policy, settings.seed))
     return summary, files

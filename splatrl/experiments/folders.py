@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
+from splatrl.configuration import PATHS
 from splatrl.experiments.experiment import Run
 
 Status = Literal["finished", "begun", "new"]
@@ -62,4 +63,4 @@ def _flat(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
         if isinstance(value, Mapping):
             yield from _flat(value, f"{name}.")
         else:
-            yield name, str(Path(value).expanduser().absolute()) if name == "scene.path" else value
+            yield name, str(Path(value).expanduser().absolute()) if name in PATHS and value is not None else value

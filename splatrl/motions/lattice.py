@@ -75,6 +75,7 @@ class LatticeMotion(FiniteMotion):
 
     def body_to_world(self, state: Tensor) -> Tensor:
         """Poses of states: [B, 3] int64 -> [B, 4, 4] float32; equal states have poses of equal bytes."""
+        assert self.height is not None
         position = self.planar(state)[:, :2].float()
         return rigid(
             self.rotations[state[:, 2]], torch.cat([position, position.new_full((len(state), 1), self.height)], 1)

@@ -8,11 +8,10 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from splatrl import experiment_command
-from splatrl.commands.experiment import experiment
+from splatrl.commands.experiment import TRAIN, experiment, main
 from splatrl.configuration import load_config
-from splatrl.experiments import Run
-from tests.test_train import SETTINGS
+from splatrl.experiments import Run, conduct
+from tests.commands.test_train import SETTINGS
 from tests.tiny import tiny_overrides
 
 Command = Callable[..., None]
@@ -23,7 +22,7 @@ def command(monkeypatch: pytest.MonkeyPatch) -> Command:
     def call(*arguments: str) -> None:
         monkeypatch.setattr(sys, "argv", ["splatrl-experiment", *arguments])
         monkeypatch.setattr("signal.signal", lambda *_: None)
-        experiment_command.main()
+        main()
 
     return call
 
@@ -33,11 +32,12 @@ def test_every_experiment_composes_and_states_its_budget(
 ) -> None:
     trained: list[str] = []
 
-    def nothing(runs: Sequence[Run], *_: object) -> list[Run]:
+    def nothing(runs: Sequence[Run], jobs: int, threads: int, program: Sequence[str]) -> list[Run]:
+        assert jobs == 2 and program == TRAIN
         trained.extend(run.folder.name for run in runs)
         return []
 
-    monkeypatch.setattr(experiment_command, "train", nothing)
+    monkeypatch.setattr(conduct, "train", nothing)
     experiment(load_config(["name=all", f"folder={tmp_path}", "kitchen=kitchen.spz", "jobs=2"], "experiment"))
     assert len(trained) == 25 + 8 + 6 + 8
     assert "kitchen-gru-s0" in trained
@@ -97,7 +97,7 @@ def test_a_mistake_is_told_before_anything_is_trained(command: Command, words: l
 def test_a_failed_training_is_named_at_the_end(
     tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(experiment_command, "train", lambda runs, *_: [runs[0]])
+    monkeypatch.setattr(conduct, "train", lambda runs, *_: [runs[0]])
     with pytest.raises(SystemExit) as ended:
         command("name=grid", f"folder={tmp_path}", "scenes=[backyard]", "seeds=[0]")
     assert str(tmp_path / "grid" / "backyard-distance-s0") in str(ended.value)
@@ -107,7 +107,7 @@ def test_a_failed_training_is_named_at_the_end(
 def test_settings_that_changed_begin_anew_only_when_asked(
     tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(experiment_command, "train", lambda *_: [])
+    monkeypatch.setattr(conduct, "train", lambda *_: [])
     run = tmp_path / "grid" / "backyard-none-s0"
     (run / "checkpoints").mkdir(parents=True)
     (run / "checkpoints" / "last.pt").touch()

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from splatrl import train
+from splatrl.commands import train
 from splatrl.training import load_checkpoint
 from tests.tiny import tiny_overrides
 
@@ -27,7 +27,7 @@ SETTINGS = [
 
 
 def command(module: str, *arguments: str) -> subprocess.Popen[str]:
-    line = [sys.executable, "-m", f"splatrl.{module}", *arguments]
+    line = [sys.executable, "-m", f"splatrl.commands.{module}", *arguments]
     return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torchrl.data import TensorSpec
 
-from splatrl.motions.base import Motion, Move
+from splatrl.motions.base import Move, PlannedMotion
 from splatrl.renderers.parts import Parts
 
 Memory = Mapping[str, Tensor]
@@ -88,7 +88,7 @@ class Task(Protocol):
         max_steps: an episode is truncated after this many steps.
     """
 
-    motion: Motion
+    motion: PlannedMotion
     max_steps: int
 
     @property
@@ -149,9 +149,9 @@ class TaskModule(torch.nn.Module):
         ValueError: for a limit below one step.
     """
 
-    motion: Motion
+    motion: PlannedMotion
 
-    def __init__(self, motion: Motion, max_steps: int):
+    def __init__(self, motion: PlannedMotion, max_steps: int):
         super().__init__()
         if max_steps < 1:
             raise ValueError(f"task.max_steps: expected at least 1, got {max_steps}")

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from splatrl.envs.tasks.base import Mark, Memory
 from splatrl.envs.tasks.rewards import PUBLISHED, OutcomeTask, Rewards
-from splatrl.motions.base import Motion
+from splatrl.motions.base import PlannedMotion
 
 SLACK = 1e-4
 """Share of a step by which rounding may carry a pose over the inclusive bounds of the goal."""
@@ -32,7 +32,7 @@ class PoseGoal(OutcomeTask):
 
     def __init__(
         self,
-        motion: Motion,
+        motion: PlannedMotion,
         goal: Sequence[float],
         rewards: Rewards = PUBLISHED,
         max_steps: int = 200,

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from splatrl.envs.tasks.base import Anywhere, Outcome, Step, TaskModule, Verdict
-from splatrl.motions.base import Motion
+from splatrl.motions.base import PlannedMotion
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class OutcomeTask(TaskModule):
 
     outcome_rewards: Tensor  # [4] float32, by Outcome
 
-    def __init__(self, motion: Motion, rewards: Rewards, max_steps: int):
+    def __init__(self, motion: PlannedMotion, rewards: Rewards, max_steps: int):
         super().__init__(motion, max_steps)
         self.register_buffer("outcome_rewards", torch.tensor(astuple(rewards), dtype=torch.float32), persistent=False)
 

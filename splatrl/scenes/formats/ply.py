@@ -113,3 +113,6 @@ def _columns(rows: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.float
         for i, name in enumerate(names):
             columns[:, i] = rows[name]
     return columns
+
+
+READERS = {".ply": read_ply}

@@ -1,22 +1,24 @@
 """One reader for every splat file: the file's ending says which format it is in."""
 
 import os
+import pkgutil
 from collections.abc import Callable
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 
-from splatrl.scenes.formats.ply import read_ply
-from splatrl.scenes.formats.sog import read_sog
-from splatrl.scenes.formats.splat import read_splat
-from splatrl.scenes.formats.spz import read_spz
 from splatrl.scenes.gaussians import Gaussians
 
-READERS: dict[str, Callable[[Path], Gaussians]] = {
-    ".ply": read_ply,
-    ".sog": read_sog,
-    ".splat": read_splat,
-    ".spz": read_spz,
-}
-"""File ending → reader. A reader takes a path of a file that is there and not empty."""
+Reader = Callable[[Path], Gaussians]
+"""Reads a file that is there and not empty."""
+
+
+@cache
+def readers() -> dict[str, Reader]:
+    """File ending → reader, of every module beside this one that has ``READERS``: a new format is a new module."""
+    names = sorted(info.name for info in pkgutil.iter_modules([str(Path(__file__).parent)]))
+    modules = [import_module(f"splatrl.scenes.formats.{name}") for name in names if name != "reading"]
+    return {ending: read for module in modules for ending, read in vars(module).get("READERS", {}).items()}
 
 
 def read_gaussians(path: str | os.PathLike[str]) -> Gaussians:
@@ -34,10 +36,10 @@ def read_gaussians(path: str | os.PathLike[str]) -> Gaussians:
     path = Path(path)
     if path.is_dir():
         raise ValueError(f"{path}: expected a splat file, got a folder")
-    reader = READERS.get(path.suffix.lower())
+    reader = readers().get(path.suffix.lower())
     if reader is None:
         raise ValueError(
-            f"{path}: expected a file that ends in {', '.join(READERS)}, got {path.suffix or 'no ending'!r}"
+            f"{path}: expected a file that ends in {', '.join(readers())}, got {path.suffix or 'no ending'!r}"
         )
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such splat file")

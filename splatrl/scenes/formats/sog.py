@@ -125,3 +125,6 @@ def _sizes(path: Path, meta: dict[str, Any], name: str, count: int, entries: dic
         bits = int.from_bytes(head[21:25], "little")  # 14 bits of width - 1, then of height - 1
         sizes.append(((bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1))
     return sizes
+
+
+READERS = {".sog": read_sog}

@@ -26,3 +26,6 @@ def read_splat(path: Path) -> Gaussians:
         opacities=rgba[:, 3],
         sh=((rgba[:, None, :3] - 0.5) / C0),
     )
+
+
+READERS = {".splat": read_splat}

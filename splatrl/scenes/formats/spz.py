@@ -142,3 +142,6 @@ def _smallest_three(packed: Bytes) -> NDArray[np.float32]:
     xyzw[~left_out] = values.ravel()
     xyzw[left_out] = np.sqrt(np.maximum(0.0, 1.0 - (values * values).sum(1)))
     return np.roll(xyzw, 1, axis=1)
+
+
+READERS = {".spz": read_spz}

@@ -1,0 +1,103 @@
+"""Clips of a scene that training never saw, and what trained policies do in them."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from splatrl.build import build_world
+from splatrl.configuration import load_config
+from splatrl.evaluation.clip_files import read_clips
+from splatrl.experiments import clip_scores
+from splatrl.experiments.clip_scores import altered, record_clips, score_experiment, score_run
+from splatrl.motions import DriveMotion
+from splatrl.runs import load_policy
+from tests.experiments.trained import BEST, NAMES, config, three_runs
+from tests.tiny import HEIGHT
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return three_runs(tmp_path_factory.mktemp("runs"))
+
+
+@pytest.fixture(scope="module")
+def clips(runs: Path) -> Path:
+    """Three recorded clips."""
+    record_clips(build_world(altered(config(runs), 0)), runs / "clips", count=3, height=18)
+    return runs / "clips"
+
+
+def test_a_run_is_scored_by_the_checkpoint_that_is_asked_for(runs: Path, clips: Path) -> None:
+    labels = [list(clip.labels.values()) for clip in read_clips(clips, NAMES)]
+    for checkpoint, action in ((None, 0), ("best", BEST)):
+        found = score_run(runs / "forward", clips, checkpoint)
+        assert [one.frames for one in found] == [len(one) for one in labels]
+        assert [one.matches for one in found] == [sum(action in label for label in one) for one in labels]
+
+
+def test_the_apple_hangs_in_recorded_clips_where_the_task_has_it(runs: Path, clips: Path, tmp_path: Path) -> None:
+    bare = build_world(altered(config(runs, "transforms/sprite=none"), 0))
+    record_clips(bare, tmp_path / "bare", count=3, height=18)
+    for clip, without in zip(read_clips(clips, NAMES), read_clips(tmp_path / "bare", NAMES), strict=True):
+        assert clip.labels == without.labels
+        redness = [red(list(each.images())[-1]) for each in (clip, without)]
+        assert redness[0] > redness[1] + 0.01
+
+
+def red(image: Image.Image) -> float:
+    """Share of clearly red pixels."""
+    r, g, b = np.asarray(image).astype(int).transpose(2, 0, 1)
+    return float(((r > 2 * g) & (r > 2 * b)).mean())
+
+
+def test_an_experiment_is_scored_on_clips_of_each_scene_that_are_recorded_once(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @dataclass
+    class Run:
+        scene: str
+        folder: Path
+
+    kept = clip_scores.record_clips
+    recorded: list[Path] = []
+
+    def record(world: object, folder: Path) -> list[Path]:
+        recorded.append(folder)
+        return kept(world, folder, count=2, height=12)
+
+    monkeypatch.setattr(clip_scores, "record_clips", record)
+    some = [Run("room", runs / "forward"), Run("room", runs / "back"), Run("other", runs / "forward")]
+    rows = score_experiment(some, tmp_path)
+    assert len(recorded) == 2
+    assert sorted(path.name for path in (tmp_path / "clips").iterdir()) == ["other", "room"]
+    assert [(row["run"], row["clip"]) for row in rows] == [
+        (run, clip) for run in ("forward", "back", "forward") for clip in ("walk-00", "walk-01")
+    ]
+    assert all(0 <= row["matches"] <= row["frames"] for row in rows)
+    score_experiment(some[:1], tmp_path)
+    assert len(recorded) == 2
+
+
+def test_the_altered_scene_is_another_yard_and_another_way_to_draw_any_scene() -> None:
+    own = load_config([])
+    other = altered(own, 2)
+    assert (own.scene.seed, own.scene.clutter, own.renderer.tolerance) == (0, 0, 0.5)
+    assert (other.scene.seed, other.scene.clutter) == (1002, 3)
+    assert (other.renderer.cpu.antialiased, other.renderer.cpu.tolerance) == (False, 0.0)
+    assert (other.renderer.cuda.antialiased, other.renderer.cuda.tolerance) == (False, 0.0)
+    reference = altered(load_config(["renderer=reference", "scene=file", "scene.path=a.ply"]), 0)
+    assert reference.renderer.cpu.antialiased is False and "tolerance" not in reference.renderer
+    assert "clutter" not in reference.scene
+
+
+def test_a_task_without_named_actions_is_refused(runs: Path, clips: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trained = load_policy(runs / "forward")
+    driven = replace(trained, world=replace(trained.world, task=SimpleNamespace(motion=DriveMotion(HEIGHT))))
+    monkeypatch.setattr(type(trained), "beginning", lambda self: trained.world.env(1).reset())
+    monkeypatch.setattr(clip_scores, "load_policy", lambda *_: driven)
+    with pytest.raises(ValueError, match="expected actions with names, got DriveMotion"):
+        score_run(runs / "forward", clips)

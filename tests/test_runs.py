@@ -1,0 +1,70 @@
+"""Run folders as data."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from splatrl.build import build_world
+from splatrl.configuration import run_config
+from splatrl.runs import load_policy
+from tests.experiments.trained import BEST, config, save_run
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of a recurrent policy that goes back."""
+    folder = tmp_path_factory.mktemp("run")
+    return save_run(folder / "run", config(folder, "memory=gru"), 1)
+
+
+def test_a_policy_acts_in_the_world_that_it_was_trained_in(run: Path) -> None:
+    trained = load_policy(run)
+    assert trained.cfg == run_config(run)
+    assert trained.world.task.reach == pytest.approx(0.5)
+    begun = trained.beginning()
+    assert begun.batch_size == (1,) and begun["pixels"].shape == (1, 12, 16, 3)
+    assert set(trained.policy.in_keys) <= set(begun.keys(include_nested=True))
+    acted = trained.policy(begun)
+    assert int(acted["logits"].argmax()) == 1 and int(acted["action"]) in range(4)
+
+
+def test_the_weights_are_those_of_the_checkpoint_that_is_asked_for(run: Path) -> None:
+    world = build_world(run_config(run))
+    for checkpoint, action in ((None, 1), ("last", 1), ("best", BEST)):
+        trained = load_policy(run, checkpoint, world=world)
+        assert trained.world is world
+        assert int(trained.policy(trained.beginning())["logits"].argmax()) == action
+        saved = torch.load(run / "checkpoints" / f"{checkpoint or 'last'}.pt", weights_only=True)["ppo"]["model"]
+        for key, value in trained.model.state_dict().items():
+            assert torch.equal(value, saved[key]) and torch.equal(value, trained.checkpoint["ppo"]["model"][key]), key
+
+
+def test_the_runs_own_setting_tells_the_checkpoint_and_a_changed_config_goes_before_it(run: Path) -> None:
+    cfg = run_config(run)
+    cfg.evaluation.checkpoint = "best"
+    trained = load_policy(run, cfg=cfg)
+    assert trained.cfg is cfg
+    assert int(trained.policy(trained.beginning())["logits"].argmax()) == BEST
+
+
+def test_the_device_can_be_another_than_that_of_the_training(run: Path) -> None:
+    cfg = run_config(run)
+    cfg.device = "cuda"
+    trained = load_policy(run, device="cpu", cfg=cfg)
+    assert trained.world.device.type == "cpu" and next(trained.model.parameters()).device.type == "cpu"
+
+
+def test_what_is_not_there_is_named(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=f"{tmp_path}: expected a run folder"):
+        load_policy(tmp_path)
+    with pytest.raises(FileNotFoundError, match=r"checkpoints/first\.pt"):
+        load_policy(run, "first")
+
+
+def test_a_damaged_checkpoint_is_refused(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / "config.yaml").write_bytes((run / "config.yaml").read_bytes())
+    (tmp_path / "checkpoints" / "last.pt").write_bytes((run / "checkpoints" / "last.pt").read_bytes()[:1000])
+    with pytest.raises(ValueError, match=r"last\.pt"):
+        load_policy(tmp_path)
