@@ -324,6 +324,7 @@ def test_a_task_without_goal_states_is_planned_trained_and_evaluated(
     assert not {"spl", "spl_argmax", "mean_shortest"} & summary.keys()
     assert summary["success_rate"] == 0 and summary["collision_rate"] + summary["timeout_rate"] == 1
     assert 0 < summary["mean_return"] <= 8
+    assert (tmp_path / "learning_curve.png").exists() and not (tmp_path / "starts.png").exists()
     said = capsys.readouterr().out
     assert "SPL" not in said and f"return {summary['mean_return']:.1f}" in said
 

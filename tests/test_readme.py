@@ -1,15 +1,29 @@
 """The README tells the truth."""
 
 import re
+import shlex
 from pathlib import Path
 
 import pytest
 
-README = (Path(__file__).parents[1] / "README.md").read_text()
+from splatrl.commands import scene
+from splatrl.configuration import command_line, load_config
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+FENCED = re.findall(r"^```(\w*)\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
+COMMANDS = [
+    words
+    for language, block in FENCED
+    if not language
+    for line in block.replace("\\\n", " ").splitlines()
+    for part in line.split(" && ")
+    if (words := shlex.split(part, comments=True)) and words[0].startswith("splatrl-")
+]
 
 
 def test_the_library_snippet_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    snippets = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    snippets = [block for language, block in FENCED if language == "python"]
     assert snippets
     for snippet in snippets:
         exec(compile(snippet, "README.md", "exec"), {})
@@ -18,8 +32,31 @@ def test_the_library_snippet_runs(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_every_place_it_names_exists() -> None:
     tree = README.split("## Where things are")[1]
-    root = Path(__file__).parents[1]
     names = re.findall(r"^(  )?([a-z_]+(?:/[a-z_]+)?(?:\.py|/|\.md))", tree, re.MULTILINE)
     assert len(names) > 10
     for indent, name in names:
-        assert (root / ("splatrl" if indent else "") / name).exists(), name
+        assert (ROOT / ("splatrl" if indent else "") / name).exists(), name
+    for link in re.findall(r"\]\(([^)#]+)\)", README):
+        assert link.startswith("http") or (ROOT / link).exists(), link
+
+
+def test_it_shows_every_command() -> None:
+    scripts = re.findall(r"^(splatrl-\w+) = ", (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
+    assert scripts and all(script in README for script in scripts)
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_a_command_that_it_shows_is_understood(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Keys exist, and what is chosen is there; nothing is run."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("garden.ply", "kitchen.spz"):
+        (tmp_path / name).touch()
+    name, arguments = words[0].removeprefix("splatrl-"), [word for word in words[1:] if word not in ("-m", "--help")]
+    if name == "scene":
+        scene.parser().parse_args(arguments)
+        return
+    if "-m" in words:  # the first job of a sweep
+        arguments = [word.split(",")[0] for word in arguments]
+    load_config(command_line(name, arguments), name)

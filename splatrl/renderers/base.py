@@ -83,7 +83,7 @@ def draw_only(
     drawn = draw(cameras[rows], None if parts is None else parts.rows(rows))
 
     def placed(images: Tensor) -> Tensor:
-        return images.new_zeros(len(only), *images.shape[1:]).index_copy(0, rows.to(images.device), images)
+        return images.new_zeros(len(only), *images.shape[1:]).index_copy_(0, rows.to(images.device), images)
 
     return RenderOutput(*(placed(images) for images in drawn)) if isinstance(drawn, RenderOutput) else placed(drawn)
 

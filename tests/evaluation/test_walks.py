@@ -95,7 +95,7 @@ def test_a_path_on_a_lattice_is_a_shortest_one_from_every_start() -> None:
     starts = found.states[found.start_rows]
     walked = paths(found, starts, generator())
     assert [len(states) - 1 for states in walked] == found.distance[found.start_rows].tolist()
-    assert all(found.reached(states)[-1] and not found.reached(states[:-1]).any() for states in walked)
+    assert all(found.at_goal(states)[-1] and not found.at_goal(states[:-1]).any() for states in walked)
     again = paths(found, starts, generator(1))
     assert any(not torch.equal(one, other) for one, other in zip(walked, again, strict=True))
 
@@ -341,7 +341,7 @@ def test_what_cannot_be_walked_is_refused(motion: PlannedMotion, tmp_path: Path)
 
 
 def test_a_walk_needs_a_goal(tmp_path: Path) -> None:
-    aimless = plan(planar_plan().motion, BlockChecker(), None)
+    aimless = plan(planar_plan().motion, BlockChecker(), lambda state: None)
     with pytest.raises(ValueError, match="expected one with goal states"):
         record_walks(tmp_path / "clips", world(aimless, SceneDrawing(Painter())))
     assert not (tmp_path / "clips").exists()
