@@ -69,6 +69,7 @@ class ReferenceRenderer:
         antialiased: keep the energy of Gaussians smaller than a pixel (Mip-Splatting, Yu et al. 2024): what the
             dilation adds in area is taken from the opacity. False is the classic 3DGS image.
         background: colour behind the Gaussians, in [0, 1].
+        device: on which images are made; None takes that of the Gaussians.
     """
 
     def __init__(
@@ -76,8 +77,10 @@ class ReferenceRenderer:
         scene: Scene | Gaussians | Sequence[Scene | Gaussians],
         antialiased: bool = True,
         background: Sequence[float] = (0.0, 0.0, 0.0),
+        device: torch.device | str | None = None,
     ) -> None:
-        self.models = [gaussians_of(model) for model in models_of(scene)]
+        models = [gaussians_of(model) for model in models_of(scene)]
+        self.models = models if device is None else [model.to(device) for model in models]
         self.antialiased = antialiased
         self.background = checked_background(background)
         self.invisible = FAINT if antialiased else INVISIBLE

@@ -1,0 +1,87 @@
+"""A package of one's own: its task, transform, network and scene work from the command line, as docs/extending.md says."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from splatrl.envs import SplatEnv
+from splatrl.motions import ForwardMotion
+from tests.envs.contract import EnvContract
+from tests.envs.rooms import BOUNDS
+from tests.tiny import HEIGHT, BlockChecker, tiny_renderer, tiny_robot
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "tests" / "example_package"
+PAGE = (ROOT / "docs" / "extending.md").read_text()
+SHOWN = sorted([*PACKAGE.rglob("tasks.py"), *PACKAGE.rglob("transforms.py"), *PACKAGE.rglob("networks.py")])
+SHOWN += sorted([*PACKAGE.rglob("hydra_plugins/*/__init__.py"), *PACKAGE.rglob("*.yaml")])
+
+
+@pytest.fixture
+def example(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The package on Python's path, and gone from there afterwards."""
+    monkeypatch.syspath_prepend(str(PACKAGE))
+    yield
+    for name in [name for name in sys.modules if name.split(".")[0] == "explorer"]:
+        del sys.modules[name]
+
+
+@pytest.mark.parametrize("path", SHOWN, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_the_page_shows_the_package_as_it_is(path: Path) -> None:
+    assert path.read_text().rstrip() in PAGE
+
+
+def test_a_task_of_ones_own_takes_forty_lines_at_most() -> None:
+    assert len((PACKAGE / "explorer" / "tasks.py").read_text().splitlines()) <= 40
+
+
+def test_a_run_of_the_package_from_the_command_line(tmp_path: Path) -> None:
+    settings = [
+        "task=explore", "scene=hall", "network=linear", "+transforms/grey=on",
+        "device=cpu", "collector.total_frames=1024", "collector.frames_per_batch=512", "robot.image_width=16",
+        "robot.image_height=16", "task.max_steps=16", "task.motion.step=0.5", "task.motion.angle_step_deg=90",
+        "task.motion.spacing=0.5", "logger.num_test_episodes=4", "evaluation.starts=8", f"hydra.run.dir={tmp_path}",
+    ]  # fmt: skip
+    command = [sys.executable, "-m", "splatrl.commands.train", *settings]
+    surroundings = os.environ | {"PYTHONPATH": str(PACKAGE), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(command, env=surroundings, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "return" in done.stdout and "SPL" not in done.stdout  # there is no goal, so there are no paths
+    report = json.loads((tmp_path / "evaluation.json").read_text())
+    assert report["frames"] == 1024 and report["mean_return"] > 0 and "spl" not in report
+    assert (tmp_path / "rollouts.mp4").stat().st_size > 1000
+    config = (tmp_path / "config.yaml").read_text()
+    assert all(name in config for name in ("explorer.tasks.Explore", "explorer.transforms.Grey", "explorer.networks"))
+
+
+@pytest.mark.usefixtures("example")
+class TestExplore(EnvContract):
+    """The env's contract, with a task that remembers and has no goal."""
+
+    def make(self, batch_size: tuple[int], seed: int = 0) -> SplatEnv:
+        from explorer.tasks import Explore
+
+        from splatrl.curriculum import Curriculum, plan
+        from splatrl.envs.drawing import SceneDrawing
+
+        task = Explore(ForwardMotion(HEIGHT, 0.25, 90.0, **BOUNDS), max_steps=15)
+        curriculum = Curriculum(plan(task.motion, BlockChecker(), task.reached), None)
+        return SplatEnv(SceneDrawing(tiny_renderer()), BlockChecker(), tiny_robot(), task, curriculum, batch_size, seed)
+
+    def test_each_new_cell_is_paid_for_once(self) -> None:
+        env = self.make((64,))
+        torch.manual_seed(0)
+        batch = env.rollout(15, break_when_any_done=False)
+        assert torch.equal(batch["next", "visited"].sum(-1, keepdim=True) - batch["visited"].sum(-1, keepdim=True) > 0,
+                           batch["next", "reward"] > 0)  # fmt: skip
+        last = batch["next", "visited"][:, -1].sum(1)
+        assert torch.equal(batch["next", "reward"].sum((1, 2)), (last - 1).float()) and last.max() > 2
+
+    def test_starts_are_all_free_poses_and_there_are_no_paths(self) -> None:
+        plan = self.make((1,)).curriculum.starts
+        assert plan.levels == 1 and len(plan.ordered) == 468 - 9 * 4  # the block fills three places by three
