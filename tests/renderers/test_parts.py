@@ -50,6 +50,17 @@ def test_parts_look_like_their_gaussians_moved_to_the_world(maker: Maker, degree
 
 
 @every_maker
+@pytest.mark.parametrize("degree", [1, 3])
+def test_parts_that_are_not_turned_differ_in_no_byte_but_one_in_ten_thousand(maker: Maker, degree: int) -> None:
+    """Only turned harmonics, which a renderer keeps rounded, may differ in more."""
+    models, cameras, parts = random_models([degree] * 3), random_cameras(31, 6, 45, 28), random_parts(32, 6)
+    parts.model_to_world[..., :3, :3] = torch.eye(3)
+    expected, pixels = drawn_in_world(lambda model: maker.make(model), models, cameras, parts)
+    assert_like(maker.make(models).render(cameras, parts), expected, maker.rgb)
+    assert_same_bytes(maker.make(models).pixels(cameras, parts), pixels, maker.share)
+
+
+@every_maker
 def test_one_part_at_home_is_the_scene_where_it_stands(maker: Maker) -> None:
     models, cameras = random_models([1, 2, 3]), random_cameras(31, 4)
     renderer = maker.make(models)
