@@ -56,6 +56,9 @@ def with_scene_paths(overrides: Sequence[str]) -> list[str]:
     """Overrides in which a path after ``scene=`` has become ``scene=file scene.path=...``.
 
     The name of a scene's config goes before a file of the same name in the working folder.
+
+    Raises:
+        ValueError: for what looks like a path and is none that exists.
     """
     result: list[str] = []
     for override in overrides:
@@ -63,6 +66,8 @@ def with_scene_paths(overrides: Sequence[str]) -> list[str]:
         path = value.strip("'\"")
         if key == "scene" and path and Path(path).expanduser().exists() and path not in options("scene"):
             result += ["scene=file", f"scene.path={quoted(path)}"]
+        elif key == "scene" and Path(path).suffix and "," not in path and path not in options("scene"):
+            raise ValueError(f"scene: expected {', '.join(options('scene'))} or a path that exists, got {path}")
         else:
             result.append(override)
     return result
@@ -86,7 +91,10 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
     Raises:
         SystemExit: for a key that does not exist, with its nearest neighbour and all valid ones.
     """
-    result = with_scene_paths(arguments)
+    try:
+        result = with_scene_paths(arguments)
+    except ValueError as error:
+        sys.exit(str(error))
     plain = [a for a in result if "=" in a and not a.startswith(("-", "+", "~", "hydra"))]
     try:
         keys = [override.key_or_group for override in OverridesParser.create().parse_overrides(plain)]

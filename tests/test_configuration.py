@@ -254,6 +254,11 @@ def test_the_name_of_a_scene_goes_before_a_file_of_that_name(places: Path) -> No
     assert OmegaConf.is_missing(load_config(["scene=kitchen"]).scene, "path")
 
 
+def test_a_path_that_is_not_there_is_told_with_what_there_is(places: Path) -> None:
+    with pytest.raises(SystemExit, match=r"scene: expected backyard, file, kitchen or a path that exists, got no.ply"):
+        command_line("train", ["scene=no.ply"])
+
+
 def test_what_is_no_path_of_a_scene_is_left_as_it_is(places: Path) -> None:
     others = ["scene=nowhere.ply", "scene=", "scene.path=garden", "task=garden", "+scene=garden", "~scene", "-m"]
     assert with_scene_paths(others) == others
