@@ -260,7 +260,7 @@ def test_a_path_that_is_not_there_is_told_with_what_there_is(places: Path) -> No
 
 
 def test_what_is_no_path_of_a_scene_is_left_as_it_is(places: Path) -> None:
-    others = ["scene=nowhere.ply", "scene=", "scene.path=garden", "task=garden", "+scene=garden", "~scene", "-m"]
+    others = ["scene=nowhere", "scene=", "scene.path=garden", "task=garden", "+scene=garden", "~scene", "-m"]
     assert with_scene_paths(others) == others
 
 
