@@ -51,7 +51,7 @@ def read_pcd(path: Path) -> NDArray[np.float64]:
     held = path.stat().st_size - header.size
     least = header.count * (header.stride if header.data == "binary" else header.width)
     if held < least:  # an ASCII value takes a byte or more
-        raise ValueError(f"{path}: expected {least} bytes or more behind the header, got {held}")
+        raise ValueError(f"{path}: expected {least} bytes or more after the header, got {held}")
     if header.count == 0:
         return np.zeros((0, 3))
     if header.data == "binary":

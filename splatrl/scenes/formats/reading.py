@@ -16,7 +16,7 @@ READERS: dict[str, Callable[[Path], Gaussians]] = {
     ".splat": read_splat,
     ".spz": read_spz,
 }
-"""File ending → reader. A reader takes a path of a file that is there and not empty."""
+"""File ending → reader. A reader takes the path of an existing, non-empty file."""
 
 
 def read_gaussians(path: str | os.PathLike[str]) -> Gaussians:
