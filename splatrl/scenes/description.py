@@ -94,5 +94,5 @@ def check_absent(folder: Path, force: bool) -> None:
     """
     if (folder / SCENE_FILE).exists() and not force:
         raise FileExistsError(
-            f"{folder / SCENE_FILE}: already exists; keep it, give another folder with --out, or overwrite it with --force"
+            f"{folder / SCENE_FILE}: already exists; keep it, pass another folder as --out, or overwrite it by --force"
         )

@@ -121,7 +121,7 @@ def test_a_pcd_cut_short_or_with_words_for_numbers_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"cloud.pcd: expected 60 bytes or more after the header, got 59"):
         read_points(path)
     path.write_bytes(pcd(data="ascii").replace(b"1.500000", b"1.5000oo"))
-    with pytest.raises(ValueError, match=r"cloud.pcd: expected 8 numbers a row"):
+    with pytest.raises(ValueError, match=r"cloud.pcd: expected 8 numbers per row"):
         read_points(path)
     lines = pcd(data="ascii").splitlines(keepends=True)
     path.write_bytes(b"".join(lines[:-1]))

@@ -1,4 +1,4 @@
-"""The readable twin, and the exact touches on which it, the native checker and FCL are listed."""
+"""The readable twin, and exact touches, with what it, the native checker and FCL say about each."""
 
 import math
 
@@ -181,7 +181,7 @@ def test_a_gpu_answers_as_the_cpu_does(body):
 
 
 def turned(*eighths: tuple[int, float]) -> torch.Tensor:
-    """A product of rotations: (axis, angle in eighths of a turn)."""
+    """A product of rotations, each (axis, angle in eighths of a turn)."""
     rotation = torch.eye(3, dtype=torch.float64)
     for axis, eighth in eighths:
         rotation = rotation @ axis_rotations(axis, torch.tensor(eighth * math.pi / 4, dtype=torch.float64))
@@ -193,7 +193,7 @@ TIP = math.atan(HALF) / (math.pi / 4)  # with an eighth of a turn it brings a cu
 SLAB, BLOCK, BALL, ROD = Box((0.5, 0.25, 0.125)), Box((0.5, 0.5, 0.5)), Sphere(0.25), Capsule(0.125, 0.5)
 VOXEL = Occupancy(np.ones((1, 1, 1), bool), (0, 0, 0), 0.5)
 TOUCHES = {
-    # of VOXEL: body, rotation, centre, the way out, and whether FCL calls it a hit; None where the touch cannot be
+    # with VOXEL: body, rotation, centre, the way out, and whether FCL calls it a hit; None where the touch cannot be
     # written in float32, so that rounding decides
     "box, face to face": (SLAB, turned(), (0.75, 0.25, 0.25), (1, 0, 0), True),
     "box, face to face, half off": (SLAB, turned(), (0.75, 0.5, 0.5), (1, 0, 0), True),
