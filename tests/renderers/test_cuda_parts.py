@@ -174,7 +174,7 @@ def test_as_many_parts_as_there_may_be_look_like_their_gaussians(make: Make) -> 
     assert_like(make(models).render(cameras, parts), expected, 1e-3)
     assert_same_bytes(make(models).pixels(cameras, parts), pixels, 1e-3)
     more = placed(1, *[(0, IDENTITY)] * (MOST_PARTS + 1))
-    with pytest.raises(ValueError, match=r"parts\.model: expected at most 128 parts a row, got 129"):
+    with pytest.raises(ValueError, match=r"parts\.model: expected at most 128 parts per row, got 129"):
         make(models).pixels(cameras, more)
 
 
@@ -270,7 +270,7 @@ def test_parts_and_bounds_that_cannot_be_are_refused() -> None:
     renderer, cameras = CudaRenderer(random_gaussians(0, 9), load=emulated), random_cameras(31, 3, 9, 7)
     with pytest.raises(ValueError, match=r"parts\.model: expected \[3, M\] torch.int64"):
         renderer.pixels(cameras, placed(4, (0, IDENTITY)))
-    with pytest.raises(ValueError, match="scene: expected a model or several, got none"):
+    with pytest.raises(ValueError, match="scene: expected at least one model, got none"):
         CudaRenderer([], load=emulated)
     with pytest.raises(ValueError, match="most_gaussians: expected at least 1, at most 16,777,216, got 16,777,217"):
         CudaRenderer(random_gaussians(0, 9), most_gaussians=2**24 + 1, load=emulated)
@@ -278,5 +278,5 @@ def test_parts_and_bounds_that_cannot_be_are_refused() -> None:
 
 def test_a_model_that_no_key_has_room_for_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cuda_models_module, "MOST_INDICES", 89)
-    with pytest.raises(ValueError, match=r"scene\[1\]: expected at most 89 Gaussians, merged ones counted, got 90"):
+    with pytest.raises(ValueError, match=r"scene\[1\]: expected at most 89 Gaussians, merged ones included, got 90"):
         CudaRenderer(random_models([0, 0, 0], (40, 90, 40)), load=emulated)

@@ -168,7 +168,7 @@ def test_a_pose_that_is_not_rigid_is_refused_by_row_and_part(maker: Maker, pose:
 
 @every_maker
 def test_no_model_at_all_is_refused(maker: Maker) -> None:
-    with pytest.raises(ValueError, match="scene: expected a model or several, got none"):
+    with pytest.raises(ValueError, match="scene: expected at least one model, got none"):
         maker.make([])
 
 
