@@ -26,7 +26,7 @@ def moves(count: int, seed: int, turning: bool) -> tuple[torch.Tensor, torch.Ten
 
 
 def between(start: torch.Tensor, end: torch.Tensor, share: torch.Tensor | float) -> torch.Tensor:
-    """Poses on moves at a fixed orientation, in float64: rounded to float32 they would leave the line."""
+    """Poses on moves at a fixed orientation, in float64, because rounding to float32 would move them off the line."""
     pose = start.double()
     share = torch.as_tensor(share, dtype=torch.float64).expand(len(start))
     pose[:, :3, 3] += share[:, None] * (end.double() - start.double())[:, :3, 3]

@@ -1,4 +1,4 @@
-"""Placed models on a GPU: the kernels' own source, emulated on the CPU, and where there is a GPU on that."""
+"""Placed models on a GPU: the kernels' own source, emulated on the CPU and, where there is a GPU, run on it."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -48,7 +48,7 @@ def make(request: pytest.FixtureRequest) -> Make:
 
 
 def images(renderer: CudaRenderer, cameras: Cameras, parts: Parts | None = None) -> list[Tensor]:
-    """All that a renderer gives: pixels, rgb, depth and alpha. Cameras may be elsewhere than the renderer."""
+    """Everything that a renderer returns: pixels, rgb, depth and alpha. Cameras may be on another device."""
     return [renderer.pixels(cameras, parts), *renderer.render(cameras, parts)]
 
 
@@ -65,7 +65,7 @@ def test_parts_look_like_their_gaussians_moved_to_the_world(
     renderer = make(models, antialiased)
     expected, pixels = drawn_in_world(lambda model: make(model, antialiased), models, cameras, parts)
     assert_like(renderer.render(cameras, parts), expected, 1e-3)
-    turned = max(degrees) > 0  # harmonics are kept as half floats: turned ones are rounded elsewhere
+    turned = max(degrees) > 0  # harmonics are kept as half floats, so rotated ones round differently
     assert_same_bytes(renderer.pixels(cameras, parts), pixels, 0.02 if turned else 1e-4)
     renderer.raise_faults()
 
@@ -218,7 +218,7 @@ def test_a_part_that_cannot_be_placed_shows_nothing_and_is_told_of_later(make: M
     assert_equal(images(renderer, cameras, wrong), images(renderer, cameras, right))
     with pytest.raises(ValueError, match=r"parts\[2\]: expected -1 or models in \[0, 3\), rigid model_to_world"):
         renderer.raise_faults()
-    renderer.raise_faults()  # it was told once
+    renderer.raise_faults()  # a fault is reported once
 
 
 @pytest.mark.parametrize("bound", ["memory", "index"])

@@ -10,7 +10,7 @@ ARRAYS = {"a": np.arange(6).reshape(2, 3), "b": np.array(0.5)}
 
 
 class Build:
-    """Counts how often it is asked."""
+    """Counts how often it is called."""
 
     def __init__(self) -> None:
         self.calls = 0
