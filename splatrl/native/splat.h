@@ -41,7 +41,7 @@ SPLAT_INLINE Vector<F> rotate(const float* rotation, F x, F y, F z) {
             x * rotation[6] + y * rotation[7] + z * rotation[8]};
 }
 
-// What a merged Gaussian stands for: so many Gaussians of equal mass, whose opacities have this sum. No members
+// What a merged Gaussian stands for: this many Gaussians of equal mass, whose opacities have this sum. No members
 // means one of the scene's own.
 template <class F>
 struct Merging {

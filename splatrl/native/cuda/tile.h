@@ -11,7 +11,7 @@
 namespace splatrl {
 
 constexpr int THREADS = BLOCK_THREADS, WARPS = THREADS / WARP;
-static_assert(WARPS * 4 == PATCHES_ACROSS * PATCHES_DOWN, "four patches of 8×4 pixels a warp, in its registers");
+static_assert(WARPS * 4 == PATCHES_ACROSS * PATCHES_DOWN, "four patches of 8×4 pixels per warp, in its registers");
 
 constexpr bool ANTIALIASED_IMAGE = ANTIALIASED_IMAGES != 0, WITH_LEVELS = LEVELS_OF_DETAIL != 0;
 constexpr bool WITH_PARTS = MOST_PARTS > 0;  // otherwise a row is the first model where it stands
