@@ -2,14 +2,14 @@
 
 Operations are counted in splatrl/native (splat.h, lanes.h, kernels/) as they are written: a fused multiply-add is two;
 an addition, product, minimum, maximum, comparison or rounding of a float is one; so is a reciprocal or an inverse root,
-which a processor has as an instruction of limited precision. ``exp2`` and ``log2`` are their polynomials. Integer
-operations, conversions, choices by a mask and the constants of a camera are not counted, an operation in double
+for which a processor has an instruction of limited precision. ``exp2`` and ``log2`` are their polynomials. Integer
+operations, conversions, choices by a mask and the constants of a camera are not counted; an operation in double
 precision is two.
 
-Both times are added, as if nothing overlapped; the results keep each, for who takes the larger alone. The operations
-cannot reach their bound: the peak is that of a program of nothing but fused multiply-adds, while half of the
-operations here stand alone; culling, integer work, half floats and the work on lanes that turn out to be empty are free
-in it. Merged Gaussians (level of detail) are counted as plain ones, though they take ``MERGED_FLOPS`` more.
+Both times are added, as if nothing overlapped; the results keep each, for readers who prefer the larger alone. The
+operations cannot reach their bound: the peak is that of a program of nothing but fused multiply-adds, while half of the
+operations here are unfused; culling, integer work, half floats and the work on lanes that turn out to be empty cost
+nothing in it. Merged Gaussians (level of detail) are counted as plain ones, though they take ``MERGED_FLOPS`` more.
 """
 
 from machine import Machine
@@ -18,32 +18,32 @@ EXP2_FLOPS = 11  # three to split off the integer, four fused multiply-adds
 LOG2_FLOPS = 15  # ± 1, a quotient, its square, five fused multiply-adds
 
 PLAIN_FLOPS = 174
-"""Of projecting a Gaussian: offset 3, mean 15, inverse depth 2, slopes and scales 4, bounded slopes 4, Jacobian times
-axes 3 · 21, minors 9, covariance 15, determinants 9, dilation 2, position 4, factor 11, reach 7, first and last pixel
-2 · 11, tests 4."""
+"""Operations to project a Gaussian: offset 3, mean 15, inverse depth 2, slopes and scales 4, bounded slopes 4, Jacobian
+times axes 3 · 21, minors 9, covariance 15, determinants 9, dilation 2, position 4, factor 11, reach 7, first and last
+pixel 2 · 11, tests 4."""
 ANTIALIASED_FLOPS = 5 + LOG2_FLOPS
-"""On top: the opacity that keeps the energy of a small Gaussian."""
+"""In addition: the opacity that keeps the energy of a small Gaussian."""
 MERGED_FLOPS = 2 * (LOG2_FLOPS + EXP2_FLOPS) + 21
-"""On top, for a merged Gaussian in an antialiased image. Not in the bound: which ones were merged is not reported."""
+"""In addition, for a merged Gaussian in an antialiased image. Not in the bound, as merged ones are not reported."""
 
 VISIBLE_FLOPS = 18 + 8
-"""Of a visible Gaussian: its depth in double precision, nine operations, and its first and last block."""
+"""Operations for a visible Gaussian: its depth in double precision, nine operations, and its first and last block."""
 DIRECTION_FLOPS, BASIS_FLOPS = 10, (0, 3, 18, 49)
-"""Of a colour above degree 0: the direction of sight; the basis functions of each degree."""
+"""Operations for a colour above degree 0: the viewing direction; the basis functions of each degree."""
 
 PIXEL_FLOPS = 2 + 3 + 1 + 4 + EXP2_FLOPS + 2 + 2 + 1 + 6
-"""Of blending at a pixel: distance, u, v, exponent, fall-off, peak and invisibility, transmittance, whether it counts,
-three colours."""
+"""Operations to blend at a pixel: distance, u, v, exponent, fall-off, peak and invisibility, transmittance, whether it
+counts, three colours."""
 BLOCK_PIXELS = 16
 
-GEOMETRY_BYTES = 52  # of a Gaussian, read
-COLOR_BYTES = 6  # of a harmonic, as half floats, read for visible Gaussians
+GEOMETRY_BYTES = 52  # read per Gaussian
+COLOR_BYTES = 6  # per harmonic, as half floats, read for visible Gaussians
 SPLAT_BYTES = 32 + 8 + 8 + 8  # record, blocks, tie and key of a visible Gaussian, written and read again
 SORT_BYTES = 8 * 2  # a key read and written, in each of two passes
 
 
 def color_flops(degree: int) -> int:
-    """Operations for the colour of a visible Gaussian; those of degree 0 are final."""
+    """Operations for the colour of a visible Gaussian; colours of degree 0 are final."""
     if degree == 0:
         return 0
     return DIRECTION_FLOPS + BASIS_FLOPS[degree] + 3 * 2 * (degree + 1) ** 2 + 6
@@ -52,10 +52,10 @@ def color_flops(degree: int) -> int:
 def bound_ms(
     machine: Machine, projected: float, visible: float, blended: float, degree: int, antialiased: bool
 ) -> tuple[float, float]:
-    """Milliseconds of one core that a frame takes at least: for its operations, and for its bytes.
+    """The least milliseconds of one core that a frame takes: for its operations, and for its bytes.
 
-    The bytes of the scene come at the bandwidth of the last cache where all that a frame reads fits into it, else of
-    memory; what is written between the stages stays in the cache.
+    The bytes of the scene come at the bandwidth of the last cache if all that a frame reads fits into it, otherwise at
+    that of memory; what is written between the stages stays in the cache.
 
     Args:
         machine: what a core can do.
@@ -63,7 +63,7 @@ def bound_ms(
         visible: Gaussians.
         blended: pairs of a Gaussian and a block of 4×4 pixels.
         degree: of the spherical harmonics.
-        antialiased: or classic.
+        antialiased: True for antialiased images, False for classic ones.
     """
     flops = projected * (PLAIN_FLOPS + ANTIALIASED_FLOPS * antialiased)
     flops += visible * (VISIBLE_FLOPS + color_flops(degree))

@@ -4,9 +4,9 @@
     python benchmarks/collision.py --rounds 3 --json
 
 The scene is a synthetic yard of 20 m, at two resolutions. Before the clock starts, the native checker's answers are
-compared with FCL's. All rows take turns, round by round, so that a drifting machine drifts for all of them. FCL's loop
-is what python-fcl alone costs, one object made for each pose, without the look-ups of ``FclChecker``; its moves are
-``FclChecker``'s, tested pose by pose.
+compared with FCL's. All rows take turns, round by round, so that a drifting machine drifts for all of them. The loop
+over FCL is what python-fcl alone costs, with one object made for each pose, without the look-ups of ``FclChecker``; its
+moves are ``FclChecker``'s, tested pose by pose.
 """
 
 import argparse
@@ -41,18 +41,18 @@ COLORS = {"box": INK, "sphere": BLUE, "capsule": PURPLE}
 RESOLUTIONS = {"10k": 0.29, "300k": 0.05}
 BATCHES = (1, 64, 1024, 65_536)
 LOOPED, MOVED, TWIN = 256, 24, 16
-"""Queries of one turn of FCL's loop, of its moves, and of the torch twin."""
+"""Queries per turn of FCL's loop, of its moves, and of the torch twin."""
 STEP = 0.2
 """Metres of a move."""
 BLOCKS = 4.0
 LEAST = 4096
-"""Queries of one turn of the native checker, or a batch where that is more."""
+"""Queries per turn of the native checker, or a batch where that is more."""
 COMPARED = 512
-"""Queries of a kind that FCL is asked as well."""
+"""Queries of each kind that FCL answers as well."""
 
 
 class Row(NamedTuple):
-    """What is measured; ``poses`` is where, ``query`` is static or swept."""
+    """A measurement; ``poses`` says where the bodies are, ``query`` is static or swept."""
 
     backend: str
     body: str
@@ -65,7 +65,7 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Result:
-    """One row of the table. Times are of one query; the share of hits is of all poses of its kind."""
+    """One row of the table. Times are per query; the share of hits is over all poses of its kind."""
 
     backend: str
     body: str
@@ -82,7 +82,7 @@ class Result:
 
 
 class Queries(NamedTuple):
-    """Moves of which the static queries are the starts: [N, 4, 4] each."""
+    """Moves, [N, 4, 4] each; static queries use their starts."""
 
     start: Tensor
     end: Tensor
@@ -121,13 +121,13 @@ def queries_in(occupancy: Occupancy, near: bool, count: int) -> Queries:
 
 
 def asked(query: Callable[..., Tensor], batches: Sequence[tuple[Tensor, ...]]) -> None:
-    """Ask for batches that are cut beforehand."""
+    """Query batches that were cut beforehand."""
     for batch in batches:
         query(*batch)
 
 
 def asking(checker: Any, queries: Queries, swept: bool, batch: int, total: int) -> Callable[[], None]:
-    """What asks a checker for ``total`` queries in batches."""
+    """A call that makes ``total`` queries to a checker, in batches."""
     starts, ends = (poses[:total].split(batch) for poses in queries)
     if swept:
         return partial(asked, checker.sweeps, list(zip(starts, ends, strict=True)))
@@ -135,7 +135,7 @@ def asking(checker: Any, queries: Queries, swept: bool, batch: int, total: int) 
 
 
 def looped(shape: Any, octrees: Sequence[Any], queries: Queries) -> None:
-    """What a user of python-fcl writes."""
+    """The loop that a user of python-fcl writes."""
     for pose in queries.start[:LOOPED].double().numpy():
         item = fcl.CollisionObject(shape, fcl.Transform(pose[:3, :3], pose[:3, 3]))
         for octree in octrees:
@@ -146,7 +146,7 @@ def looped(shape: Any, octrees: Sequence[Any], queries: Queries) -> None:
 def planned(
     occupancies: dict[str, Occupancy], queries: dict[tuple[str, str], Queries]
 ) -> dict[Row, tuple[Callable[[], None], int]]:
-    """For every row what one turn runs, and how many queries that are."""
+    """For every row, the call for one turn and how many queries it makes."""
     plan: dict[Row, tuple[Callable[[], None], int]] = {}
     for (voxels, occupancy), (name, body) in product(occupancies.items(), BODIES.items()):
         native = {threads: NativeChecker(occupancy, body, threads) for threads in (1, 2)}
@@ -186,7 +186,7 @@ def hit_shares(
 
 
 def print_agreement(occupancies: dict[str, Occupancy], queries: dict[tuple[str, str], Queries]) -> None:
-    """How often the native checker answers as FCL does near surfaces, and by how little it does not."""
+    """How often the native checker answers as FCL does near surfaces, and by how little it differs otherwise."""
     for (voxels, occupancy), (name, body) in product(occupancies.items(), BODIES.items()):
         native, oracle = NativeChecker(occupancy, body), FclChecker(occupancy, body)
         start, end = (poses[:COMPARED] for poses in queries[voxels, "near"])
@@ -208,7 +208,7 @@ def print_table(results: Sequence[Result]) -> None:
 
 
 def draw(results: Sequence[Result], path: Path) -> None:
-    """Cost against the size of a batch, on one core."""
+    """Plot cost against batch size, on one core."""
     figure = Figure(figsize=(13, 9), dpi=DPI, layout="constrained")
     panels = figure.subplots(2, 2, sharex=True, sharey=True)
     kinds = list(product(("uniform", "near"), RESOLUTIONS))
@@ -226,9 +226,9 @@ def draw(results: Sequence[Result], path: Path) -> None:
         axes.set_title(f"{mine[0].occupied:,} voxels, {'near surfaces' if poses == 'near' else 'uniform'}")
         axes.grid(color="0.9", linewidth=0.8)
     for axes in panels[-1]:
-        axes.set(xlabel="bodies a call", xticks=BATCHES, xticklabels=[f"{batch:,}" for batch in BATCHES])
+        axes.set(xlabel="bodies per call", xticks=BATCHES, xticklabels=[f"{batch:,}" for batch in BATCHES])
     for axes in panels[:, 0]:
-        axes.set(ylabel="ns a query, one core")
+        axes.set(ylabel="ns per query, one core")
     for name, color in COLORS.items():
         panels[0, 0].plot([], [], color=color, linewidth=4, label=name)
     for label, style in (("native", "o-"), ("native, swept", "^-."), ("torch", "x-"), ("FCL", "--")):
@@ -242,7 +242,7 @@ def draw(results: Sequence[Result], path: Path) -> None:
 
 
 def main() -> None:
-    """Measure, show, keep."""
+    """Measure, print and save."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--json", action="store_true", help="write benchmarks/results/<date>-cpu-collision.json")

@@ -1,11 +1,11 @@
-"""Measures how many rendered steps of robots a second there are, without learning: 64×64 pixels, random actions.
+"""Measures how many rendered robot steps per second there are, without learning: 64×64 pixels, random actions.
 
     python benchmarks/env.py             # random poses in the kitchen, and the grid task in the backyard
     python benchmarks/env.py --json
 
 ``poses``: each step gives every robot a fresh random pose in the room, as a first-person game with infinite speed
-would, so no view repeats; a step is that and its pixels. ``SplatEnv``: the grid task with collisions, rewards and
-automatic resets, without the memory of views. All rows take turns, round by round.
+would, so no view repeats; a step is the new pose and its pixels. ``SplatEnv``: the grid task with collisions, rewards
+and automatic resets, without the memory of views. All rows take turns, round by round.
 """
 
 import argparse
@@ -34,7 +34,7 @@ SIZE = 64
 
 @dataclass(frozen=True)
 class Result:
-    """One row; a step is one robot's."""
+    """One row; a step is a step of one robot."""
 
     kind: str
     scene: str
@@ -48,7 +48,7 @@ class Result:
 
 
 class TimedRenderer:
-    """Passes cameras on and adds up the seconds that it takes."""
+    """Passes cameras on, and adds up the seconds that rendering takes."""
 
     def __init__(self, renderer: Renderer):
         self.renderer, self.seconds = renderer, 0.0
@@ -76,7 +76,7 @@ def random_poses(subject: Subject, renderer: Renderer, batch: int) -> Callable[[
 
 
 def random_actions(env: EnvBase) -> Callable[[], None]:
-    """A step of an env; robots that are done begin anew."""
+    """A step of an env; robots that are done start again."""
     state = env.reset()
 
     def step() -> None:
@@ -95,7 +95,7 @@ def backyard_env(tolerance: float, batch: int, threads: int) -> splatrl.SplatEnv
 
 
 def measure(subject: Subject, tolerances: Sequence[float], options: argparse.Namespace) -> list[Result]:
-    """Steps a second of both kinds at every tolerance."""
+    """Steps per second of both kinds at every tolerance."""
     batch, threads = options.batch, options.threads
     renderers: dict[tuple[str, str, float], TimedRenderer] = {}
     steps: dict[tuple[str, str, float], Callable[[], None]] = {}
@@ -137,7 +137,7 @@ def measure(subject: Subject, tolerances: Sequence[float], options: argparse.Nam
 
 def print_table(results: Sequence[Result]) -> None:
     """The results as Markdown."""
-    header = ["what", "scene", "detail", "robots", "threads", "steps/s (slowest to fastest)", "of it rendering"]
+    header = ["what", "scene", "detail", "robots", "threads", "steps/s (slowest to fastest)", "rendering share"]
     rows = []
     for r in results:
         rate = f"{r.steps_per_second:,.0f} ({r.slowest:,.0f} to {r.fastest:,.0f})"

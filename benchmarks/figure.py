@@ -1,4 +1,4 @@
-"""The picture of a run of render.py: how fast, how good for it, and what that looks like."""
+"""The picture of a run of render.py: how fast it is, how good its images are, and what they look like."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ from torch import Tensor
 from splatrl.evaluation.figures import BLUE, DPI, INK, MISSED, PARTLY, PURPLE, REACHED
 from splatrl.files import replacing
 
-COLORS = (INK, BLUE, REACHED, PARTLY, MISSED, PURPLE)  # of exact, and of each tolerance
-MARKERS = "osD^vP"  # of each scene
+COLORS = (INK, BLUE, REACHED, PARTLY, MISSED, PURPLE)  # for exact, and for each tolerance
+MARKERS = "osD^vP"  # for each scene
 AMPLIFIED = 8
 
 
@@ -43,7 +43,7 @@ class Comparison:
 
 
 def tolerance_name(tolerance: float) -> str:
-    """A tolerance for people."""
+    """A tolerance in words."""
     return f"LOD {tolerance:g} px" if tolerance else "exact"
 
 
@@ -52,7 +52,7 @@ def draw(bars: Sequence[Bar], comparisons: Sequence[Comparison], title: str, pat
 
     Args:
         bars: in the order of the table.
-        comparisons: one a scene, or none where there is no level of detail.
+        comparisons: one per scene, or none where there is no level of detail.
         title: what the rows have in common.
         path: of the picture; its suffix is the format.
     """

@@ -1,10 +1,10 @@
 """Measures the GPU path from end to end, in one process and under eight minutes.
 
-    python benchmarks/gpu.py                 # with an NVIDIA GPU; leaves JSON and PNG in benchmarks/results
+    python benchmarks/gpu.py                 # with an NVIDIA GPU; writes JSON and PNG to benchmarks/results
     python benchmarks/gpu.py --only rendering collision
-    python benchmarks/gpu.py --dry-run       # anywhere: tiny, emulated, kept nowhere; shows that it runs
+    python benchmarks/gpu.py --dry-run       # anywhere: tiny, emulated, not saved; shows that it runs
 
-Every section has its share of the time; one that fails says why and leaves the others alone, and the exit status is
+Every section has its share of the time; one that fails says why and does not affect the others, and the exit status is
 then 1. The captured kitchen is left out where SPLATRL_SCENES has none, gsplat where it is not installed and compiled.
 """
 
@@ -32,15 +32,15 @@ from gpu_training import stepping, training
 from record import RESULTS, today, write_json
 
 SECONDS = {"first use": 40, "rendering": 130, "collision": 60, "stepping": 60, "training": 60, "gsplat": 80}
-"""That each section may take, in this order; what one leaves goes to those after it."""
+"""Time limit of each section, in this order; what one does not use goes to those after it."""
 SPARE = 20
-"""Seconds that a section may go on after that, before it is interrupted: together with ``SECONDS``, under 8 minutes."""
+"""Seconds that a section may run beyond that before it is interrupted: together with ``SECONDS``, under 8 minutes."""
 
 DRY = "DRY RUN: emulated on a CPU, and no number here is a measurement"
 
 
 def sections(bench: Bench, machine: Machine) -> dict[str, Callable[[], None]]:
-    """What there is to measure, by the names of ``SECONDS``."""
+    """The sections that can be measured, by the names in ``SECONDS``."""
     dry = isinstance(bench, DryRun)
     return {
         "first use": lambda: first_use(bench),
@@ -54,7 +54,7 @@ def sections(bench: Bench, machine: Machine) -> dict[str, Callable[[], None]]:
 
 @contextmanager
 def interrupted_after(seconds: float) -> Iterator[None]:
-    """Raise ``TimeoutError`` where a block takes longer."""
+    """Raise ``TimeoutError`` if a block takes longer."""
 
     def raise_timeout(*_: Any) -> None:
         raise TimeoutError(f"took longer than {seconds:.0f} s")
@@ -93,13 +93,13 @@ def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--dry-run", action="store_true", help="on the CPU, by the tests' emulator, at tiny sizes")
     parser.add_argument("--only", nargs="+", default=list(SECONDS), choices=list(SECONDS), metavar="SECTION")
-    parser.add_argument("--folder", type=Path, help="for <date>-<device>-gpu.json and .png; benchmarks/results if not")
-    parser.add_argument("--commit", help="that is measured, where the checkout does not know")
+    parser.add_argument("--folder", type=Path, help="for <date>-<device>-gpu.json and .png; default benchmarks/results")
+    parser.add_argument("--commit", help="the commit that is measured, if the checkout does not know it")
     return parser.parse_args()
 
 
 def main() -> int:
-    """Measure, show, keep."""
+    """Measure, print and save."""
     options, begun = parsed(), time.monotonic()
     if not (options.dry_run or torch.cuda.is_available()):
         print("no CUDA device: nothing was measured; --dry-run shows that everything runs")
@@ -107,7 +107,7 @@ def main() -> int:
     folder = options.folder or (Path(tempfile.mkdtemp()) if options.dry_run else RESULTS)
     if options.dry_run:
         if folder.resolve() == RESULTS:
-            raise SystemExit("--folder: expected another folder for a dry run than that of results")
+            raise SystemExit("--folder: expected a folder other than that of results for a dry run")
         print(DRY)
     bench = DryRun() if options.dry_run else Bench(torch.device("cuda", torch.cuda.current_device()))
     machine = bench.machine()

@@ -1,4 +1,4 @@
-"""What the sections of gpu.py share: the device, how to make things on it, sizes, time, and where results go."""
+"""What the sections of gpu.py share: the device, how to build things on it, sizes, time, and where results go."""
 
 import math
 import os
@@ -36,18 +36,18 @@ class Sizes:
 
     Attributes:
         scenes: names.
-        pixels: of an image, both ways.
-        batches: cameras of a launch, ascending; ``batches[base]`` is the one that qualities and comparisons take.
-        base: see there.
-        frames: that a timed call draws at least, where batches are small.
-        tolerances: of level of detail, pixels.
-        views: that level of detail is compared with exact on.
-        native_views: that the CPU draws as well.
-        voxels: sizes of the yard, by their names in collision.py, ascending.
-        queries: of the checker, a call.
+        pixels: width and height of an image.
+        batches: cameras per launch, ascending; ``batches[base]`` is the one for quality and comparisons.
+        base: see ``batches``.
+        frames: the fewest that a timed call draws, where batches are small.
+        tolerances: of the level of detail, pixels.
+        views: how many are used to compare level of detail with exact.
+        native_views: how many of them the CPU draws as well.
+        voxels: resolutions of the yard, by their names in collision.py, ascending.
+        queries: of the checker, per call.
         compared: queries that the CPU answers as well.
-        robots: of an env.
-        steps: of an env, in a timed call.
+        robots: per env.
+        steps: of an env, per timed call.
         copied: bytes that are copied to find the bandwidth.
         training: overrides of splatrl-train.
         iterations: batches of PPO that are timed.
@@ -94,7 +94,7 @@ TINY = Sizes(
     ),
     iterations=2,
 )
-"""Of a dry run."""
+"""Sizes of a dry run."""
 
 
 @dataclass
@@ -102,11 +102,11 @@ class Bench:
     """A GPU, and what was found on it.
 
     Attributes:
-        device: that is measured.
-        sizes: of everything.
+        device: the one that is measured.
+        sizes: how much of everything is measured.
         results: dataclasses, in the order in which they were found.
         notes: lines for people, such as what was left out.
-        ends: when the present section must be over, by ``time.monotonic``.
+        ends: when the current section must be over, by ``time.monotonic``.
     """
 
     device: torch.device
@@ -126,7 +126,7 @@ class Bench:
         return [one for one in mine if all(getattr(one, name) == value for name, value in fields.items())]
 
     def note(self, line: str) -> None:
-        """Say something, and keep it."""
+        """Print a line, and keep it for the results."""
         print(line, flush=True)
         self.notes.append(line)
 
@@ -135,7 +135,7 @@ class Bench:
         return measured_machine(self.device, None, self.sizes.copied)
 
     def subjects(self) -> dict[str, Subject]:
-        """Scenes, and where they are looked at from."""
+        """Scenes, and where they are viewed from."""
         return chosen(list(self.sizes.scenes))
 
     def views(self, subject: Subject, count: int) -> Cameras:
@@ -144,26 +144,26 @@ class Bench:
         return on(cameras, self.device)
 
     def renderer(self, scene: Scene | Gaussians, tolerance: float = 0.0, antialiased: bool = True) -> CudaRenderer:
-        """What is measured; it leaves most of the memory to others."""
+        """The renderer that is measured; it leaves most of the memory to others."""
         most = torch.cuda.get_device_properties(self.device).total_memory // 8
         return CudaRenderer(scene, antialiased, tolerance=tolerance, device=self.device, memory=most)
 
     def gsplat(self, scene: Scene, antialiased: bool = True) -> GsplatRenderer:
-        """What it is compared with."""
+        """The renderer that it is compared with."""
         most = torch.cuda.get_device_properties(self.device).total_memory // 5
         return GsplatRenderer(scene, antialiased, device=self.device, memory=most)
 
     def checker(self, occupancy: Occupancy, body: Body) -> CudaChecker:
-        """What is measured."""
+        """The checker that is measured."""
         return CudaChecker(occupancy, body, device=self.device)
 
     def architecture(self) -> str:
-        """That kernels are compiled for."""
+        """The architecture that kernels are compiled for."""
         major, minor = torch.cuda.get_device_capability(self.device)
         return f"sm_{major}{minor}"
 
     def overrides(self, folder: Path) -> list[str]:
-        """Of splatrl-train, for the task that is trained."""
+        """Overrides of splatrl-train, for the task that is trained."""
         return ["task=fps", f"device={self.device}"]
 
     def world(self, folder: Path, overrides: list[str]) -> tuple[World, float]:
@@ -172,13 +172,13 @@ class Bench:
         return build_world(cfg), float(cfg.renderer.tolerance)
 
     def free(self) -> None:
-        """Give memory back that nothing holds any more."""
+        """Release memory that nothing uses any more."""
         if self.device.type == "cuda":
             torch.cuda.empty_cache()
 
 
 class DryRun(Bench):
-    """The same on a CPU, by the tests' emulator and at tiny sizes: it shows that everything runs, and no speed."""
+    """The same on a CPU, by the tests' emulator and at tiny sizes: it shows that everything runs, but not how fast."""
 
     def __init__(self) -> None:
         super().__init__(torch.device("cpu"), TINY)
@@ -233,6 +233,6 @@ def on(cameras: Cameras, device: torch.device) -> Cameras:
 
 @contextmanager
 def cache_folder(folder: Path) -> Iterator[None]:
-    """Keep caches in this folder for a while."""
+    """Keep caches in this folder while the block runs."""
     with patch.dict(os.environ, SPLATRL_CACHE=str(folder)):
         yield

@@ -2,8 +2,8 @@
 
 Operations are counted as in bound.py, with one difference: ``exp2`` and ``log2`` are instructions here. What is
 counted is what the kernel reports (``CudaRenderer.efforts``): candidates, those of them that show before the tile is
-covered, and pairs of one and a patch of 8×4 pixels. Going down the tree, what is tested and dropped, sorting, finding
-patches and lanes outside a splat are free in it, and a merged Gaussian counts as a plain one.
+covered, and pairs of one and a patch of 8×4 pixels. Descending the tree, Gaussians that are tested and dropped,
+sorting, finding patches and lanes outside a splat cost nothing in it, and a merged Gaussian counts as a plain one.
 
 Bytes are counted as if every frame fetched them from memory. Frames of a batch look at one scene, so caches serve a
 part of them, and a frame may take less than its bytes say; it cannot take less than its operations say.
@@ -13,21 +13,21 @@ from bound import ANTIALIASED_FLOPS, EXP2_FLOPS, LOG2_FLOPS, PIXEL_FLOPS, PLAIN_
 from gpu_device import Machine
 
 CANDIDATE_FLOPS = 66 + 2 * 9
-"""Of testing a Gaussian against the tile's edges (offset 3, depth 6, near plane 1, four edges 14 each), and of its
-depth in double precision."""
+"""Operations to test a Gaussian against the tile's edges (offset 3, depth 6, near plane 1, four edges 14 each), and for
+its depth in double precision."""
 CANDIDATE_BYTES = 16 + 4 + 2 * 8
 """Sphere and index, read; a key, written and read again."""
 VISIBLE_BYTES = 8 + 4 + 16 + 48
 """Key, slot, sphere and shape, read."""
 COLOR_BYTES = 6
-"""Of a harmonic, as half floats."""
+"""Per harmonic, as half floats."""
 PATCH_PIXELS = 32
 
 
 def bound_us(
     machine: Machine, candidates: float, visible: float, blended: float, degree: int, pixels: int
 ) -> tuple[float, float]:
-    """Microseconds that an antialiased frame takes at least: for its operations, and for its bytes.
+    """The least microseconds that an antialiased frame takes: for its operations, and for its bytes.
 
     Args:
         machine: what the device can do.
@@ -35,7 +35,7 @@ def bound_us(
         visible: likewise.
         blended: pairs of a Gaussian and a patch.
         degree: of the spherical harmonics.
-        pixels: of the image.
+        pixels: in the image.
     """
     flops = candidates * CANDIDATE_FLOPS
     flops += visible * (PLAIN_FLOPS + ANTIALIASED_FLOPS - LOG2_FLOPS + 1 + color_flops(degree))

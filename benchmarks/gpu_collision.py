@@ -1,4 +1,4 @@
-"""Collision queries a second, and whether the answers are those of the CPU."""
+"""Collision queries per second, and whether the answers are those of the CPU."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from splatrl.collision import NativeChecker, Occupancy
 from splatrl.collision.cuda import CudaChecker
 
 MARGIN = 1e-6
-"""Of a free share: what differs by no more counts as the same answer."""
+"""Tolerance on the free share: answers that differ by no more count as the same."""
 PARTS = 4
 """Sets of queries that take turns, so that none was in a cache just before."""
 
 
 @dataclass(frozen=True)
 class Collision:
-    """A row: queries a second, and the share of them that hit something."""
+    """A row: queries per second, and the share of them that hit something."""
 
     what = "collision"
     body: str
@@ -47,7 +47,7 @@ class Agreement:
 
 
 def collision(bench: Bench) -> None:
-    """Every body among few and many voxels, static and swept, anywhere and near surfaces."""
+    """Measure every body among few and many voxels, static and swept, anywhere and near surfaces."""
     most = max(bench.sizes.queries)
     yards = {voxels: yard(RESOLUTIONS[voxels]) for voxels in bench.sizes.voxels}
     kinds = list(product(yards, BODIES))
@@ -67,7 +67,7 @@ def collision(bench: Bench) -> None:
 def asking(
     checker: CudaChecker, queries: Queries, query: str, batch: int
 ) -> tuple[Callable[[], None], int, Callable[[], torch.Tensor]]:
-    """A call that asks batch after batch; how many queries that are; and what answers all of them."""
+    """A call that makes queries batch after batch; how many those are; and a call that answers all of them."""
     parts = min(PARTS, max(1, len(queries.start) // batch))
     starts, ends = (poses[: parts * batch].split(batch) for poses in queries)
     batches = cycle(zip(starts, ends, strict=True))
@@ -85,7 +85,7 @@ def asking(
 def speeds(
     bench: Bench, checker: CudaChecker, names: tuple[str, str, int, str], queries: Queries, budget: float
 ) -> None:
-    """Queries a second, all sizes of batches and both kinds of query in turns."""
+    """Queries per second; all batch sizes and both kinds of query take turns."""
     kinds = list(product(("static", "swept"), bench.sizes.queries))
     asked = {kind: asking(checker, queries, *kind) for kind in kinds}
     times = in_turns({kind: call for kind, (call, _, _) in asked.items()}, bench.device, budget)
@@ -97,7 +97,7 @@ def speeds(
 def agreements(
     bench: Bench, checker: CudaChecker, occupancy: Occupancy, names: tuple[str, str, str], queries: Queries
 ) -> None:
-    """Ask the CPU as well."""
+    """Compare with the CPU's answers."""
     native, count = NativeChecker(occupancy, BODIES[names[0]]), bench.sizes.compared
     some = Queries(*(part[:count] for part in queries))
     here = Queries(*(part.to(bench.device) for part in some))

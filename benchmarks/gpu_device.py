@@ -1,4 +1,4 @@
-"""The GPU that is measured: what it is, the best that it does, and how long things take on it."""
+"""The GPU that is measured: what it is, how fast it can be, and how long things take on it."""
 
 import re
 import time
@@ -15,7 +15,7 @@ from splatrl.native.cuda.kernels import CudaKernels, Kernels
 
 RATE = Path(__file__).with_name("gpu_rate.cu")
 CHAINS, STEPS = 8, 16
-"""Of its kernel: sums of a thread that go on beside each other, and steps that are written out."""
+"""Of the kernel: independent sums per thread, and steps that are unrolled."""
 THREADS = 256
 MOST_ROUNDS = 9
 
@@ -24,18 +24,18 @@ Key = TypeVar("Key", bound=Hashable)
 
 @dataclass(frozen=True)
 class Machine:
-    """A device, and the best of what it did.
+    """A device, and the best that it achieved.
 
     Attributes:
-        name: as its driver says.
+        name: as its driver reports it.
         architecture: sm_90 and so on; empty for a CPU.
-        multiprocessors: of it.
-        memory_bytes: of it.
+        multiprocessors: how many it has.
+        memory_bytes: how much memory it has.
         driver: version of the kernel module.
         cuda: version that PyTorch was built with.
         torch: version.
-        flops: float32 operations a second of nothing but fused multiply-adds, each of which is two.
-        memory_bandwidth: bytes a second, read and written, of a copy that no cache holds.
+        flops: float32 operations per second of nothing but fused multiply-adds, each of which is two.
+        memory_bandwidth: bytes per second, read and written, of a copy that no cache holds.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Machine:
 
     @property
     def slug(self) -> str:
-        """The name for files: h200 of ``NVIDIA H200``, rtx-4090 of ``NVIDIA GeForce RTX 4090``."""
+        """The name for files: h200 for ``NVIDIA H200``, rtx-4090 for ``NVIDIA GeForce RTX 4090``."""
         words = re.sub(r"[^a-z0-9]+", " ", self.name.lower()).split()
         return "-".join(word for word in words if word not in ("nvidia", "geforce", "graphics", "device")) or "gpu"
 
@@ -85,7 +85,7 @@ def measured_machine(device: torch.device, kernels: Kernels | None, copied: int)
 
 
 def _multiply_adds(kernels: Kernels, device: torch.device) -> float:
-    """Operations a second of the kernel that does nothing else."""
+    """Operations per second of the kernel that does nothing but multiply and add."""
     on_gpu = device.type == "cuda"
     blocks, rounds = (32 * kernels.multiprocessors, 4096) if on_gpu else (1, 4)
     out = torch.empty(blocks * THREADS, device=device)
@@ -94,7 +94,7 @@ def _multiply_adds(kernels: Kernels, device: torch.device) -> float:
         kernels.launch("multiply_add", blocks, THREADS, out, rounds, 0.5, 1.0)
 
     fastest = min([seconds(device, launch) for _ in range(6)][1:])
-    assert bool((out == 2.0 * CHAINS).all()), out  # where x → x / 2 + 1 comes to rest
+    assert bool((out == 2.0 * CHAINS).all()), out  # the fixed point of x → x / 2 + 1
     return 2 * CHAINS * STEPS * rounds * blocks * THREADS / fastest
 
 
@@ -105,14 +105,14 @@ def _copy_bandwidth(device: torch.device, size: int) -> float:
 
 
 def _driver() -> str:
-    """Version of NVIDIA's kernel module, as Linux tells it; empty where there is none."""
+    """Version of NVIDIA's kernel module, as Linux reports it; empty where there is none."""
     path = Path("/proc/driver/nvidia/version")
     found = re.search(r"\d+\.\d+(\.\d+)?", path.read_text()) if path.is_file() else None
     return found.group() if found else ""
 
 
 def seconds(device: torch.device, call: Callable[[], object]) -> float:
-    """How long a device is busy with what a call queues, the gaps in which it waits for the host included."""
+    """How long a device is busy with what a call queues, including gaps in which it waits for the host."""
     if device.type != "cuda":
         start = time.perf_counter()
         call()
@@ -127,15 +127,15 @@ def seconds(device: torch.device, call: Callable[[], object]) -> float:
 
 
 def in_turns(calls: Mapping[Key, Callable[[], object]], device: torch.device, budget: float) -> dict[Key, list[float]]:
-    """Seconds of every call in each round; all take their turn, after one or two to warm up.
+    """Seconds of every call in each round; all take turns, after one or two calls to warm up.
 
     Args:
-        calls: what is compared.
-        device: that they run on.
-        budget: seconds that the rounds may take together; there is one at least.
+        calls: those that are compared.
+        device: the one that they run on.
+        budget: seconds that the rounds may take together; there is at least one round.
     """
     once = sum(seconds(device, call) for call in calls.values())
-    if once < budget:  # the first time is slower than those after it
+    if once < budget:  # the first call is slower than later ones
         once = sum(seconds(device, call) for call in calls.values())
     rounds = max(1, min(MOST_ROUNDS, int(budget / max(once, 1e-9))))
     found: dict[Key, list[float]] = {key: [] for key in calls}
@@ -147,7 +147,7 @@ def in_turns(calls: Mapping[Key, Callable[[], object]], device: torch.device, bu
 
 @dataclass(frozen=True)
 class Rate:
-    """How many a second: the median over the rounds, and the extremes."""
+    """A rate per second: the median over the rounds, and the extremes."""
 
     typical: float
     slowest: float
@@ -158,13 +158,13 @@ class Rate:
 
 
 def rate(count: int, times: list[float]) -> Rate:
-    """So many things, in each of these times."""
+    """The rate of ``count`` things in each of these times."""
     return Rate(*(round(count / value, 1) for value in (median(times), max(times), min(times))))
 
 
 @contextmanager
 def peak_memory(device: torch.device) -> Iterator[list[int]]:
-    """A list that holds, after the block, the most bytes that PyTorch held at a time in it; 0 on a CPU."""
+    """A list that holds, after the block, PyTorch's peak memory in it, bytes; 0 on a CPU."""
     found: list[int] = []
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)

@@ -23,7 +23,7 @@ BODY_COLORS = {"box": INK, "sphere": BLUE, "capsule": PURPLE}
 
 
 def draw(bench: Bench, targets: Sequence[Target], title: str, path: Path) -> None:
-    """Draw speed by batch, quality by speed, collision queries, and how far the targets are.
+    """Draw speed by batch, quality by speed, collision queries, and how close the targets are.
 
     Args:
         bench: holds the results; what is missing leaves its panel empty.
@@ -56,7 +56,7 @@ def _speeds(axes: Axes, rows: Sequence[Rendering]) -> None:
         for row in (r for r in rows if (r.renderer, r.scene) == ("gsplat", scene)):
             axes.plot(row.batch, row.frames_per_second.typical, marker, color=MISSED, label=f"{scene}, gsplat exact")
     batches = sorted({row.batch for row in rows})
-    axes.set(xscale="log", yscale="log", xlabel="cameras a launch", ylabel="frames/s", title="Rendering")
+    axes.set(xscale="log", yscale="log", xlabel="cameras per launch", ylabel="frames/s", title="Rendering")
     axes.set_xticks(batches, [f"{batch:,}" for batch in batches], minor=False)
     axes.xaxis.set_minor_locator(NullLocator())
     _plain(axes.yaxis)
@@ -76,8 +76,8 @@ def _qualities(axes: Axes, bench: Bench) -> None:
             axes.plot(best, row.mean_db, marker, color=color, label=f"{scene}, {tolerance_name(row.tolerance)}")
             axes.plot(best, row.worst_db, marker, color=color, markerfacecolor="white", markersize=5)
     axes.plot([], [], "o", color="0.4", markerfacecolor="white", markersize=5, label="its worst view")
-    axes.axhline(MEAN_DB, color="0.6", linewidth=1, label="asked for, mean")
-    axes.axhline(WORST_DB, color="0.6", linewidth=1, linestyle="--", label="asked for, worst view")
+    axes.axhline(MEAN_DB, color="0.6", linewidth=1, label="required mean")
+    axes.axhline(WORST_DB, color="0.6", linewidth=1, linestyle="--", label="required worst view")
     axes.set(xscale="log", xlabel="frames/s at the best batch", ylabel="PSNR to exact (dB)", title="Level of detail")
     _plain(axes.xaxis)
     _finish(axes, legend=bool(rows))
@@ -93,7 +93,7 @@ def _queries(axes: Axes, rows: Sequence[Collision]) -> None:
         axes.barh(place, row.queries_per_second.typical / 1e6, 0.25, color=BODY_COLORS[row.body])
     axes.set_yticks(range(len(names)), [f"{query}, {voxels} voxels, {poses}" for query, voxels, poses in names])
     axes.invert_yaxis()
-    axes.set(xlabel=f"million queries/s, {most:,} a call", title="Collision")
+    axes.set(xlabel=f"million queries/s, {most:,} per call", title="Collision")
     for body, color in BODY_COLORS.items():
         axes.barh(0, 0, color=color, label=body)
     _finish(axes, legend=bool(rows))
@@ -110,7 +110,7 @@ def _reach(axes: Axes, targets: Sequence[Target]) -> None:
     axes.axvline(1, color="0.5", linewidth=1)
     axes.set_yticks(range(len(targets)), [target.name.replace(", ", ",\n", 1) for target in targets], fontsize=9)
     axes.set_ylim(len(targets) - 0.5, -0.5)
-    axes.set(xscale="log", xlabel="times what is asked for at least; the marks are the aims", title="Reach")
+    axes.set(xscale="log", xlabel="times the least that is required; the marks are the aims", title="Reach")
     scores = [1.0, *(target.score for target in targets if not math.isnan(target.found))]
     axes.set_xlim(0.7 * min(scores), 1.5 * max(6.0, *scores))
     _plain(axes.xaxis, "{x:g}")
@@ -122,7 +122,7 @@ def _scenes(rows: Sequence[Rendering] | Sequence[Likeness]) -> list[str]:
 
 
 def _plain(axis: Axis, form: str = "{x:,.0f}") -> None:
-    """Numbers along a logarithmic axis as people write them."""
+    """Write the numbers along a logarithmic axis in full."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(StrMethodFormatter(form))
     axis.set_minor_locator(NullLocator())

@@ -1,4 +1,4 @@
-"""What someone waits for the first time: kernels that are compiled, loaded and run; and the time after."""
+"""How long the first use takes, while kernels are compiled, loaded and run; and how long the next one takes."""
 
 import tempfile
 import time
@@ -30,9 +30,9 @@ class FirstUse:
 
 
 def first_use(bench: Bench) -> None:
-    """Renderer and checker, each as if it had never run here."""
+    """Measure renderer and checker, each as if it had never run here."""
     if bench.device.type == "cuda":
-        torch.zeros(1, device=bench.device)  # PyTorch's own start is not ours
+        torch.zeros(1, device=bench.device)  # so that PyTorch's own start is not counted
     answers = {"render": first_frame, "collide": first_query}
     with tempfile.TemporaryDirectory() as folder, cache_folder(Path(folder)):
         for name, defines in SOURCES.items():
@@ -46,7 +46,7 @@ def first_use(bench: Bench) -> None:
 
 
 def first_frame(bench: Bench) -> None:
-    """A small image of one Gaussian, read by the host."""
+    """Draw a small image of one Gaussian, and read it on the host."""
     scene = Gaussians(
         means=torch.tensor([[2.0, 0.0, 0.0]]),
         quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
@@ -62,6 +62,6 @@ def first_frame(bench: Bench) -> None:
 
 
 def first_query(bench: Bench) -> None:
-    """One pose in one voxel, read by the host."""
+    """Test one pose in one voxel, and read the answer on the host."""
     occupancy = Occupancy.from_points(torch.zeros(1, 3).numpy(), 0.1, crop=((-1, -1, -1), (1, 1, 1)))
     assert bool(bench.checker(occupancy, BODIES["box"]).collides(torch.eye(4, device=bench.device).unsqueeze(0)))

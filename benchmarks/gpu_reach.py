@@ -1,4 +1,4 @@
-"""What issue 6 asks for on an H200, and what a run has found."""
+"""The targets of issue 6 on an H200, and what a run achieved."""
 
 import math
 from dataclasses import dataclass
@@ -10,20 +10,20 @@ from gpu_render import Likeness, Rendering
 from gpu_training import Stepping, Training
 
 MEAN_DB, WORST_DB = 40.0, 34.0
-"""Of level of detail against exact, at least."""
+"""The least PSNR of level of detail against exact."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """One line; ``found`` is not a number where that was not measured.
+    """One line of the table; ``found`` is NaN where nothing was measured.
 
     Attributes:
-        name: what.
+        name: what is measured.
         unit: of the numbers.
-        least: what it should at least be; for seconds at most.
+        least: the least that is required; for seconds, the most.
         aim: likewise.
         found: the measured value.
-        how: what it was measured with, where that was a choice.
+        how: the setting that it was measured with, where there was a choice.
     """
 
     what = "target"
@@ -36,12 +36,12 @@ class Target:
 
     @property
     def score(self) -> float:
-        """How many times ``least`` it is; more is better."""
+        """``found`` as a multiple of ``least``; more is better."""
         return self.least / self.found if self.unit == "s" else self.found / self.least
 
     @property
     def verdict(self) -> str:
-        """In a word."""
+        """The verdict in a word."""
         if math.isnan(self.found):
             return "not measured"
         aimed = self.found <= self.aim if self.unit == "s" else self.found >= self.aim
@@ -83,7 +83,7 @@ def _frames(bench: Bench, renderer: str, tolerance: float) -> float:
 
 
 def _with_detail(bench: Bench) -> tuple[float, str]:
-    """The fastest tolerance that keeps the quality that is asked for."""
+    """The fastest tolerance that keeps the required quality."""
     good = [
         (_frames(bench, "CudaRenderer", row.tolerance), f"{row.tolerance:g} px")
         for row in bench.found(Likeness, scene=bench.sizes.scenes[0], against="exact")

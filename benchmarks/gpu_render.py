@@ -1,4 +1,4 @@
-"""Frames a second, how like the exact image they are, and how far that is from what the GPU could do."""
+"""Frames per second, how close they are to the exact image, and how far the speed is from the GPU's bound."""
 
 import importlib.util
 from collections.abc import Callable
@@ -19,12 +19,12 @@ from splatrl.renderers import NativeRenderer
 from splatrl.renderers.cuda import CudaRenderer
 
 MODULE = "gsplat_cuda"
-"""What gsplat calls its compiled kernels."""
+"""Name of gsplat's module of compiled kernels."""
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """A row: frames a second at one batch size."""
+    """A row: frames per second at one batch size."""
 
     what = "rendering"
     renderer: str
@@ -34,12 +34,12 @@ class Rendering:
     tolerance: float
     batch: int
     frames_per_second: Rate
-    memory_bytes: int  # most that PyTorch held at a time, the scene and other renderers included
+    memory_bytes: int  # PyTorch's peak, including the scene and other renderers
 
 
 @dataclass(frozen=True)
 class Effort:
-    """What a frame takes, the mean over some views, and the bound that is counted from it."""
+    """The work of a frame, averaged over some views, and the bound counted from it."""
 
     what = "effort"
     scene: str
@@ -55,7 +55,7 @@ class Effort:
 
 @dataclass(frozen=True)
 class Likeness:
-    """How like other images the images are, over some views: of 8-bit values the share within one step, and PSNR."""
+    """How close images are to others, over some views: the share of 8-bit values within one step, and PSNR."""
 
     what = "likeness"
     renderer: str
@@ -69,7 +69,7 @@ class Likeness:
 
 
 def drawing(renderer: Any, cameras: Cameras, batch: int, frames: int) -> tuple[Callable[[], None], int]:
-    """A call that draws batch after batch, never the one that it has just drawn; and how many frames that are."""
+    """A call that draws batch after batch, never the same one twice running; and how many frames that is."""
     starts = range(0, len(cameras) - batch + 1, batch)
     batches = cycle([cameras[start : start + batch] for start in starts])
     repeats = max(2, frames // batch)
@@ -82,7 +82,7 @@ def drawing(renderer: Any, cameras: Cameras, batch: int, frames: int) -> tuple[C
 
 
 def rendering(bench: Bench, machine: Machine) -> None:
-    """Every scene, exact and at each tolerance."""
+    """Measure every scene, exact and at each tolerance."""
     subjects = bench.subjects()
     left = [(name, tolerance) for name in subjects for tolerance in (0.0, *bench.sizes.tolerances)]
     for name, subject in subjects.items():
@@ -101,7 +101,7 @@ def rendering(bench: Bench, machine: Machine) -> None:
 def measure(
     bench: Bench, subject: Subject, tolerance: float, renderer: CudaRenderer, cameras: Cameras, budget: float
 ) -> None:
-    """Frames a second at every batch size, that of the comparisons first."""
+    """Frames per second at every batch size, starting with that of the comparisons."""
     sizes, gaussians = bench.sizes, subject.scene.gaussians
     for batch in sorted(sizes.batches, key=lambda batch: batch != sizes.batches[sizes.base]):
         call, frames = drawing(renderer, cameras, batch, sizes.frames)
@@ -115,7 +115,7 @@ def measure(
 def count_effort(
     bench: Bench, machine: Machine, subject: Subject, tolerance: float, renderer: CudaRenderer, cameras: Cameras
 ) -> None:
-    """What a frame takes, and the bound."""
+    """Count the work of a frame, and the bound."""
     scene, batch = subject.scene, bench.sizes.batches[bench.sizes.base]
     counts = renderer.efforts(cameras[: bench.sizes.views]).double().mean(0).tolist()
     bound = bound_us(machine, *counts, scene.gaussians.sh_degree, bench.sizes.pixels**2)
@@ -135,7 +135,7 @@ def likeness(names: tuple[str, str, float, str], ours: Any, theirs: Any, mine: C
 def compare(
     bench: Bench, subject: Subject, tolerance: float, renderer: CudaRenderer, exact: CudaRenderer, cameras: Cameras
 ) -> None:
-    """Level of detail with exact, and everything with the CPU."""
+    """Compare level of detail with exact, and everything with the CPU."""
     name, sizes = subject.scene.name, bench.sizes
     if tolerance:
         views = cameras[: sizes.views]
@@ -160,7 +160,7 @@ def gsplat_missing() -> str | None:
 
 
 def gsplat(bench: Bench, missing: str | None) -> None:
-    """gsplat and we draw the same frames in turns, exact."""
+    """Let gsplat and CudaRenderer draw the same exact frames in turns."""
     if missing:
         bench.note(f"gsplat: left out, {missing}")
         return
@@ -171,7 +171,7 @@ def gsplat(bench: Bench, missing: str | None) -> None:
 
 
 def against_gsplat(bench: Bench, subject: Subject, budget: float) -> None:
-    """One scene: speeds in antialiased images, as both are used here; likeness in classic ones, where they agree."""
+    """One scene: speed in antialiased images, as both are used here; agreement in classic ones, where both agree."""
     sizes, scene = bench.sizes, subject.scene
     batch = sizes.batches[sizes.base]
     cameras = bench.views(subject, 4 * batch)

@@ -1,4 +1,4 @@
-"""The results of a run for people: Markdown tables."""
+"""The results of a run as Markdown tables."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +15,7 @@ from record import print_markdown
 GIB = 2**30
 
 Columns = dict[str, Callable[[Any], str]]
-"""Titles, and what stands below them for one result."""
+"""Column titles, and the cell that each result has below them."""
 
 TABLES: dict[type, Columns] = {
     FirstUse: {
@@ -37,9 +37,9 @@ TABLES: dict[type, Columns] = {
         "candidates": lambda r: f"{r.candidates:,.0f}",
         "visible": lambda r: f"{r.visible:,.0f}",
         "blended": lambda r: f"{r.blended:,.0f}",
-        "µs a frame": lambda r: f"{r.frame_us:.2f}",
-        "of it operations": lambda r: f"{r.bound_flops_us:.2f}",
-        "of it bytes": lambda r: f"{r.bound_bytes_us:.2f}",
+        "µs per frame": lambda r: f"{r.frame_us:.2f}",
+        "bound: operations": lambda r: f"{r.bound_flops_us:.2f}",
+        "bound: bytes": lambda r: f"{r.bound_bytes_us:.2f}",
         "× the larger": lambda r: f"{r.frame_us / max(r.bound_flops_us, r.bound_bytes_us):.1f}",
     },
     Likeness: {
@@ -92,7 +92,7 @@ def millions(rate: Any) -> str:
 
 
 def number(value: float, unit: str) -> str:
-    """A number of a target, for people."""
+    """The number of a target, as text."""
     if value != value:
         return "–"
     if unit == "":
@@ -103,7 +103,7 @@ def number(value: float, unit: str) -> str:
 
 
 def print_tables(bench: Bench, targets: list[Target]) -> None:
-    """Everything that was found, and last what it was for."""
+    """Print every result, and the targets last."""
     for kind, columns in TABLES.items():
         rows = targets if kind is Target else bench.found(kind)
         if rows:

@@ -1,4 +1,4 @@
-"""Steps a second of envs that see, beside the bare renderer; and frames a second of PPO, end to end."""
+"""Steps per second of rendered envs, beside the bare renderer; and frames per second of PPO, end to end."""
 
 import tempfile
 import time
@@ -26,7 +26,7 @@ from splatrl.training.cuda_graph import CudaGraph
 
 @dataclass(frozen=True)
 class Stepping:
-    """A row: steps a second of the FPS task with rewards, collisions and automatic resets, by random actions."""
+    """A row: steps per second of the FPS task with rewards, collisions and automatic resets, under random actions."""
 
     what = "stepping"
     scene: str
@@ -40,7 +40,7 @@ class Stepping:
 
 @dataclass(frozen=True)
 class Training:
-    """A row: frames a second of PPO, collected and learned from; and collected alone."""
+    """A row: frames per second of PPO, collected and learned from; and collected alone."""
 
     what = "training"
     scene: str
@@ -71,7 +71,7 @@ class Recording:
 
 
 def stepper(env: EnvBase) -> Callable[[], None]:
-    """A step by random actions with an automatic reset, in place, as rollouts on a device do it."""
+    """A step with random actions and an automatic reset, in place, as rollouts on a device do it."""
     now = env.reset().clone()
     spec = env.full_action_spec["action"]
 
@@ -84,7 +84,7 @@ def stepper(env: EnvBase) -> Callable[[], None]:
 
 
 def repeated(call: Callable[[], object], times: int) -> Callable[[], None]:
-    """A call so many times."""
+    """A call that repeats another this many times."""
 
     def calls() -> None:
         for _ in range(times):
@@ -94,7 +94,7 @@ def repeated(call: Callable[[], object], times: int) -> Callable[[], None]:
 
 
 def recorded(env: EnvBase, step: Callable[[], None], steps: int) -> list[Cameras]:
-    """Cameras that an env asks for in some steps."""
+    """The cameras that an env renders in some steps."""
     base = layers(env)[0]
     recording = Recording(base.drawing.renderer)
     base.drawing.renderer = recording
@@ -104,13 +104,13 @@ def recorded(env: EnvBase, step: Callable[[], None], steps: int) -> list[Cameras
 
 
 def redrawing(renderer: Renderer, cameras: list[Cameras]) -> Callable[[], object]:
-    """A call that draws what an env asked for, a step's cameras at a time."""
+    """A call that draws the cameras of an env again, one step at a time."""
     views = cycle(cameras)
     return lambda: renderer.pixels(next(views))
 
 
 def stepping(bench: Bench) -> None:
-    """Envs of every size, with and without a CUDA graph."""
+    """Measure envs of every size, with and without a CUDA graph."""
     with tempfile.TemporaryDirectory() as folder:
         world, tolerance = bench.world(Path(folder), bench.overrides(Path(folder)))
     for number, robots in enumerate(reversed(bench.sizes.robots)):
@@ -124,14 +124,14 @@ def stepping(bench: Bench) -> None:
 
 
 def step_rates(bench: Bench, world: World, robots: int, budget: float) -> dict[str, Rate]:
-    """Steps a second of ``plain`` steps, of those of a ``graph``, and what the ``bare`` renderer draws."""
+    """Steps per second, ``plain`` and in a ``graph``, and frames per second of the ``bare`` renderer."""
     steps = bench.sizes.steps
     calls, envs = {}, {}
     for name in ("plain", "graph"):
         env = world.env(robots, Curriculum(world.plan, first=None), 0)
         base = layers(env)[0]
         step = stepper(env)
-        repeated(step, steps)()  # robots come from where they began
+        repeated(step, steps)()  # robots move away from where they started
         if name == "plain":
             calls["bare"] = repeated(redrawing(base.drawing.renderer, recorded(env, step, steps)), steps)
         elif not (base.capturable and bench.device.type == "cuda"):
@@ -145,7 +145,7 @@ def step_rates(bench: Bench, world: World, robots: int, budget: float) -> dict[s
 
 
 def training(bench: Bench) -> None:
-    """PPO on the FPS task, by what splatrl-train is made of."""
+    """Measure PPO on the FPS task, built from the parts of splatrl-train."""
     with tempfile.TemporaryDirectory() as name:
         folder, sizes = Path(name), bench.sizes
         overrides = [*bench.overrides(folder), *sizes.training]
@@ -161,7 +161,7 @@ def training(bench: Bench) -> None:
 
 
 def timed(bench: Bench, call: Callable[[], object], budget: float) -> list[float]:
-    """Seconds on the wall until a device has done what a call queues, call after call: at least two."""
+    """Wall-clock seconds until a device has finished what a call queues, for at least two calls."""
     found: list[float] = []
     ends = time.perf_counter() + budget
     while len(found) < 2 or (len(found) < bench.sizes.iterations and time.perf_counter() < ends):

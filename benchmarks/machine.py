@@ -19,14 +19,14 @@ REPEATS = 12
 
 @dataclass(frozen=True)
 class Machine:
-    """A processor, and the best of what one core of it did.
+    """A processor, and the best that one core achieved.
 
     Attributes:
         processor: its name.
-        cores: that this process may use.
-        isa: instruction set that the renderer takes.
-        flops: float32 operations a second of a matrix product; a fused multiply-add is two.
-        memory_bandwidth: bytes a second, read and written, of a copy in main memory.
+        cores: how many this process may use.
+        isa: the instruction set that the renderer uses.
+        flops: float32 operations per second of a matrix product; a fused multiply-add is two.
+        memory_bandwidth: bytes per second, read and written, of a copy in main memory.
         cache_bandwidth: the same in the last cache.
         cache_bytes: of the last cache; 0 where it is not known.
     """
@@ -89,7 +89,7 @@ def _processor() -> str:
 
 
 def _cache_bytes() -> int:
-    """Size of the last cache, as Linux tells it."""
+    """Size of the last cache, as Linux reports it."""
     levels = Path("/sys/devices/system/cpu/cpu0/cache").glob("index*/size")
     units = {"K": 2**10, "M": 2**20, "G": 2**30}
     sizes = [path.read_text().strip() for path in levels]

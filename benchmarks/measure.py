@@ -1,4 +1,4 @@
-"""The speed of every row: frames a second, the stages of a frame, and what is counted against the bound."""
+"""The speed of every row: frames per second, the stages of a frame, and what is counted against the bound."""
 
 from collections.abc import Callable, Sequence
 from statistics import median
@@ -14,13 +14,13 @@ from splatrl.cameras import Cameras
 from splatrl.renderers import NativeRenderer
 
 FRAMES = 64
-"""At least so many are timed at once: small batches are called again, on other views."""
+"""The fewest that are timed at once: small batches are called again, on other views."""
 
 
 def call_of(
     setup: Setup, cameras: Cameras, draw_batch: Callable[[Cameras], Any], renderer: NativeRenderer
 ) -> Callable[[], list[Any]]:
-    """A call that draws all views, a batch at a time, and returns what each batch gave."""
+    """A call that draws all views, a batch at a time, and returns the result of each batch."""
     batches = [cameras[start : start + setup.batch] for start in range(0, len(cameras), setup.batch)]
 
     def call() -> list[Any]:

@@ -33,7 +33,7 @@ VARIED: list[dict[str, Any]] = [
     *({"max_scale": value} for value in (0.1, 0.3, 3.0)),
     {"min_opacity": 0.05, "cutoff": 0.1, "min_volume": 0.0},  # splat-transform's
 ]
-"""What differs from the defaults, one thing at a time."""
+"""Recipes: what differs from the defaults, one thing at a time."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Result:
         scene: its name.
         resolution: edge of a voxel, metres.
         recipe: what differs from the defaults.
-        seconds: to make the occupancy.
-        voxels: that are solid.
+        seconds: time to build the occupancy.
+        voxels: how many are solid.
         false_hits: in free space.
         recall: on known surfaces.
         floor: caught on the way through the floor.
@@ -108,7 +108,7 @@ def _row(result: Result) -> list[str]:
 
 
 def main() -> None:
-    """Measure, print and keep."""
+    """Measure, print and save."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--poses", type=int, default=20_000, help="of each kind")
     arguments = parser.parse_args()

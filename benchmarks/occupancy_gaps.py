@@ -15,7 +15,7 @@ HEIGHT = 2.2
 
 
 def draw_gaps(truth: Truth, path: Path) -> None:
-    """Draw for each wall whether anything solid lies on the way that the moves through it take."""
+    """Draw for each wall whether anything solid lies on the path of the moves through it."""
     voxels = Occupancy.from_scene(truth.scene)
     (left, front, bottom), _ = voxels.bounds
     figure = Figure(figsize=(4.2 * len(truth.walls), 3.0), dpi=110, layout="constrained")

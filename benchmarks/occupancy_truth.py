@@ -1,4 +1,4 @@
-"""What is known to be solid and free in two scenes, and where cubes are put to ask."""
+"""What is known to be solid and free in two scenes, and where cubes are placed to test it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ Box = tuple[Sequence[float], Sequence[float]]
 MARGIN = 0.12
 """How far the centre of a small cube stays from what is solid to count as free, metres."""
 BEFORE, BEHIND = 0.3, 0.6
-"""Where a move through a wall begins and ends, measured from the wall's inner face, metres."""
+"""How far before and behind the wall's inner face a move through it begins and ends, metres."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Wall:
     Attributes:
         side: the signed axis that points outward through it: 1 is +x, −2 is −y.
         plane: coordinate of its inner face on that axis, metres.
-        span: from where to where it stands along the other horizontal axis, metres.
+        span: its extent along the other horizontal axis, metres.
     """
 
     side: int
@@ -35,14 +35,14 @@ class Wall:
 
 @dataclass(frozen=True)
 class Truth:
-    """A scene and what is known of it; lengths in metres.
+    """A scene and what is known about it; lengths in metres.
 
     Attributes:
         scene: the Gaussians.
-        open: box of places for cubes that should be free, but for ``solids``.
-        solids: boxes around all that is solid near ``open``.
+        open: a box in which cubes should be free, except for ``solids``.
+        solids: boxes around everything solid near ``open``.
         faces: flat boxes on known surfaces.
-        walls: around the open.
+        walls: those around ``open``.
         whole: lowest and highest place where the walls are closed.
         gappy: the same where the captured walls have gaps, or another part of them.
         seed: a place that is free and reached.
@@ -66,7 +66,7 @@ class Truth:
         return places
 
     def surface(self, count: int) -> Tensor:
-        """Places [M, 3] on the faces, as many on each square metre."""
+        """Places [M, 3] on the faces, equally many per square metre."""
         areas = torch.tensor([_area(face) for face in self.faces])
         counts = (count * areas / areas.sum()).ceil().long().tolist()
         return torch.cat([_uniform(face, n, i) for i, (face, n) in enumerate(zip(self.faces, counts, strict=True))])
@@ -94,7 +94,7 @@ class Truth:
 
 
 def kitchen_truth() -> Truth | None:
-    """The kitchen and the boxes that were made for it by hand; None where it is not found."""
+    """The kitchen and its hand-made boxes; None where it is not found."""
     subject = kitchen()
     if subject is None:
         return None

@@ -3,8 +3,8 @@
     python benchmarks/parts.py                          # a minute
     python benchmarks/parts.py --scene backyard --tolerance 0 1
 
-Balls that stand somewhere else in each row, beside the scene alone; and rows that each draw another model of as many
-Gaussians, beside rows that all draw one. All take turns, round by round, and see the same views.
+Balls that stand elsewhere in each row, against the scene alone; and rows that each draw a different model of as many
+Gaussians, against rows that all draw the same one. All take turns, round by round, and see the same views.
 """
 
 import argparse
@@ -27,14 +27,14 @@ from splatrl.scenes import Gaussians
 from splatrl.spherical_harmonics import C0
 
 SIZE = 64
-"""Pixels, both ways."""
+"""Width and height, pixels."""
 THICKNESS = 0.001
-"""Metres: a standard deviation of a ball's discs across its surface."""
+"""Standard deviation of a ball's discs along the normal of its surface, metres."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """One row: the median time of a frame, of one core, and beside what it is compared with."""
+    """One row: the median time per frame of one core, and the row that it is compared with."""
 
     scene: str
     tolerance: float
@@ -68,7 +68,7 @@ def ball(count: int = 800, radius: float = 0.1) -> Gaussians:
 
 
 def with_balls(room: Room, batch: int, balls: int) -> Parts:
-    """In each row model 0 at home and balls, model 1, anywhere from floor to eyes in the room."""
+    """In each row, model 0 at the origin and balls, model 1, anywhere in the room from floor to eye height."""
     g = torch.Generator().manual_seed(2)
     low, high = torch.tensor([*room.lower[:2], 0.1]), torch.tensor(room.upper)
     places = low + (high - low) * torch.rand(batch, balls, 3, generator=g)
@@ -78,12 +78,12 @@ def with_balls(room: Room, batch: int, balls: int) -> Parts:
 
 
 def each_its_own(model: Tensor) -> Parts:
-    """One part in each row, at home: [B] models."""
+    """One part in each row, at the origin: [B] models."""
     return Parts(model.unsqueeze(1), torch.eye(4).repeat(len(model), 1, 1, 1))
 
 
 def measure(subject: Subject, tolerance: float, options: argparse.Namespace) -> list[Result]:
-    """Both comparisons of a scene."""
+    """Make both comparisons in a scene."""
     scene, batch = subject.scene, options.batch
     settings = {"threads": options.threads, "tolerance": tolerance}
     moving = NativeRenderer([scene, ball()], **settings)
@@ -123,7 +123,7 @@ def measure(subject: Subject, tolerance: float, options: argparse.Namespace) -> 
 
 def print_table(results: Sequence[Result]) -> None:
     """The results as Markdown."""
-    header = ["scene", "detail", "drawn", "rows", "threads", "ms a frame (fastest)", "ratio", "bytes that differ"]
+    header = ["scene", "detail", "drawn", "rows", "threads", "ms per frame (fastest)", "ratio", "bytes that differ"]
     rows = [
         [
             *(r.scene, tolerance_name(r.tolerance), r.what, str(r.batch), str(r.threads)),
@@ -140,7 +140,7 @@ def main() -> None:
     parser.add_argument("--scene", help="a name, or a splat file (z up); the kitchen where it is found")
     parser.add_argument("--tolerance", nargs="+", type=float, default=[0.0, 1.0], help="pixels; 0 is exact")
     parser.add_argument("--balls", type=int, default=8, help="in each row")
-    parser.add_argument("--batch", type=int, default=64, help="rows of a call, and models")
+    parser.add_argument("--batch", type=int, default=64, help="rows per call, and models")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--json", action="store_true", help="write benchmarks/results/<date>-cpu-parts.json")

@@ -12,7 +12,7 @@ Mode = Literal["antialiased", "classic"]
 
 
 class Look(NamedTuple):
-    """What decides an image."""
+    """Everything that decides an image."""
 
     scene: str
     sh_degree: int
@@ -21,7 +21,7 @@ class Look(NamedTuple):
 
 
 class Setup(NamedTuple):
-    """What decides the time of a call; a row of the table."""
+    """Everything that decides the time of a call; a row of the table."""
 
     look: Look
     batch: int
@@ -41,7 +41,7 @@ class Renderers(dict[Look, NativeRenderer]):
 
 
 def planned(subjects: dict[str, Subject], options: argparse.Namespace) -> list[Setup]:
-    """The rows: with ``full`` every combination, else every option varied alone, and all of it at each tolerance."""
+    """The rows: with ``full`` every combination, otherwise each option varied alone; both at each tolerance."""
     axes = (options.mode, options.batch, options.threads)
     own = {name: subject.scene.gaussians.sh_degree for name, subject in subjects.items()}
     points: list[tuple[str, int, tuple[Mode, int, int]]] = []

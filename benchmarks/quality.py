@@ -14,7 +14,7 @@ from splatrl.renderers import NativeRenderer
 
 SUPERSAMPLING = 8
 MOST_DB = 100.0
-"""Equal images; a logarithm would say infinity."""
+"""PSNR of equal images, where the logarithm would be infinite."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Quality:
 
 
 def psnr(images: Tensor, truth: Tensor) -> Tensor:
-    """Of each view, for colours in [0, 1]: [B, H, W, 3] twice -> [B] dB."""
+    """PSNR of each view, for colours in [0, 1]: [B, H, W, 3] twice -> [B] dB."""
     error = (images.double() - truth.double()).square().flatten(1).mean(1)
     return -10 * error.clamp_min(10 ** (-MOST_DB / 10)).log10()
 
@@ -48,14 +48,14 @@ def supersampled(renderer: NativeRenderer, cameras: Cameras) -> Tensor:
     n = SUPERSAMPLING
     K = cameras.K * torch.tensor([[n], [n], [1.0]])
     fine = Cameras(cameras.camera_to_world, K, n * cameras.width, n * cameras.height)
-    frames = [shown(renderer, fine[row : row + 1]) for row in range(len(fine))]  # one at a time, for the memory
+    frames = [shown(renderer, fine[row : row + 1]) for row in range(len(fine))]  # one at a time, to save memory
     return torch.cat([frame.unflatten(2, (-1, n)).unflatten(1, (-1, n)).mean((2, 4)) for frame in frames])
 
 
 def judged(
     looks: Sequence[Look], renderers: Renderers, views: dict[str, Cameras], fine_views: int
 ) -> tuple[dict[Look, tuple[Quality, Quality]], list[Comparison]]:
-    """Of every look its quality against exact and against supersampled, and a comparison for each scene."""
+    """For every look, its quality against exact and against supersampled; and a comparison for each scene."""
     found: dict[Look, tuple[Quality, Quality]] = {}
     comparisons: dict[str, Comparison] = {}
     truths: dict[Look, Tensor] = {}

@@ -1,4 +1,4 @@
-"""What a run leaves: results with the commit, the machine and the day that they belong to."""
+"""The results of a run, with the commit, the machine and the day that they belong to."""
 
 import datetime
 import json
@@ -43,16 +43,16 @@ def write_json(
         kind: of benchmark.
         machine: a dataclass.
         results: dataclasses; those that have ``what`` are told apart by it.
-        device: that was measured.
-        folder: to keep it in.
-        commit: that was measured; None asks git.
-        notes: lines for people.
+        device: the one that was measured.
+        folder: where to write the file.
+        commit: the one that was measured; None asks git.
+        notes: lines for readers.
     """
     path = folder / f"{today()}-{device}-{kind}.json"
     record = {
         "date": today(),
         "commit": commit or _git("rev-parse", "HEAD"),
-        "changed": bool(_git("status", "--porcelain", "--", "splatrl")),  # so the commit is not all that ran
+        "changed": bool(_git("status", "--porcelain", "--", "splatrl")),  # then the commit alone is not what ran
         "machine": asdict(machine),
         "results": [_described(result) for result in results],
         **({"notes": list(notes)} if notes else {}),
@@ -68,7 +68,7 @@ def _described(result: Any) -> dict[str, Any]:
 
 
 def _git(*arguments: str) -> str:
-    """What git answers; empty where there is none, or no checkout: no result is lost for that."""
+    """The output of git; empty without git or a checkout, so that no result is lost because of it."""
     if shutil.which("git") is None:
         return ""
     return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()

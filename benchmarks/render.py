@@ -28,7 +28,7 @@ from tqdm import tqdm
 
 @dataclass(frozen=True)
 class Result:
-    """One row. Times are of one core and one frame, counts the mean over frames, qualities over views."""
+    """One row. Times are per core and frame, counts are means over frames, qualities over views."""
 
     scene: str
     sh_degree: int
@@ -85,7 +85,7 @@ def print_table(results: Sequence[Result], before: dict[tuple[Any, ...], float] 
 
 
 def earlier(path: Path, machine: Machine) -> dict[tuple[Any, ...], float]:
-    """Frames/s of an earlier run by the fields of ``ROW``; rows of old files that lack one of them are left out."""
+    """Frames/s of an earlier run by the fields of ``ROW``; rows of old files that lack a field are left out."""
     record = json.loads(path.read_text())
     theirs = record["machine"].get("processor")
     if theirs != machine.processor:
@@ -101,12 +101,12 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--mode", nargs="+", default=list(get_args(Mode)), choices=get_args(Mode))
     parser.add_argument("--tolerance", nargs="*", type=float, default=[0.5, 1.0], help="pixels; exact comes by itself")
     parser.add_argument("--sh", nargs="+", type=int, default=[3, 0], help="degrees, as far as a scene has them")
-    parser.add_argument("--batch", nargs="+", type=int, default=[64, 1, 16, 256], help="cameras a call")
+    parser.add_argument("--batch", nargs="+", type=int, default=[64, 1, 16, 256], help="cameras per call")
     parser.add_argument("--threads", nargs="+", type=int, default=[1, 2])
     parser.add_argument("--size", nargs=2, type=int, default=[64, 64], metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--views", type=int, default=256, help="views that are compared with the exact ones")
-    parser.add_argument("--fine-views", type=int, default=32, help="of them, compared with supersampled ones")
+    parser.add_argument("--fine-views", type=int, default=32, help="of these, views compared with supersampled ones")
     parser.add_argument("--full", action="store_true", help="every combination of the options")
     parser.add_argument("--against", type=Path, help="a JSON file of an earlier run")
     parser.add_argument("--json", action="store_true", help="write benchmarks/results/<date>-cpu-render.json")
@@ -115,7 +115,7 @@ def parsed() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Measure, judge, show."""
+    """Measure, judge and print."""
     options = parsed()
     machine = measured_machine()
     print(machine)

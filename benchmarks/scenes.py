@@ -1,4 +1,4 @@
-"""What the benchmarks look at: scenes, and random views inside them."""
+"""The scenes that the benchmarks use, and random views inside them."""
 
 import math
 import os
@@ -22,7 +22,7 @@ NAMES = ("kitchen", "backyard", "dense")
 
 @dataclass(frozen=True)
 class Room:
-    """Where eyes can be: a box, and how far up and down they look.
+    """Where eyes can be: a box, and how far they look up and down.
 
     Attributes:
         lower: corner, world, metres.
@@ -56,7 +56,7 @@ YARD = Room((-2.5, -2.5, 0.2), (2.5, 2.5, 0.8), pitch=0.2)
 
 @dataclass(frozen=True)
 class Subject:
-    """A scene and the room in it that is looked at."""
+    """A scene and the room in it where the views are."""
 
     scene: Scene
     room: Room
@@ -76,7 +76,7 @@ def dense_backyard(count: int = DENSE_COUNT, degree: int = 3, seed: int = 0) -> 
     yard = backyard()
     base = yard.gaussians
     parents = torch.arange(count) * len(base.means) // count
-    shrunk = math.sqrt(1.5 * len(base.means) / count)  # flat Gaussians: their area is as the square
+    shrunk = math.sqrt(1.5 * len(base.means) / count)  # Gaussians are flat, so their area goes with the square
     spread = math.sqrt(1 - shrunk**2) * torch.randn(count, 3, generator=g).clamp(-2, 2)
     offsets = quats_to_rotations(base.quats)[parents] @ (base.scales[parents] * spread).unsqueeze(-1)
     sh = 0.06 * torch.randn(count, (degree + 1) ** 2, 3, generator=g)
@@ -93,7 +93,7 @@ def dense_backyard(count: int = DENSE_COUNT, degree: int = 3, seed: int = 0) -> 
 
 
 def truncated(scene: Scene, degree: int) -> Scene:
-    """The scene with spherical harmonics of a lower degree: what is above is cut off."""
+    """The scene with spherical harmonics of a lower degree: higher degrees are cut off."""
     g = scene.gaussians
     assert degree <= g.sh_degree, (degree, g.sh_degree)
     if degree == g.sh_degree:
@@ -129,7 +129,7 @@ BUILT: dict[str, Callable[[], Subject | None]] = {
 
 
 def chosen(names: list[str]) -> dict[str, Subject]:
-    """Scenes by name or path, without those that are not there.
+    """Scenes by name or path, without those that are not found.
 
     Raises:
         SystemExit: where none is left.

@@ -1,4 +1,4 @@
-"""Fair timing on a machine that drifts: everything takes its turn, round by round."""
+"""Fair timing on a machine that drifts: all calls take turns, round by round."""
 
 import time
 from collections.abc import Callable, Hashable
@@ -10,9 +10,10 @@ Key = TypeVar("Key", bound=Hashable)
 
 
 def take_turns(calls: dict[Key, Callable[[], None]], rounds: int) -> dict[Key, list[float]]:
-    """Seconds of every call in each round, after one to warm up.
+    """Seconds of every call in each round, after one round to warm up.
 
-    A shared machine drifts by tens of percent within seconds: only figures of one run compare, and only medians.
+    A shared machine drifts by tens of percent within seconds: only figures of the same run are comparable, and only
+    medians.
     """
     seconds: dict[Key, list[float]] = {key: [] for key in calls}
     with tqdm(total=(rounds + 1) * len(calls), desc="warming up") as bar:

@@ -10,14 +10,14 @@ KINDS = ("cpu", "cuda")
 
 
 def chosen_device(name: str) -> torch.device:
-    """The device of a name; a GPU that is named becomes PyTorch's present one.
+    """The device with a name; a named GPU becomes PyTorch's current device.
 
     Args:
         name: ``auto`` takes a CUDA device where there is one and the extra ``cuda`` is installed, and else the CPU; any
             other name is PyTorch's, such as cpu or cuda:1.
 
     Raises:
-        ValueError: for a name that PyTorch does not know, or a CUDA device that is not here.
+        ValueError: for a name that PyTorch does not know, or a CUDA device that this machine lacks.
     """
     if name == AUTO:
         return torch.device("cuda" if torch.cuda.is_available() and cuda_extra() else "cpu")
@@ -28,7 +28,7 @@ def chosen_device(name: str) -> torch.device:
     if device.type == "cuda":
         if (device.index or 0) >= torch.cuda.device_count():
             raise ValueError(
-                f"device: expected one that is here, got {name}: PyTorch {torch.__version__} finds "
+                f"device: expected one of this machine, got {name}: PyTorch {torch.__version__} finds "
                 f"{torch.cuda.device_count()} CUDA devices; device=auto takes what there is"
             )
         if device.index is not None:
@@ -37,7 +37,7 @@ def chosen_device(name: str) -> torch.device:
 
 
 def device_line(device: torch.device) -> str:
-    """What was chosen, in words."""
+    """The chosen device, in words."""
     if device.type == "cuda":
         return f"device: {device} ({torch.cuda.get_device_name(device)})"
     if torch.cuda.is_available() and not cuda_extra():

@@ -9,10 +9,10 @@ _CLEAR = torch.iinfo(torch.int32).max
 
 @runtime_checkable
 class Faulty(Protocol):
-    """What notes errors on its device."""
+    """Something that records errors on its device."""
 
     def raise_faults(self) -> None:
-        """Wait for the device; raise what was noted since the last call.
+        """Wait for the device, and raise the errors recorded since the last call.
 
         Raises:
             ValueError: names the first row of a batch that was refused, and what was expected.
@@ -31,7 +31,7 @@ class FaultFlag:
         self.flag = torch.full((1,), _CLEAR, dtype=torch.int32, device=device)
 
     def take(self) -> int | None:
-        """The row that was noted, None where none was; clears the flag. Waits for the device."""
+        """Return the recorded row, or None, and clear the flag. Waits for the device."""
         row = int(self.flag)
         if row == _CLEAR:
             return None

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and where those are that can be made again."""
+"""Files that appear whole or not at all, and the folder of those that can be rebuilt."""
 
 import os
 import secrets

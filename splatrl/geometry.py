@@ -5,7 +5,7 @@ Camera frame: OpenCV axes, x right, y down, z forward; a camera's pose is ``came
 Body frame: x forward, y left, z up; a robot's pose is ``body_to_world``.
 Pixels: the pixel in column i and row j has its centre at (i + 0.5, j + 0.5).
 Yaw: about world +z, counter-clockwise, 0 along +x. Angles are radians.
-Quaternions: wxyz; unit wherever they leave a file reader.
+Quaternions: wxyz, and unit once a file reader has returned them.
 A transform is named ``<from>_to_<to>`` and maps column vectors: ``p_world = body_to_world @ p_body``.
 """
 

@@ -34,7 +34,7 @@ def test_auto_takes_the_cpu_where_there_is_no_gpu(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize("name", ["cuda", "cuda:0", "cuda:3"])
 def test_a_gpu_that_is_not_here_is_refused(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
-    with pytest.raises(ValueError, match=f"device: expected one that is here, got {name}: .* finds 0 CUDA devices"):
+    with pytest.raises(ValueError, match=f"device: expected one of this machine, got {name}: .* finds 0 CUDA devices"):
         chosen_device(name)
 
 

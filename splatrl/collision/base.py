@@ -43,7 +43,7 @@ class Checker(Protocol):
         ...
 
     def clearance(self, points: Tensor) -> Tensor:
-        """A lower bound of the distance from points to the nearest occupied voxel.
+        """A lower bound on the distance from points to the nearest occupied voxel.
 
         Args:
             points: [B, 3] float32 world, metres.

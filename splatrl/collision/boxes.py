@@ -7,9 +7,9 @@ from torch import Tensor
 from splatrl.collision.grid import check_resolution, checked_points
 
 _FACE_SLACK = 1e-3
-"""In voxels: a box that reaches no further than this into a voxel does not fill it, as 0.3 is rarely 3 · 0.1."""
+"""In voxels: a box must reach farther than this into a voxel to cover it, because 0.3 is rarely exactly 3 · 0.1."""
 _FARTHEST = 2.0**53
-"""Largest key: beyond it neighbouring voxels are no longer different numbers."""
+"""Largest key: beyond it float64 cannot tell neighbouring voxels apart."""
 
 
 def box_keys(
@@ -23,7 +23,7 @@ def box_keys(
         resolution: edge of a voxel, metres.
 
     Returns:
-        Of each box the key of its first voxel and the key behind its last one: each [N, 3].
+        For each box, the key of its first voxel and the key one past its last: each [N, 3].
 
     Raises:
         ValueError: for other shapes, non-finite corners or a box without volume.

@@ -1,4 +1,4 @@
-"""Collision on a GPU: the grid of ``NativeChecker`` and its mathematics, one launch a query."""
+"""Collision on a GPU: the grid and the mathematics of ``NativeChecker``, one launch per query."""
 
 import ctypes
 
@@ -14,22 +14,22 @@ from splatrl.native.cuda.kernels import CudaKernels, Load, uploaded
 
 BLOCK_THREADS = 256
 BLOCKS_A_MULTIPROCESSOR = 2
-"""That the compiler leaves enough registers for."""
+"""Blocks that the compiler leaves enough registers for."""
 _KINDS = (Box, Sphere, Capsule)
-"""In the order of Shape::Kind."""
+"""Bodies in the order of Shape::Kind."""
 _WARP = 32
 _MOST_AT_ONCE = 1024
-"""Queries that a block takes at once: MOST_OPEN of cuda/collide.cu."""
+"""The most queries that a block takes at once: MOST_OPEN of cuda/collide.cu."""
 _MOST_BLOCKS = 2**16
 _ALIGNED = 16
-"""Bytes of a pose that are read at once."""
+"""Bytes of a pose that are read at once, and so its alignment."""
 
 
 def kernel_defines(body: Body) -> dict[str, int]:
-    """What ``cuda/collide.cu`` is compiled with.
+    """Macros that ``cuda/collide.cu`` is compiled with.
 
     Raises:
-        ValueError: for something else than a body.
+        ValueError: for anything other than a body.
     """
     if not isinstance(body, _KINDS):
         raise ValueError(f"body: expected a Box, a Sphere or a Capsule, got {body!r}")
@@ -75,29 +75,29 @@ class _Queries(ctypes.Structure):
 
 
 class CudaChecker:
-    """Answers as ``NativeChecker`` does, on a CUDA device, without waiting for the host.
+    """Gives the answers of ``NativeChecker`` on a CUDA device, without synchronising with the host.
 
-    One look-up in the distance field settles most poses, a thread each; the others are searched by 32 threads each, a
-    column of voxels a thread. Arithmetic is in double precision, as on the CPU; row i has the same answer alone and in
-    any batch. Kernels are compiled the first time on a machine, in seconds, and kept.
+    One look-up in the distance field settles most poses, one thread each; the others are searched by 32 threads each,
+    one column of voxels per thread. Arithmetic is in double precision, as on the CPU; row i has the same answer
+    alone and in any batch. Kernels are compiled once per machine, in seconds, and cached.
 
-    Tensors on the device are read in place, and what is wrong with them is noted there: a pose that is not finite or
-    not rigid counts as a hit (a free share of 0, a clearance of 0) until ``raise_faults`` tells. Tensors elsewhere
-    make the way there and back, and are refused at once.
+    Tensors on the device are read in place, and what is wrong with them is recorded there: a pose that is not finite
+    or not rigid counts as a hit (a free share of 0, a clearance of 0), and ``raise_faults`` reports it later. Tensors
+    elsewhere are copied to the device and back, and invalid ones are refused at once.
 
     Args:
         occupancy: what is solid.
         body: what is tested, in the body frame.
         device: a CUDA device.
-        load: gives what runs the kernels; None compiles them for ``device``.
+        load: loads the kernels; None compiles them for ``device``.
 
     Attributes:
         occupancy: what is solid.
         body: what is tested.
-        device: where answers are found.
+        device: where queries are answered.
 
     Raises:
-        ValueError: for something else than a body.
+        ValueError: for anything other than a body.
         ImportError: where the extra ``cuda`` is not installed.
     """
 
@@ -135,7 +135,7 @@ class CudaChecker:
         return self._answers("find_hits", torch.bool, body_to_world=body_to_world)
 
     def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
-        """The free share of each move: see ``Checker.free_fraction``. Never beyond the first contact."""
+        """The free share of each move: see ``Checker.free_fraction``. It never goes beyond the first contact."""
         return self._answers("find_fractions", torch.float32, start=start, end=end)
 
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
@@ -143,7 +143,7 @@ class CudaChecker:
         return self._answers("find_swept_hits", torch.bool, start=start, end=end)
 
     def clearance(self, points: Tensor) -> Tensor:
-        """A lower bound of the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
+        """A lower bound on the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
         check_shape("points", points, (3,))
         places, faults = self._here(points), self._faults_for(points)
         metres = torch.empty(len(places), device=self.device)
@@ -156,13 +156,13 @@ class CudaChecker:
         return metres.to(points.device)
 
     def raise_faults(self) -> None:
-        """Raise what was noted of poses and points since the last call; see ``Faulty``."""
+        """Raise the faults recorded in poses and points since the last call; see ``Faulty``."""
         row = self._faults.take()
         if row is not None:
-            raise ValueError(f"row {row}: expected finite numbers, and of a pose an orthonormal rotation")
+            raise ValueError(f"row {row}: expected finite numbers and, for a pose, an orthonormal rotation")
 
     def _answers(self, query: str, dtype: torch.dtype, **poses: Tensor) -> Tensor:
-        """Ask about poses, or the two ends of moves."""
+        """Answer a query about poses, or about the two ends of moves."""
         for name, values in poses.items():
             check_shape(name, values, (4, 4))
         here = [self._here(values) for values in poses.values()]
@@ -180,12 +180,12 @@ class CudaChecker:
         return answers.to(asked.device)
 
     def _at_once(self, count: int) -> int:
-        """Queries that a block takes: many, so that its warps end together, but none is left without."""
+        """Queries per block: many, so that its warps finish together, but few enough to give every block some."""
         share = -(-count // (BLOCKS_A_MULTIPROCESSOR * self._kernels.multiprocessors))
         return min(-(-share // _WARP) * _WARP, _MOST_AT_ONCE)
 
     def _here(self, values: Tensor) -> Tensor:
-        """The same numbers as float32, in one piece on the device, and where it reads 16 bytes at a time."""
+        """The same numbers as contiguous float32 on the device, aligned for reads of 16 bytes."""
         floats = values.detach().to(self.device, torch.float32).contiguous()
         return floats if floats.data_ptr() % _ALIGNED == 0 else floats.clone()
 

@@ -25,7 +25,7 @@ class DensitySettings:
         min_opacity: Gaussians below it are haze and left out, in [0, 1].
         cutoff: absorbed share of light above which a voxel is solid, in (0, 1).
         min_volume: cubic metres below which a connected component is a floater and dropped. The volume is that of
-            whole voxels, so on a grid of which fewer than two voxels reach it nothing is dropped.
+            whole voxels, so nothing is dropped on a grid where fewer than two voxels amount to it.
         max_scale: Gaussians with a larger standard deviation, metres, are sky and left out. None takes 20 voxels, or
             1 m where that is more; this is what bounds the work for one Gaussian.
 
@@ -125,5 +125,5 @@ def _populated_bounds(lower: NDArray[np.float64], upper: NDArray[np.float64]) ->
 def _without_floaters(solid: NDArray[np.bool_], min_voxels: float) -> NDArray[np.bool_]:
     labels, _ = ndimage.label(solid, np.ones((3, 3, 3)))
     large = np.bincount(labels.reshape(-1)) >= min_voxels - 1e-6
-    large[0] = False  # label 0 is what is free
+    large[0] = False  # label 0 is free space
     return large[labels]

@@ -1,4 +1,4 @@
-"""Rigid poses of a body, and those between two of them at which a move is tested."""
+"""Rigid poses of a body, and the poses between two of them at which a move is tested."""
 
 import torch
 from torch import Tensor
@@ -7,7 +7,7 @@ from splatrl.geometry import first_not_rigid, quats_to_rotations, rigid, rotatio
 
 
 def checked_poses(name: str, body_to_world: Tensor) -> Tensor:
-    """Refuse what is not a batch of rigid poses; other code takes a NaN for free space and a mirror for a rotation.
+    """Refuse all but rigid poses: other code would take a NaN for free space and a reflection for a rotation.
 
     Args:
         name: of the argument, for the message.
@@ -32,8 +32,8 @@ def checked_poses(name: str, body_to_world: Tensor) -> Tensor:
 class Displacement:
     """Straight moves, each cut into steps in which no point within ``radius`` of the origin travels far.
 
-    The origin goes along a line, the body turns about its origin by spherical linear interpolation. The poses are the
-    same, bit by bit, when start and end are exchanged.
+    The origin moves along a line while the body turns about its origin by spherical linear interpolation. The poses are
+    the same, bit by bit, when start and end are exchanged.
 
     Attributes:
         steps: [B] int64, at least 1; the poses of a row have the indices 0 to ``steps``.
@@ -72,14 +72,14 @@ class Displacement:
             body_to_world [M, 4, 4] float64.
         """
         steps = self.steps[rows]
-        # both shares are quotients, and so are swapped by going back; `index / steps` would multiply by a reciprocal
+        # both shares are quotients, so going back swaps them; `index / steps` would multiply by a reciprocal
         before, after = (part.double().div(steps).unsqueeze(1) for part in (steps - index, index))
         start, end, arc = self._start[rows], self._end[rows], self._arc[rows].unsqueeze(1)
         slight = arc < 1e-6  # where the sine of an angle is the angle
         quats = self._start_quats[rows] * torch.where(slight, before, torch.sin(before * arc))
         quats = quats + self._end_quats[rows] * torch.where(slight, after, torch.sin(after * arc))
         rotation = quats_to_rotations(quats)
-        as_start = self._still[rows] | (before[:, 0] == 1.0)  # given poses as given, not by way of quaternions
+        as_start = self._still[rows] | (before[:, 0] == 1.0)  # the given poses exactly, not by way of quaternions
         rotation = torch.where(as_start[:, None, None], start[:, :3, :3], rotation)
         rotation = torch.where((after == 1.0).unsqueeze(2), end[:, :3, :3], rotation)
         return rigid(rotation, before * start[:, :3, 3] + after * end[:, :3, 3])

@@ -26,11 +26,12 @@ class DistanceField:
             self.centers[...] = ndimage.distance_transform_edt(~occupancy.occupied, sampling=occupancy.resolution)
 
     def clearance(self, points: Tensor | ArrayLike) -> NDArray[np.float64]:
-        """A lower bound of the distance from points to the nearest solid voxel.
+        """A lower bound on the distance from points to the nearest solid voxel.
 
-        Inside the grid it is the distance between the voxels' centres, less half a voxel's diagonal for the solid
-        one's size and less the way from the point to its own voxel's centre; it falls short by less than √3 voxels.
-        Outside, with q the point of the grid nearest to p, it is √(|p − q|² + clearance(q)²): the grid is convex.
+        Inside the grid it is the distance between the voxels' centres, less half a voxel's diagonal, for the size of
+        the solid one, and less the distance from the point to its own voxel's centre; it falls short by less than √3
+        voxels. Outside, with q the point of the grid nearest to p, it is √(|p − q|² + clearance(q)²): the grid is
+        convex.
 
         Args:
             points: [N, 3] world, metres.

@@ -16,17 +16,17 @@ from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.octree import encode_octree
 
 _SLACK = 1e-5
-"""Metres by which a body must clear the nearest voxel for FCL not to be asked: far above rounding."""
+"""Metres by which a body must clear the nearest voxel to be free without asking FCL: far above rounding."""
 
 
 class FclChecker:
     """Tests a box, a sphere or a capsule against OctoMap octrees of the occupancy, by default a single one.
 
-    FCL looks at one pose after the other, some microseconds each; the distance field settles the poses that are clear
-    of everything beforehand and never changes an answer. A touch counts as a hit. A move is tested in steps in which
-    no point of the body travels more than half a voxel (``Displacement``), so it may graze a voxel's edge by less than
-    that unseen, and the answer is the same in both directions. A checker is for one thread; copies and pickles build
-    their own octree.
+    FCL tests one pose after another, some microseconds each; before that, the distance field settles the poses that
+    are clear of everything, which never changes an answer. A touch counts as a hit. A move is tested in steps in which
+    no point of the body travels more than half a voxel (``Displacement``), so it may miss that it grazes a voxel's edge
+    by less than that, and the answer is the same in both directions. A checker serves one thread; copies and pickles
+    build their own octree.
 
     Attributes:
         occupancy: what is solid.
@@ -41,7 +41,7 @@ class FclChecker:
             occupancy: what is solid, with keys within ±32768.
             body: what is tested.
             blocks: None for one octree, the fastest; a length in metres for the published layout: an octree for each
-                base voxel of that edge with something in it, tested in turn. The answers are the same.
+                non-empty base voxel of that edge, tested in turn. The answers are the same.
 
         Raises:
             ValueError: for a voxel beyond what the octree's keys reach, or blocks that are not finite metres above 0.
@@ -96,11 +96,11 @@ class FclChecker:
         return self.free_fraction(start, end) < 1.0
 
     def clearance(self, points: Tensor) -> Tensor:
-        """A lower bound of the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
+        """A lower bound on the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
         return torch.from_numpy(self._field.clearance(points)).float().to(points.device)
 
     def _near(self, poses: NDArray[np.float64]) -> list[int]:
-        """Rows of poses [M, 4, 4] that FCL has to look at."""
+        """Rows of poses [M, 4, 4] that FCL has to test."""
         return np.flatnonzero(self._field.clearance(poses[:, :3, 3]) <= self.body.radius + _SLACK).tolist()
 
     def _hit(self, pose: NDArray[np.float64]) -> bool:
@@ -127,7 +127,7 @@ def fcl_shape(body: Body) -> Any:
 def fcl_octrees(occupancy: Occupancy, blocks: float | None = None) -> list[Any]:
     """The solid voxels as FCL's octrees: one, or one for each block of that edge (metres) that holds voxels' centres.
 
-    Without a solid voxel there is none, as FCL takes an octree without nodes for a solid one.
+    Where nothing is solid there is none, because FCL takes an octree without nodes for a solid one.
     """
     if occupancy.count == 0:
         return []

@@ -1,4 +1,4 @@
-"""What cannot be reached counts as solid: captured things are hollow."""
+"""Finds what cannot be reached, to make it solid: captured things are hollow."""
 
 import math
 import warnings
@@ -22,28 +22,28 @@ def unreached_voxels(
     seeds: Tensor | ArrayLike | None = None,
     around: Bounds | None = None,
 ) -> Region | None:
-    """Find the free voxels to which no way leads from the seeds, openings narrower than ``opening`` being closed.
+    """Find the free voxels that cannot be reached from the seeds when openings narrower than ``opening`` are closed.
 
-    A ball of that diameter floods the free space from the seeds. What it touches is reached, and from there
-    ``opening`` further along free voxels, so that corners and crevices stay free; behind a gap too narrow for the
-    ball this leaves a rim of that depth. All else is unreached. The flood stays within the grid, as what a capture
-    did not see, the back of a counter, is open to the outside; so robots that leave the grid come back only the way
-    they went.
+    A ball of that diameter floods the free space from the seeds. What it touches is reached, and so are free voxels
+    up to ``opening`` further on, so that corners and crevices stay free; behind a gap too narrow for the
+    ball this leaves a rim of that depth. All else is unreached. The flood stays within the grid, because what a
+    capture did not see, such as the back of a counter, is open to the outside; so robots that leave the grid come back
+    only the way they went.
 
-    Of the regions that seeds lie in or beside, the one with the most seeds is flooded, so one of them on the wrong
+    Of the regions that seeds lie in or beside, the one with the most seeds is flooded, so a seed on the wrong
     side of a wall does no harm. A seed lies beside a region that is no farther than ``opening`` from it.
 
     Args:
         occupied: [X, Y, Z] bool.
         origin_key: key of the first voxel.
         resolution: edge of a voxel, metres.
-        opening: metres, at least 0; rounded to whole voxels. A body that is nowhere thinner can go wherever the
-            ball can.
+        opening: metres, at least 0; rounded to whole voxels. A body that is nowhere thinner can go only where
+            the ball can.
         seeds: [N, 3] world, metres: places that are free and reached. None floods the largest region.
-        around: lower and upper corner, metres, of a box that belongs to the flooded grid in any case: where robots are.
+        around: lower and upper corner, metres, of a box that the flooded grid always includes: where robots are.
 
     Returns:
-        The unreached voxels; None where no seed is near a region, as then nothing is known.
+        The unreached voxels; None where no seed is near a region, because then nothing is known.
 
     Raises:
         ValueError: for an ``opening`` that is not finite or below 0, malformed seeds or corners, or a grid that is
@@ -55,7 +55,7 @@ def unreached_voxels(
     padded, origin = _widened(occupied, np.array(origin_key, np.int64), resolution, around)
     wide = round(opening / resolution)
     clear = ndimage.distance_transform_edt(padded)  # in voxels, from each free centre to the nearest solid one
-    touch = 0.5 * (wide + 1) + 1e-6  # so far is the middle of a gap of `wide` voxels from its walls, or less
+    touch = 0.5 * (wide + 1) + 1e-6  # a gap of `wide` voxels has its middle at most this far from its walls
     regions, count = ndimage.label(clear > touch)
     region = _flooded(regions, count, places, origin, resolution, touch + wide)
     if region is None:
@@ -71,7 +71,7 @@ def unreached_voxels(
 def _widened(
     occupied: NDArray[np.bool_], origin: NDArray[np.int64], resolution: float, around: Bounds | None
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """The free voxels of the grid widened to hold ``around``, in a wall one voxel thick; and its first key."""
+    """The free voxels of the grid, widened to hold ``around``, inside a wall one voxel thick; and its first key."""
     first, end = origin, origin + occupied.shape
     if around is not None:
         corners = checked_box("around", around) / resolution
@@ -91,7 +91,7 @@ def _flooded(
     resolution: float,
     reach: float,
 ) -> int | None:
-    """Label of the region to flood: that of the most seeds, or the largest; None where no seed is near one."""
+    """Label of the region to flood: the one with the most seeds, or the largest; None where no seed is near one."""
     if count == 0:
         return None
     if places is None:
@@ -107,7 +107,7 @@ def _flooded(
 
 
 def warn_unfilled(opening: float) -> None:
-    """Say that nothing was filled, and why."""
+    """Warn that nothing was filled, and why."""
     warnings.warn(
         f"fill: expected a free place {opening:g} m wide near the goal, got none; nothing is filled", stacklevel=3
     )

@@ -1,4 +1,4 @@
-"""What every voxel grid here agrees on: the coordinates that it takes and how large it may become."""
+"""Rules that every voxel grid follows: the coordinates that it takes and how large it may become."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 MAX_VOXELS = 2**26
-"""Voxels of the largest grid that is made unasked: 64 MiB of occupancy, a quarter of a GiB of densities."""
+"""Voxels of the largest grid that is made by default: 64 MiB of occupancy, 256 MiB of densities."""
 
 Bounds = tuple[Sequence[float], Sequence[float]]
 """Lower and upper corner of an axis-aligned box, metres."""
@@ -27,7 +27,7 @@ def checked_points(name: str, values: Tensor | ArrayLike) -> NDArray[np.float64]
     """Points as [N, 3] float64, metres.
 
     Raises:
-        ValueError: for another shape, or names the first row that is not finite.
+        ValueError: for another shape, or for a row that is not finite; names the first one.
     """
     array = np.asarray(values.detach().cpu() if isinstance(values, Tensor) else values, np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
@@ -54,7 +54,7 @@ def checked_box(name: str, box: Bounds) -> NDArray[np.float64]:
 def grid_shape(
     first_key: NDArray[np.int64], end_key: NDArray[np.int64], resolution: float, max_voxels: int
 ) -> tuple[int, int, int]:
-    """Voxels along each axis of the grid from ``first_key`` up to and without ``end_key``.
+    """Voxels along each axis of the grid from ``first_key`` up to, but not including, ``end_key``.
 
     Raises:
         ValueError: names bounds and resolution where the grid has more than ``max_voxels``.

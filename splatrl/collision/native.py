@@ -17,15 +17,15 @@ from splatrl.native.threads import usable_cores
 class NativeChecker:
     """Tests a box, a sphere or a capsule, at any rotation, against the voxels of an occupancy.
 
-    Answers are those of ``FclChecker`` on the same voxels, but for touches: what comes within a micrometre is a hit
-    everywhere, where FCL's answer hangs on the rounding of the pose. What lies outside the grid is free. The distance
-    field settles most poses with one look-up; the others meet the voxels around them, column by column, on all
-    separating axes at once. A move at a fixed orientation is tested as the body that it sweeps (a zonotope for a box),
-    exactly. A move that turns is cut into parts, in each of which the body has the orientation of the middle and is
-    grown by what its points can be off, at most a tenth of a voxel: it never misses, and may call a pass closer than
-    that a hit.
+    Answers are those of ``FclChecker`` on the same voxels, except for touches: anything within a micrometre is always
+    a hit, whereas FCL's answer depends on the rounding of the pose. What lies outside the grid is free. The distance
+    field settles most poses with one look-up; the others are tested against the voxels around them, column by
+    column, on all separating axes at once. A move at a fixed orientation is tested exactly, as the solid that the body
+    sweeps (a zonotope for a box). A move that turns is cut into parts; in each, the body has the orientation of the
+    middle and is grown by the most that its points can be off, at most a tenth of a voxel. So it never misses a hit,
+    but may report one where the body passes closer than that.
 
-    Tensors on the CPU are read and written in place; others make the way there and back.
+    Tensors on the CPU are read and written in place; others are copied to it and back.
 
     Attributes:
         occupancy: what is solid.
@@ -63,7 +63,7 @@ class NativeChecker:
         return _to_device_of(hits, body_to_world)
 
     def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
-        """The free share of each move: see ``Checker.free_fraction``. Never beyond the first contact."""
+        """The free share of each move: see ``Checker.free_fraction``. It never goes beyond the first contact."""
         fraction = torch.empty(len(start), dtype=torch.float32)
         return self._move(self._core.free_fraction, start, end, fraction)
 
@@ -72,7 +72,7 @@ class NativeChecker:
         return self._move(self._core.sweeps, start, end, torch.empty(len(start), dtype=torch.bool))
 
     def clearance(self, points: Tensor) -> Tensor:
-        """A lower bound of the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
+        """A lower bound on the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
         places = _floats("points", points, (3,))
         metres = torch.empty(len(places), dtype=torch.float32)
         if self._core.clearance(places.data_ptr(), metres.data_ptr(), len(places), self.threads) >= 0:
@@ -102,13 +102,13 @@ def collider(occupancy: Occupancy, body: Body) -> _core.Collider:
 
 
 def corner_of(occupancy: Occupancy) -> tuple[float, float, float]:
-    """Of the grid, metres."""
+    """Lower corner of the grid, world, metres."""
     x, y, z = (key * occupancy.resolution for key in occupancy.origin_key)
     return x, y, z
 
 
 def check_shape(name: str, values: Tensor, shape: tuple[int, ...]) -> None:
-    """Refuse what is not a batch of such tensors."""
+    """Refuse anything but a batch of tensors of this shape."""
     if values.shape[1:] != shape or values.ndim != len(shape) + 1:
         raise ValueError(f"{name}: expected shape [B, {', '.join(map(str, shape))}], got {list(values.shape)}")
 
@@ -137,7 +137,7 @@ def _dimensions(body: Body) -> tuple[tuple[float, float, float], float, float]:
 
 
 def _floats(name: str, values: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """The same numbers as float32, in one piece in main memory."""
+    """The same numbers as contiguous float32 in main memory."""
     check_shape(name, values, shape)
     if values.dtype is torch.float32 and values.device.type == "cpu" and values.is_contiguous():
         return values

@@ -11,8 +11,8 @@ class NoChecker:
     """Finds nothing solid anywhere.
 
     Args:
-        occupancy: taken as the other checkers take it, and not looked at.
-        body: the robot's.
+        occupancy: accepted as by the other checkers, and ignored.
+        body: likewise.
     """
 
     def __init__(self, occupancy: Occupancy, body: Body):

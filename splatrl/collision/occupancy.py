@@ -1,4 +1,4 @@
-"""Which voxels of a scene are solid: how they come about and how they are edited."""
+"""Which voxels of a scene are solid: how they are found and how they are edited."""
 
 import math
 import os
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Occupancy(Voxels):
-    """Solid voxels in the world frame, how they come about and how they are edited; outside the grid all is free.
+    """Solid voxels in the world frame, with the ways to find and to edit them; everything outside the grid is free.
 
-    See ``Voxels`` for the attributes. Nothing changes an occupancy: whatever edits one returns another.
+    See ``Voxels`` for the attributes. An occupancy never changes: editing one returns another.
     """
 
     @classmethod
@@ -120,7 +120,7 @@ class Occupancy(Voxels):
         crop: Bounds | None = None,
         max_voxels: int = MAX_VOXELS,
     ) -> "Occupancy":
-        """The voxels that a scene's Gaussians make opaque; ``solid_voxels`` tells how and what each argument does."""
+        """The voxels that a scene's Gaussians make opaque; see ``solid_voxels`` for the method and the arguments."""
         solid, origin, floaters = solid_voxels(gaussians, resolution, density, crop, max_voxels)
         return cls(solid, origin, resolution, floaters).trimmed()
 
@@ -167,16 +167,16 @@ class Occupancy(Voxels):
             seeds: [N, 3] places that robots reach, for ``fill``.
             around: lower and upper corner of where robots are, for ``fill``.
             resolution: edge of a voxel, metres.
-            density: which Gaussians are solid; a cloud has no use for it.
+            density: which Gaussians are solid; unused with a cloud.
             crop: lower and upper corner of the grid, metres. None takes the scene's bounds, widened on all sides by a
                 tenth of their longest one.
             max_voxels: the largest grid that may be made.
             cloud: a point cloud file, PLY or PCD, in world metres: a scan of the place, by laser or by depth camera,
                 whose points say what is solid in place of the Gaussians. None takes the Gaussians.
             fill: widest opening, metres, that counts as closed when what lies behind it is made solid: see ``solid``.
-                None leaves what is hollow as it is.
+                None leaves hollow things hollow.
             clear: boxes, as lower and upper corner, in which nothing is solid.
-            add: boxes that are solid, also where one of ``clear`` is not.
+            add: boxes that are solid, even inside one of ``clear``.
         """
         within = _widened(scene.bounds) if crop is None else crop
         cleared, added = _boxes("clear", clear), _boxes("add", add)
@@ -223,7 +223,7 @@ class Occupancy(Voxels):
         return Occupancy(occupied, tuple(first.tolist()), self.resolution, floaters, filled)
 
     def with_boxes(self, lower: Tensor | ArrayLike, upper: Tensor | ArrayLike) -> "Occupancy":
-        """The union with ``from_boxes``: the same with boxes [N, 3] (lower and upper corners, metres) made solid."""
+        """The same with boxes [N, 3] (lower and upper corners, metres) made solid: the union with ``from_boxes``."""
         return self | Occupancy.from_boxes(lower, upper, self.resolution)
 
     def carved(self, lower: Tensor | ArrayLike, upper: Tensor | ArrayLike) -> "Occupancy":
@@ -237,9 +237,9 @@ class Occupancy(Voxels):
     def solid(
         self, opening: float, seeds: Tensor | ArrayLike | None = None, around: Bounds | None = None
     ) -> "Occupancy":
-        """The same with everything solid that cannot be reached; ``unreached_voxels`` tells how.
+        """The same, with everything that cannot be reached made solid; see ``unreached_voxels``.
 
-        Where nothing is free near the seeds it is the same, with a warning.
+        Where nothing is free near the seeds, nothing changes and a warning is given.
         """
         found = unreached_voxels(self.occupied, self.origin_key, self.resolution, opening, seeds, around)
         if found is None:

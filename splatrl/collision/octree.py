@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from splatrl.collision.occupancy import Occupancy
 
 DEPTH = 16
-"""Levels below the root; OctoMap knows no other number."""
+"""Levels below the root; OctoMap supports no other number."""
 
 _OFFSET = 2 ** (DEPTH - 1)
 _LEAF, _INNER = 2, 3
@@ -24,7 +24,7 @@ def encode_octree(occupancy: Occupancy) -> NDArray[np.int8]:
         occupancy: what is solid; its keys within ±32768.
 
     Returns:
-        [2 · nodes] int8, which is what ``fcl.OcTree`` takes; without a single byte for an empty occupancy.
+        [2 · nodes] int8, which is what ``fcl.OcTree`` takes; no bytes at all for an empty occupancy.
 
     Raises:
         ValueError: for a voxel beyond what the octree's keys reach.

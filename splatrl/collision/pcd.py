@@ -1,4 +1,4 @@
-"""PCD, the point cloud format of the Point Cloud Library, version 0.7 and before."""
+"""PCD, the point cloud format of the Point Cloud Library, version 0.7 and earlier."""
 
 import io
 import math
@@ -24,10 +24,10 @@ class PcdHeader:
         data: ``ascii`` or ``binary``.
         count: rows.
         kinds: NumPy types of x, y and z.
-        columns: places of x, y and z among a row's values.
-        offsets: places of x, y and z among a row's bytes.
-        width: values a row.
-        stride: bytes a row.
+        columns: positions of x, y and z among a row's values.
+        offsets: positions of x, y and z among a row's bytes.
+        width: values per row.
+        stride: bytes per row.
         size: bytes of the header.
     """
 
@@ -51,7 +51,7 @@ def read_pcd(path: Path) -> NDArray[np.float64]:
     held = path.stat().st_size - header.size
     least = header.count * (header.stride if header.data == "binary" else header.width)
     if held < least:  # an ASCII value takes a byte or more
-        raise ValueError(f"{path}: expected {least} bytes or more behind the header, got {held}")
+        raise ValueError(f"{path}: expected {least} bytes or more after the header, got {held}")
     if header.count == 0:
         return np.zeros((0, 3))
     if header.data == "binary":
@@ -64,7 +64,7 @@ def read_pcd(path: Path) -> NDArray[np.float64]:
         try:
             points = np.loadtxt(text, np.float64, usecols=header.columns, ndmin=2)
         except (ValueError, IndexError) as error:
-            raise ValueError(f"{path}: expected {header.width} numbers a row, got a damaged file: {error}") from error
+            raise ValueError(f"{path}: expected {header.width} numbers per row, got a damaged file: {error}") from error
     if len(points) != header.count:
         raise ValueError(f"{path}: expected {header.count} rows, got {len(points)}")
     return points
@@ -84,13 +84,14 @@ def _read_header(path: Path) -> PcdHeader:
     data = entries["DATA"][0]
     if data not in ("ascii", "binary"):
         raise ValueError(
-            f"{path}: DATA: expected ascii or binary, got {data!r}; PCL's pcl_convert_pcd_ascii_binary 0 or 1"
+            f"{path}: DATA: expected ascii or binary, got {data!r}; "
+            "convert it by PCL's pcl_convert_pcd_ascii_binary with 0 or 1"
         )
     names = entries["FIELDS"]
     sizes, counts = (_numbers(path, key, entries.get(key, ["1"] * len(names)), len(names)) for key in ("SIZE", "COUNT"))
     kinds = [f"{kind}{size}" for kind, size in zip(entries["TYPE"], sizes, strict=False)]
     if len(kinds) != len(names) or not TYPES.issuperset(kinds):
-        raise ValueError(f"{path}: TYPE, SIZE: expected one of {', '.join(sorted(TYPES))} a field, got {kinds}")
+        raise ValueError(f"{path}: TYPE, SIZE: expected one of {', '.join(sorted(TYPES))} per field, got {kinds}")
     places = [names.index(axis) if names.count(axis) == 1 else -1 for axis in AXES]
     if any(place < 0 or counts[place] != 1 for place in places):
         raise ValueError(f"{path}: FIELDS: expected x, y and z, once each, got {', '.join(names)}")

@@ -26,12 +26,12 @@ CUBE["y"] = [(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)]
 def draw_maps(voxels: Voxels, path: Path, low: float, high: float) -> None:
     """Draw a height map and, beside it, where a body between two heights is free, as PNG.
 
-    The height map shows of each column the top of the highest solid voxel below ``high`` + 1 m, so that a ceiling
+    The height map shows, for each column, the top of the highest solid voxel below ``high`` + 1 m, so that a ceiling
     hides nothing. On the right a column is dark where something is solid between ``low`` and ``high``, green where
     nothing is but something lies below, and pale where nothing lies below either.
 
     Args:
-        voxels: what is solid; nothing may be.
+        voxels: what is solid; may be empty.
         path: where to; ends in .png.
         low: lower end of the body, metres.
         high: upper end, metres.
@@ -75,7 +75,7 @@ def draw_blocks(
     The view is isometric, from the corner of the lowest x and y. Only faces towards the eye are drawn, back to front.
 
     Args:
-        voxels: what is solid; nothing may be.
+        voxels: what is solid; may be empty.
         path: where to; ends in .png.
         below: height at which the scene is cut open, metres; None cuts nothing.
         quarter_turns: counter-clockwise, of the scene before it is drawn: 1 looks from the highest y, 2 from the
@@ -104,7 +104,7 @@ def draw_blocks(
 
 
 def _layer(voxels: Voxels, z: float) -> int:
-    """Index of the layer that holds a height, or the nearest one that there is or that would come next."""
+    """Index of the layer that holds a height, clamped to the grid and the first layer above it."""
     return min(max(math.floor(z / voxels.resolution + 1e-6) - voxels.origin_key[2], 0), voxels.occupied.shape[2])
 
 

@@ -43,11 +43,11 @@ def read_points(path: str | os.PathLike[str]) -> NDArray[np.float64]:
 
 
 def file_digest(path: str | os.PathLike[str]) -> str:
-    """Fingerprint of a point cloud file's content, to know whether what was made of it is still true.
+    """Fingerprint of a point cloud file's content, to tell whether what was made from it is still valid.
 
     Raises:
         FileNotFoundError: where there is no such file.
-        ValueError: for a path that does not end as point clouds do.
+        ValueError: for a path without the extension of a point cloud.
     """
     digest = blake2b(digest_size=16)
     with _checked_path(path).open("rb") as stream:
@@ -101,7 +101,7 @@ def _binary_rows(path: Path, header: PlyHeader, vertex: PlyElement) -> NDArray[n
         if name == "vertex":
             break
         if element.size is None:
-            raise ValueError(f"expected the vertices before what has lists, got {name} first")
+            raise ValueError(f"expected the vertices before any element with lists, got {name} first")
         before += element.size
     order = "<" if header.format == "binary_little_endian" else ">"
     row = np.dtype([(name, order + TYPES[kind]) for name, kind in vertex.properties.items()])
@@ -112,4 +112,4 @@ def _binary_rows(path: Path, header: PlyHeader, vertex: PlyElement) -> NDArray[n
 
 
 READERS: dict[str, Callable[[Path], NDArray[np.float64]]] = {".ply": _read_ply, ".pcd": read_pcd}
-"""File ending → reader. A reader takes a path of a file that is there."""
+"""File ending → reader. A reader takes the path of an existing file."""

@@ -1,4 +1,4 @@
-"""An occupancy in numbers."""
+"""Statistics of an occupancy."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ class OccupancyReport:
         occupied_volume: of the solid voxels, cubic metres.
         free_volume: of the grid's other voxels, cubic metres.
         floaters: voxels that were dropped as pieces too small to be real.
-        filled: solid voxels that are so because nothing can get there.
+        filled: voxels that are solid because nothing can reach them.
     """
 
     resolution: float

@@ -13,15 +13,15 @@ from splatrl.collision.occupancy import Occupancy
 from splatrl.geometry import quats_to_rotations, rotations_to_quats
 
 _SLACK = 1e-9
-"""Metres: what touches but for the rounding of float64 touches."""
+"""Metres: a gap as small as the rounding of float64 counts as a touch."""
 _PARALLEL = 1e-7
 """Sine of the angle below which two edges span no face."""
 _TURN = 0.2
 """In voxels: the farthest that a point of a turning body travels within a part of a move."""
 _HALVINGS = 20
-"""A first contact is found to this many bits of a part of a move."""
+"""Bisections that locate a first contact within a part of a move."""
 _PAIRS = 2**16
-"""Bodies against voxels at once; a pair takes less than two kilobytes."""
+"""Pairs of a body and a voxel tested at once; each takes less than two kilobytes."""
 
 
 class Solid(NamedTuple):
@@ -35,7 +35,7 @@ class Solid(NamedTuple):
         return Solid(*(values[rows] for values in self))
 
     def swept(self, way: Tensor) -> "Solid":
-        """What it passes through along ways [N, 3], itself at both ends included."""
+        """The solid that it sweeps along ways [N, 3], both ends included."""
         return Solid(self.center + 0.5 * way, torch.cat([self.edges, 0.5 * way[:, None]], 1), self.radius)
 
 
@@ -43,11 +43,11 @@ class TorchChecker:
     """Tests a box, a sphere or a capsule against the voxels around it, by formula and in float64.
 
     A box is tested on all separating axes (Gottschalk et al. 1996): 15, or 21 for what it sweeps at a fixed
-    orientation. Of a sphere, a capsule and what they sweep (a point, a segment, a parallelogram, grown by the radius)
+    orientation. For a sphere, a capsule and what they sweep (a point, a segment, a parallelogram, grown by the radius)
     the distance to the voxel's box is computed. All of this is exact; a touch counts as a hit, and what lies outside
     the grid is free. A move that turns is cut into parts in which no point travels more than a fifth of a voxel; in
-    each the body keeps the orientation of the middle and is grown by what the turn moves its points off it, at most a
-    tenth of a voxel: it never misses, and may call a pass closer than that a hit.
+    each, the body keeps the orientation of the middle and is grown by the most that the turn moves its points off, at
+    most a tenth of a voxel. So it never misses a hit, but may report one where the body passes closer than that.
 
     Attributes:
         occupancy: what is solid.
@@ -93,7 +93,7 @@ class TorchChecker:
         return hits
 
     def clearance(self, points: Tensor) -> Tensor:
-        """The distance itself, not only a bound of it, from points to the nearest solid voxel: [B] float32 metres."""
+        """The distance itself, not only a bound on it, from points to the nearest solid voxel: [B] float32 metres."""
         places = torch.from_numpy(checked_points("points", points)).to(points.device)
         centers = (torch.from_numpy(self.occupancy.keys()).to(places) + 0.5) * self.occupancy.resolution
         nearest = torch.full((len(places),), torch.inf, dtype=torch.float64, device=places.device)
@@ -109,8 +109,8 @@ class TorchChecker:
         """Cut moves [B] into P parts.
 
         Returns:
-            How many parts each move has [B]; of each part its move [P], its number in it [P], the body at its start
-            and at its middle orientation, grown, and the way that it goes [P, 3].
+            How many parts each move has [B]; for each part its move [P], its number in the move [P], the grown body at
+            its start in its middle orientation, and how far it moves [P, 3].
         """
         starts, ends = checked_poses("start", start), checked_poses("end", end)
         arm, longest = _arm(self.body), _TURN * self.occupancy.resolution
@@ -125,7 +125,7 @@ class TorchChecker:
         last = torch.where((first * last).sum(1, keepdim=True) < 0, -last, last)
         total = first + last
         middle = torch.where(turns[row, None, None], quats_to_rotations(total), before[:, :3, :3])
-        # with θ the angle between both quaternions, the turn is 2θ, half of it moves a point by 2 sin(θ/2) arm
+        # with θ the angle between the quaternions, the turn is 2θ, and half of it moves a point by 2 sin(θ/2) arm
         grown = arm * torch.where(turns[row], (first - last).norm(dim=1), 0.0)
         solid = _solid(self.body, middle, before[:, :3, 3], grown)
         way = (after - before)[:, :3, 3]
@@ -145,7 +145,7 @@ class TorchChecker:
     def _near_voxels(self, solid: Solid) -> Iterator[tuple[Tensor, Tensor]]:
         """Pairs of a solid and a solid voxel within the box around it: rows [P], and voxel centre less its own [P, 3].
 
-        The cells of all boxes are counted through, so no batch and no move is too large.
+        The cells of all boxes are numbered in sequence and taken in chunks, so no batch and no move is too large.
         """
         device = solid.center.device
         occupied = torch.from_numpy(self.occupancy.occupied).to(device)
@@ -179,7 +179,7 @@ def _solid(body: Body, rotation: Tensor, center: Tensor, grown: Tensor) -> Solid
 
 
 def _arm(body: Body) -> float:
-    """How far from the origin a turn moves anything, metres."""
+    """Lever arm: how far from the origin the points are that a turn moves, metres."""
     if isinstance(body, Box):
         return body.radius
     return 0.5 * body.length if isinstance(body, Capsule) else 0.0
@@ -188,7 +188,7 @@ def _arm(body: Body) -> float:
 def _box_apart(solid: Solid, offsets: Tensor, half: float) -> Tensor:
     """Whether zonotopes without radius are apart from cubes at offsets [P, 3], by separating axes: [P].
 
-    Two zonotopes are apart only if they are along the normal that some pair of their edges has in common.
+    Two zonotopes are apart only if they are apart along the common normal of some pair of their edges.
     """
     cube = half * torch.eye(3, dtype=offsets.dtype, device=offsets.device).expand(len(offsets), 3, 3)
     edges = torch.cat([cube, solid.edges], 1)
@@ -219,7 +219,7 @@ def _segment_distances(offsets: Tensor, tip: Tensor, half: float) -> Tensor:
     """From the segments between -tip and tip [P, 3] to cubes at offsets: [P].
 
     The squared distance at s · tip is convex and piecewise quadratic, with breaks where an axis enters or leaves the
-    cube's extent; its derivative is linear between them, and is brought to 0.
+    cube's extent; its derivative is linear between them, and is solved for 0.
     """
     faces = torch.stack([offsets - half, offsets + half], 2) / tip[..., None]
     breaks = faces.flatten(1).nan_to_num(1.0, 1.0, -1.0).clamp(-1.0, 1.0)

@@ -24,7 +24,8 @@ class Disagreement:
         answer: of the checker.
         expected: answer of the oracle.
         margin: metres by which the body must be grown, or shrunk where the oracle says hit, for the oracle to change
-            its mind: the first of ``MARGINS`` at which it does, so less than twice what it takes; infinite beyond them.
+            its mind: the first of ``MARGINS`` at which it does, so less than twice what is needed; infinite if none
+            does.
     """
 
     row: int
@@ -39,10 +40,10 @@ class Disagreement:
 
 @dataclass(frozen=True)
 class Verification:
-    """What came of comparing a checker with an oracle.
+    """The result of comparing a checker with an oracle.
 
     Attributes:
-        poses: how many poses, or moves, were asked for.
+        poses: how many poses, or moves, were compared.
         hits: how many of them the oracle calls hits.
         disagreements: in the order of the rows.
     """
@@ -62,11 +63,11 @@ class Verification:
         return tuple(one for one in self.disagreements if one.expected)
 
     def beyond(self, margin: float) -> tuple[Disagreement, ...]:
-        """Disagreements that more than ``margin`` metres stand behind."""
+        """Disagreements with a margin of more than ``margin`` metres."""
         return tuple(one for one in self.disagreements if one.margin > margin)
 
     def __str__(self) -> str:
-        lines = [f"{self.agreed} of {self.poses} agreed; the oracle says hit to {self.hits}"]
+        lines = [f"{self.agreed} of {self.poses} agreed; the oracle calls {self.hits} hits"]
         if self.disagreements:
             worst = max(one.margin for one in self.disagreements)
             lines[0] += f"; {len(self.missed)} missed, margins up to {worst:.1e} m"
@@ -78,22 +79,22 @@ class Verification:
 
 
 def verify(checker: Checker, oracle: Checker, poses: Tensor) -> Verification:
-    """Compare what two checkers say of poses.
+    """Compare what two checkers say about poses.
 
     Args:
-        checker: on trial.
-        oracle: that is believed; made anew for other bodies by ``type(oracle)(oracle.occupancy, body)``.
+        checker: the one under test.
+        oracle: the one that is trusted; made anew for other bodies by ``type(oracle)(oracle.occupancy, body)``.
         poses: [B, 4, 4] float32 body_to_world, metres.
     """
     return _compared(checker, oracle, poses, lambda one, rows: one.collides(poses[rows]))
 
 
 def verify_sweeps(checker: Checker, oracle: Checker, start: Tensor, end: Tensor) -> Verification:
-    """Compare what two checkers say of moves; see ``verify``.
+    """Compare what two checkers say about moves; see ``verify``.
 
     Args:
-        checker: on trial.
-        oracle: that is believed.
+        checker: the one under test.
+        oracle: the one that is trusted.
         start: [B, 4, 4] float32 body_to_world, metres.
         end: [B, 4, 4] float32 body_to_world, metres.
     """
@@ -124,7 +125,7 @@ def _compared(
 
 
 def _margins(oracle: Any, rows: Tensor, hits: Tensor, ask: Callable[[Checker, Tensor], Tensor]) -> list[float]:
-    """Metres at which the oracle changes its mind of each row."""
+    """Metres at which the oracle changes its mind about each row."""
     found = torch.full((len(rows),), torch.inf, dtype=torch.float64)
     for margin in MARGINS:
         for hit, sign in ((True, -1.0), (False, 1.0)):

@@ -28,8 +28,8 @@ class Voxels:
         occupied: [X, Y, Z] bool; X, Y, Z may be 0.
         origin_key: key of the voxel ``occupied[0, 0, 0]``.
         resolution: edge of a voxel, metres.
-        floaters: how many voxels were dropped on the way here as pieces too small to be real.
-        filled: how many voxels were made solid on the way here because nothing can reach them.
+        floaters: how many voxels were dropped as pieces too small to be real.
+        filled: how many voxels were made solid because nothing can reach them.
 
     Raises:
         ValueError: for another shape or dtype, or a resolution that is not finite and positive.
@@ -85,7 +85,7 @@ class Voxels:
         return result
 
     def report(self) -> OccupancyReport:
-        """The occupancy in numbers; printing it gives a small table."""
+        """Statistics of the occupancy; printing it gives a small table."""
         x, y, z = self.occupied.shape
         free = (self.occupied.size - self.count) * self.resolution**3
         pieces = int(ndimage.label(self.occupied, np.ones((3, 3, 3)))[1])
@@ -94,7 +94,7 @@ class Voxels:
         )
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays to keep in an npz file, one bit a voxel."""
+        """Plain arrays to keep in an npz file, one bit per voxel."""
         return {
             "occupied_bits": np.packbits(self.occupied),
             "shape": np.array(self.occupied.shape, np.int64),

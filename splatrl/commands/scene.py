@@ -30,7 +30,7 @@ def parser() -> argparse.ArgumentParser:
     result = argparse.ArgumentParser(prog="splatrl-scene", description=__doc__)
     result.add_argument("file", type=Path, help="a splat file, or a folder with scene.yaml to look at again")
     result.add_argument("--axes", metavar="X Y Z", help="signed file axes that become world x, y, z: x -z y")
-    result.add_argument("--scale", type=float, help="metres a unit of the file")
+    result.add_argument("--scale", type=float, help="metres per unit of the file")
     result.add_argument("--translation", metavar="X Y Z", help="metres, added last")
     result.add_argument("--matrix", metavar="M", help="16 numbers, row by row: file to world metres")
     result.add_argument("--nerfstudio", type=Path, metavar="JSON", help="dataparser_transforms.json: undo it")

@@ -1,1 +1,1 @@
-"""The C++ core: what it offers is listed in ``_core.pyi``, and the classes that use it are its documentation."""
+"""The C++ core: ``_core.pyi`` lists its interface, and the classes that use it document it."""

@@ -10,23 +10,23 @@ def isa() -> str:
     """The instruction set that kernels run with: the fastest one, or the one that $SPLATRL_ISA names.
 
     Raises:
-        ValueError: where $SPLATRL_ISA names none of ``supported_isas()``.
+        ValueError: where $SPLATRL_ISA is not one of ``supported_isas()``.
     """
 
 def supported_isas() -> list[str]:
     """The instruction sets that this processor can run, slowest first."""
 
 def add_density(
-    means: NDArray[np.float64],  # [N, 3], lengths are in voxels, from the corner of the grid
+    means: NDArray[np.float64],  # [N, 3], in voxels like all lengths here, from the corner of the grid
     axes: NDArray[np.float64],  # [N, 3, 3], columns: the unit axes of the Gaussian
     scales: NDArray[np.float64],  # [N, 3], standard deviations
     opacities: NDArray[np.float64],  # [N]
     first: NDArray[np.int64],  # [N, 3], the first voxel of the Gaussian's range
-    end: NDArray[np.int64],  # [N, 3], the first one behind it
+    end: NDArray[np.int64],  # [N, 3], one past the last voxel
     extent: float,  # standard deviations at which a Gaussian ends
     density: NDArray[np.float32],  # [X, Y, Z], written
 ) -> None:
-    """Add opacity · exp(−½ d²) to the voxels in reach, d from the mean to the box along the axes around the voxel."""
+    """Add opacity · exp(−½ d²) to the voxels in reach, d from the mean to the box around the voxel along the axes."""
 
 def build_levels(
     means: Tensor,  # [N, 3] float32, metres, world frame
@@ -35,7 +35,7 @@ def build_levels(
     sh: Tensor,  # [N, (degree + 1)², 3] float32
     degree: int,
 ) -> dict[str, NDArray[np.float32] | NDArray[np.uint32]]:
-    """The tree over a scene with merged Gaussians in its inner nodes; ``renderers/lod.py`` says what the arrays are."""
+    """The tree over a scene, with merged Gaussians in its inner nodes; ``renderers/lod.py`` describes the arrays."""
 
 def flat_scene(
     means: Tensor,  # [N, 3] float32, metres, world frame
@@ -47,13 +47,13 @@ def flat_scene(
     levels: dict[str, NDArray[np.float32] | NDArray[np.uint32]] | None,  # those of build_levels; None draws exactly
     antialiased: bool,
     tolerance: float,  # pixels
-    first_slot: int,  # where it begins in arrays of several scenes, a multiple of 16
+    first_slot: int,  # where the scene begins in the arrays of several, a multiple of 16
     first_cluster: int,
 ) -> dict[str, Any]:
-    """The scene as ``cuda/render.cu`` reads it; ``cuda/tile.h`` says what the arrays are.
+    """The scene as ``cuda/render.cu`` reads it; ``cuda/tile.h`` describes the arrays.
 
     Raises:
-        ValueError: for levels that are not of these Gaussians.
+        ValueError: for levels of other Gaussians.
     """
 
 class Collider:
@@ -72,20 +72,20 @@ class Collider:
     ) -> None: ...
     @property
     def bits(self) -> NDArray[np.uint64]:
-        """[X, Y, words]: bit z of a column is the voxel (x, y, z). Read only, as the next one."""
+        """[X, Y, words]: bit z of a column is the voxel (x, y, z). Read only, like ``distance``."""
     @property
     def distance(self) -> NDArray[np.uint16]:
         """[X, Y, Z]: from each voxel to the nearest solid one, in 1/256 of a voxel."""
     @property
     def shape(self) -> tuple[float, float, float, float, float, float, float]:
-        """The body with what counts as a touch: half extents, half length, radius, inner and outer radius, voxels."""
+        """The body, grown to count touches: half extents, half length, radius, inner and outer radius, voxels."""
     def collides(self, poses: int, out: int, count: int, threads: int, /) -> int: ...  # [B, 4, 4] float32 -> bool
     def free_fraction(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...  # -> float32
     def sweeps(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...  # -> bool
     def clearance(self, points: int, out: int, count: int, threads: int, /) -> int: ...  # [B, 3] float32 -> float32
 
 class Renderer:
-    """Renders into memory that the caller gives; what goes in is finite."""
+    """Renders into memory that the caller provides; its inputs must be finite."""
 
     def __init__(
         self,
@@ -105,7 +105,7 @@ class Renderer:
         """Add a model; the first is model 0.
 
         Raises:
-            ValueError: for levels that are not of these Gaussians.
+            ValueError: for levels of other Gaussians.
         """
 
     def render(

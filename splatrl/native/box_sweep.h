@@ -1,6 +1,6 @@
-// A box, at rest or on a straight way, against voxels. Two convex bodies are apart where their shadows on some normal
-// are: of the box, the voxel, and each pair of an edge of one and an edge of the other; while the box moves, the way is
-// an edge too.
+// A box, at rest or on a straight way, against voxels. Two convex bodies are apart where their projections on some
+// normal are: of the box, the voxel, and each pair of an edge of one and an edge of the other; while the box moves, the
+// way is an edge too.
 #pragma once
 
 #include "collision_pose.h"
@@ -13,12 +13,12 @@ struct Normal {
     Vec3 axis;
     double inverse_z;  // 0 where the axis has no z
     double reach;      // of box and voxel together, at rest
-    double swept;      // and with half the way
+    double swept;      // the same plus half the way
     double speed;      // of the box along the axis
-    bool still;        // whether it belongs to the bodies, not to the way
+    bool still;        // whether it comes from the bodies, not from the way
 };
 
-// What the normals are made of.
+// The edges that the normals are made of.
 struct BoxWay {
     Vec3 half, way, direction;
     Mat3 edges;   // rows: the box's, unit
@@ -49,7 +49,7 @@ SPLAT_INLINE Vec3 normal_axis(const BoxWay& box, int i) {
     return cross(kind == 5 ? unit(which) : row_of(box.edges, which), box.direction);
 }
 
-// The i-th normal. Edges that are parallel have none: then another normal decides.
+// The i-th normal. Parallel edges have none: then another normal decides.
 SPLAT_INLINE bool make_normal(const BoxWay& box, int i, Normal& out) {
     const Vec3 axis = normal_axis(box, i);
     double reach = SLACK;

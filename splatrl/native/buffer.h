@@ -19,7 +19,8 @@ struct Free {
 template <class T>
 using Buffer = std::unique_ptr<T[], Free>;
 
-// Large buffers ask for huge pages, where the system has them: scattered access pays less for translation.
+// Large buffers ask for huge pages where the system has them, which makes address translation cheaper for scattered
+// access.
 template <class T>
 Buffer<T> make_buffer(size_t count) {
     constexpr size_t HUGE_PAGE = size_t(1) << 21;

@@ -13,7 +13,7 @@ struct Camera {
     int width, height;
 };
 
-// A part of an image; pixels, the lower and right edge not counted.
+// A part of an image, in pixels; the lower and right edges are exclusive.
 struct Tile {
     int left, top, right, bottom;
 };

@@ -1,9 +1,9 @@
-// Bodies against a grid of solid voxels: at a pose, and on the way between two.
+// Bodies against a grid of solid voxels: at a pose, and on the way between two poses.
 //
 // Lengths are in voxels and positions count from the corner of the grid. A touch is a hit. What lies outside the grid
-// is free. Arithmetic is in double precision. CPU and CUDA share all of this but `contact(shape, pose, way, any)`, the
-// search for the first contact: a CPU takes one column after the other, a GPU many at a time. It returns the first t in
-// [0, 1], or NEVER; with `any`, what is returned below that says only that something is touched.
+// is free. Arithmetic is in double precision. CPU and CUDA share all of this except `contact(shape, pose, way, any)`,
+// the search for the first contact: a CPU takes one column after another, a GPU many at a time. It returns the first t
+// in [0, 1], or NEVER; with `any`, a value below NEVER says only that something is touched.
 #pragma once
 
 #include "collision_pose.h"
@@ -11,11 +11,11 @@
 
 namespace splatrl {
 
-constexpr double MARGIN = 1e-4;      // voxels: beyond single precision of the distance field
+constexpr double MARGIN = 1e-4;      // voxels: more than the rounding of the distance field to single precision
 constexpr double TURN_SLACK = 0.1;   // voxels
 constexpr double NEARLY_ALL = 1.0 - 1e-7;
 
-// What the distance field alone says of a pose; MAYBE is for `touches` to decide.
+// What the distance field alone says about a pose; MAYBE is for `touches` to decide.
 enum class Verdict { FREE, HIT, MAYBE };
 
 SPLAT_INLINE Verdict judge(const Grid& grid, const Shape& shape, const Vec3& position) {
@@ -52,10 +52,9 @@ SPLAT_INLINE Turn turn_of(const Shape& shape, const Mat3& from, const Mat3& to) 
 }
 
 // The share of a straight move, turning evenly about one axis, that is free: 1 where nothing is touched, ends included.
-// Exact at a fixed orientation (a capsule within 1e-6 voxels). In each part of a turn the body is grown by what its
-// points may be off, at most TURN_SLACK: never too far.
-// With `any`, what is returned below 1 says only that something is touched. Ask first whether the move `passes`: it is
-// not asked here again.
+// Exact at a fixed orientation (a capsule within 1e-6 voxels). In each part of a turn the body is grown by the most
+// that its points may be off, at most TURN_SLACK, so the result is never too large. With `any`, a value below 1 says
+// only that something is touched. Check first whether the move `passes`: that is not checked here again.
 template <class Contact>
 HOST_DEVICE inline double free_fraction(const Grid& grid, const Shape& shape, const Pose& start, const Pose& end,
                                            bool any, const Contact& contact) {

@@ -18,7 +18,7 @@ namespace splatrl {
 
 namespace {
 
-constexpr double TOUCH = 1e-6;   // metres: what touches to the rounding of a pose touches, wherever it is in the world
+constexpr double TOUCH = 1e-6;   // metres: a gap within the rounding of a pose is a touch, wherever it is in the world
 constexpr size_t CHUNK = 2048;   // queries that a thread takes at once
 constexpr size_t AT_ONCE = 32;  // queries that are prepared before they are answered
 
@@ -38,12 +38,12 @@ Vec3 quotient(const std::array<double, 3>& numbers, double divisor) {
     return {numbers[0] / divisor, numbers[1] / divisor, numbers[2] / divisor};
 }
 
-// Have the distance at a point fetched: grids are larger than caches, and poses come in no order.
+// Prefetch the distance at a point: grids are larger than caches, and poses come in no order.
 void fetch(const Grid& grid, const Vec3& point) {
     if (!grid.empty) __builtin_prefetch(&grid.distance[nearest_place(grid, point).voxel]);
 }
 
-// Calls, on purpose: inlined, their answers become branches that nobody can foretell.
+// Not inlined on purpose: inlined, their answers become branches that cannot be predicted.
 __attribute__((noinline)) Verdict judged(const Grid& grid, const Shape& shape, const Vec3& position) {
     return judge(grid, shape, position);
 }
@@ -54,14 +54,15 @@ __attribute__((noinline)) bool passed(const Grid& grid, const Shape& shape, cons
 
 __attribute__((noinline)) bool rigid(const float* matrix) { return is_pose_by_fours(matrix); }
 
-// A body in a grid. Queries take addresses, which cost less than arrays; Python sees to types, sizes and lifetimes.
+// A body in a grid. Queries take addresses, which cost less than arrays; Python takes care of types, sizes and
+// lifetimes.
 class Collider {
 public:
     Collider(PackedGrid packed, const Shape& shape)
         : packed_(std::move(packed)), grid_(packed_.view()), shape_(shape) {}
 
-    // Call prepare(i, query), which may refuse, for some queries at a time, so that what they need is fetched meanwhile,
-    // and then answer(first, count, queries), for all of a batch. Returns -1, or the first i that was refused.
+    // Over a whole batch, call prepare(i, query), which may refuse, for some queries at a time, so that what they need
+    // is fetched meanwhile, and then answer(first, count, queries). Returns -1, or the first i that was refused.
     template <class Query, class Prepare, class Answer>
     int64_t each(size_t count, size_t threads, const Prepare& prepare, const Answer& answer) const {
         std::atomic<size_t> bad{count};
@@ -101,7 +102,7 @@ public:
                 return true;
             },
             [&](size_t first, size_t some, const Vec3* positions) {
-                // Judged without a branch, then those that are left: what comes next cannot be foretold.
+                // First judge all without a branch, then search those that are left: the verdicts cannot be predicted.
                 size_t left[AT_ONCE], open = 0;
                 for (size_t i = 0; i < some; ++i) {
                     const Verdict verdict = judged(grid_, shape_, positions[i]);
@@ -151,7 +152,7 @@ public:
     int64_t free_fraction(uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) const {
         auto* fractions = reinterpret_cast<float*>(out);
         return moves(starts, ends, count, threads, false, [&](size_t i, double fraction) {
-            fractions[i] = rounded_down(fraction);  // what is touched stays below 1
+            fractions[i] = rounded_down(fraction);  // a move that touches stays below 1
         });
     }
 
@@ -189,7 +190,7 @@ private:
 
 const Grid& grid_in(nb::handle collider) { return nb::cast<const Collider&>(collider).grid(); }
 
-// What a collider keeps [x, y, along z], in place.
+// An array that a collider keeps, [x, y, along z], without a copy.
 template <class T>
 nb::ndarray<nb::numpy, const T> array_of(nb::handle collider, const T* Grid::*values, int along_z) {
     const Grid& grid = grid_in(collider);

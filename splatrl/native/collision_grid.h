@@ -12,16 +12,16 @@ constexpr double NEVER = INFINITE;
 constexpr double DISTANCE_STEPS = 256.0;
 constexpr uint16_t FARTHEST = 0xffff;
 
-// Looks at memory that others own.
+// A view of memory that others own.
 struct Grid {
     int size[3];
     int words;                   // of a column
-    bool empty;                  // whether nothing is solid; then nothing below is looked at
+    bool empty;                  // whether nothing is solid; then nothing below is read
     double resolution, inverse;  // metres, 1 / metres
     Vec3 corner;                 // of the grid in the world, metres
     const uint64_t* bits;        // [x, y, words]: bit z of a column is the voxel (x, y, z)
-    // [x, y, z] from the centre of each voxel to that of the nearest solid one, in DISTANCE_STEPS a voxel, rounded
-    // down; what is further than FARTHEST is that.
+    // [x, y, z] from the centre of each voxel to that of the nearest solid one, in DISTANCE_STEPS per voxel, rounded
+    // down and at most FARTHEST.
     const uint16_t* distance;
 };
 
@@ -31,7 +31,7 @@ SPLAT_INLINE Vec3 place_of(const Grid& grid, float x, float y, float z) {
     return {(x - corner[0]) * grid.inverse, (y - corner[1]) * grid.inverse, (z - corner[2]) * grid.inverse};
 }
 
-// Where a point is in the grid: the nearest point of the grid, and its voxel.
+// A point clamped to the grid: the nearest point of the grid, and its voxel.
 struct Place {
     Vec3 within;
     int index[3];
@@ -74,7 +74,7 @@ SPLAT_INLINE double clearance(const Grid& grid, const Vec3& point) {
 }
 
 SPLAT_INLINE float clearance_in_metres(const Grid& grid, const Vec3& point) {
-    return float(clearance(grid, point) * grid.resolution * (1.0 - 1e-6));  // still one in single precision
+    return float(clearance(grid, point) * grid.resolution * (1.0 - 1e-6));  // still a lower bound in single precision
 }
 
 }  // namespace splatrl

@@ -43,7 +43,7 @@ HOST_DEVICE inline double turn_between(const Mat3& from, const Mat3& to, Vec3& a
     const double sine = 0.5 * norm(doubled), cosine = 0.5 * (turn[0][0] + turn[1][1] + turn[2][2] - 1.0);
     if (sine > 1e-6) {
         for (int i = 0; i < 3; ++i) axis[i] = 0.5 * doubled[i] / sine;
-    } else {  // next to nothing, or half a turn: then turn + I is 2 axis axisᵀ
+    } else {  // almost no turn, or half a turn: then turn + I is 2 axis axisᵀ
         double best = -2.0;
         for (int k = 0; k < 3; ++k)
             if (turn[k][k] > best) {

@@ -1,4 +1,4 @@
-// What is tested against a grid; lengths in voxels.
+// The shape that is tested against a grid; lengths in voxels.
 #pragma once
 
 #include "collision_vectors.h"

@@ -14,7 +14,7 @@
 namespace splatrl {
 
 #ifdef __CUDACC__
-constexpr double INFINITE = __builtin_bit_cast(double, 0x7ff0000000000000ull);  // NVRTC knows no other
+constexpr double INFINITE = __builtin_bit_cast(double, 0x7ff0000000000000ull);  // the only form that NVRTC accepts
 #else
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 #endif
@@ -25,7 +25,7 @@ SPLAT_INLINE double clamp(double value, double low, double high) { return min(ma
 SPLAT_INLINE int min(int a, int b) { return b < a ? b : a; }
 SPLAT_INLINE int max(int a, int b) { return a < b ? b : a; }
 
-// Of numbers that an int holds; the library's are calls where the processor's are not assumed.
+// Floor of a number that fits an int; the library's version is a call where no instruction for it may be assumed.
 SPLAT_INLINE int floor_of(double value) {
     const int whole = int(value);
     return whole - (value < whole);
@@ -33,7 +33,7 @@ SPLAT_INLINE int floor_of(double value) {
 
 SPLAT_INLINE int ceil_of(double value) { return -floor_of(-value); }
 
-// Of a number that is not negative.
+// The largest float that is at most a number, which is not negative.
 SPLAT_INLINE float rounded_down(double value) {
     const float nearest = float(value);
     return double(nearest) > value ? nextafterf(nearest, 0.0f) : nearest;

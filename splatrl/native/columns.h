@@ -5,7 +5,7 @@
 
 namespace splatrl {
 
-constexpr double SLACK = 1e-9;  // voxels: rounding of what is computed here
+constexpr double SLACK = 1e-9;  // voxels: covers the rounding of what is computed here
 
 struct Range {
     int first, last;
@@ -48,7 +48,7 @@ SPLAT_INLINE bool any_solid(const Column& column, const Visit& visit) {
     return false;
 }
 
-// The i-th number of a range, from the middle outwards: what overlaps a body is found early.
+// The i-th number of a range, from the middle outwards, so that an overlap with the body is found early.
 SPLAT_INLINE int from_middle(Range range, int i) {
     const int middle = (range.first + range.last) / 2, half = (i + 1) / 2;
     return i % 2 == 0 ? middle - half : middle + half;
@@ -65,7 +65,7 @@ struct Columns {
           ys(touched(low[1], high[1], grid.size[1])),
           zs(touched(low[2], high[2], grid.size[2])) {}
 
-    // How many along an axis: none where nothing of them is within the box.
+    // How many along an axis; 0 where the box contains nothing of them.
     HOST_DEVICE int along_x() const { return zs.first <= zs.last ? max(xs.last - xs.first + 1, 0) : 0; }
     HOST_DEVICE int along_y() const { return max(ys.last - ys.first + 1, 0); }
 

@@ -6,14 +6,14 @@
 
 namespace splatrl {
 
-// From the unit box at `corner` to a point: what the point lies beyond it.
+// By how much a point lies beyond the unit box at `corner`, along each axis.
 SPLAT_INLINE Vec3 excess(const Vec3& corner, const Vec3& p) {
     Vec3 out;
     for (int i = 0; i < 3; ++i) out[i] = p[i] - clamp(p[i], corner[i], corner[i] + 1.0);
     return out;
 }
 
-// Where on p + s v the squared distance to a unit box changes its formula; infinite or not a number where v is flat.
+// Where on p + s v the squared distance to a unit box changes its formula; infinite or NaN where a component of v is 0.
 struct Pieces {
     double at[6];
 };
@@ -27,7 +27,7 @@ SPLAT_INLINE Pieces pieces_of(const Vec3& corner, const Vec3& p, const Vec3& v) 
     return out;
 }
 
-// The first piece in [0, last] at whose end something holds that, once it does, holds to the end.
+// The first piece in [0, last] at whose end a condition holds; once it holds, it holds to the end.
 struct Piece {
     double from, to;
 };
@@ -76,12 +76,12 @@ HOST_DEVICE inline double ball_contact(const Vec3& corner, const Vec3& p, const 
     for (int axis = 0; axis < 3; ++axis) w[axis] = middle[axis] != 0.0 ? v[axis] : 0.0;
     const double a = dot(w, w), b = dot(e, w), c = dot(e, e) - squared;
     const double root = sqrt(max(b * b - a * c, 0.0));
-    // of two roots the first, without cancellation
+    // the first of two roots, without cancellation
     return clamp(piece.from + c / (-b + root), piece.from, piece.to);
 }
 
-// The same for a capsule whose cylinder is p + t v to p + t v + axis. Distance between convex bodies under a translation
-// is at most |v| t away from what it was: steps of that never pass the contact.
+// The same for a capsule whose cylinder is p + t v to p + t v + axis. Distance between convex bodies under a
+// translation is at most |v| t away from what it was: steps of that never pass the contact.
 HOST_DEVICE inline double capsule_contact(const Vec3& corner, const Vec3& p, const Vec3& axis, const Vec3& v,
                                           double radius) {
     constexpr double TOUCH = 1e-7;

@@ -10,10 +10,10 @@ namespace splatrl {
 
 constexpr int PATCH_WIDTH = 8, PATCH_HEIGHT = 4;       // 32 pixels: the lanes of a warp
 constexpr int PATCHES_ACROSS = 4, PATCHES_DOWN = 8;    // of a tile
-constexpr int SMALL_TILE = 32;                         // pixels, both ways
+constexpr int SMALL_TILE = 32;                         // width and height, pixels
 static_assert(PATCHES_ACROSS * PATCH_WIDTH == SMALL_TILE && PATCHES_DOWN * PATCH_HEIGHT == SMALL_TILE, "whole patches");
 
-// Bits come in quads: the four of 2×2 patches follow each other, so that a quad is one warp's.
+// Bits come in quads: those of 2×2 patches are consecutive, so that each quad belongs to one warp.
 SPLAT_INLINE int patch_bit(int column, int row) {
     return row / 2 * (PATCHES_ACROSS / 2) * 4 + column / 2 * 4 + row % 2 * 2 + column % 2;
 }
@@ -43,15 +43,15 @@ private:
     }
 };
 
-// The patches of a tile at (left, top), of which only pixels before (right, bottom) count, on which a splat shows at the
-// centre of some pixel; perhaps some more, never fewer.
+// The patches of a tile on which a splat shows at the centre of some pixel; perhaps a few more, never fewer. Only
+// pixels from (left, top) up to (right, bottom), exclusive, count.
 template <bool ANTIALIASED>
 SPLAT_INLINE uint32_t covered_patches(const Footprint<float>& print, const Tile& tile) {
     constexpr float LOG2_INVISIBLE = ANTIALIASED ? LOG2_INVISIBLE_ANTIALIASED : LOG2_INVISIBLE_CLASSIC;
     if (!(print.log2_opacity > LOG2_INVISIBLE && print.depth >= NEAR_DEPTH)) return 0;
     Ellipse ellipse;
     ellipse.of(print, LOG2_INVISIBLE);
-    constexpr float SLACK = 1e-3f;  // pixels: rounding here
+    constexpr float SLACK = 1e-3f;  // pixels: covers the rounding here
     const float first = max(print.x - print.extent_x, float(tile.left));
     const float last = min(print.x + print.extent_x, float(tile.right));
     const float above = print.y - print.extent_y, below = print.y + print.extent_y;

@@ -1,4 +1,4 @@
-// When a shape on a straight way, without turning, first touches something solid: one column after the other.
+// When a shape on a straight way, without turning, first touches something solid: one column after another.
 #pragma once
 
 #include "box_sweep.h"
@@ -17,7 +17,7 @@ SPLAT_INLINE Columns columns_on_way(const Grid& grid, const Shape& shape, const 
     return Columns(grid, low, high);
 }
 
-// Call contact(column) for the columns with something solid until it returns 0; the smallest of what it returns.
+// The smallest result of contact(column) over the columns with something solid; stops at 0.
 template <class Contact>
 inline double first_of_columns(const Columns& columns, const Contact& contact) {
     double first = NEVER;
@@ -45,7 +45,7 @@ struct FirstContact {
         Normal normals[NORMALS];
         BoxSweep sweep{pose.position, along(pose.position, way, 0.5), normals, 0};
         return first_of_columns(columns, [&](const Column& column) {
-            if (sweep.count == 0) {  // not before something is solid
+            if (sweep.count == 0) {  // only once something is solid
                 const BoxWay box = box_way(shape, pose, way);
                 for (int i = 0; i < box.normals; ++i) sweep.count += make_normal(box, i, normals[sweep.count]);
             }

@@ -1,4 +1,4 @@
-// A scene as CUDA reads it: each Gaussian by itself, not in groups of sixteen.
+// A scene as CUDA reads it: each Gaussian separately, not in groups of sixteen.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
@@ -21,7 +21,7 @@ namespace splatrl {
 
 namespace {
 
-// A half float that is no smaller.
+// The bits of a half float that is at least this value.
 uint16_t half_above(float value) {
     const uint16_t half = to_half(value);
     return from_half(half) < value && half < to_half(LARGEST_HALF) ? half + 1 : half;
@@ -75,7 +75,7 @@ nb::ndarray<nb::numpy, uint8_t> bytes_of(const T* items, size_t count) {
     return to_numpy(std::move(bytes), {count, sizeof(T)});
 }
 
-// The clusters of a tree behind those of others.
+// The clusters of a tree, renumbered to follow those of other trees.
 std::vector<Cluster> clusters_behind(const SceneView& view, uint32_t first_slot, uint32_t first_cluster) {
     std::vector<Cluster> clusters(view.clusters, view.clusters + view.cluster_count);
     for (Cluster& cluster : clusters) cluster.first_group += first_slot / GROUP, cluster.skip += first_cluster;

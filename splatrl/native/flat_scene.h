@@ -9,7 +9,7 @@ constexpr int SHAPE = 12;   // floats: factor of the covariance, log2 opacity, m
 
 constexpr int harmonics_of(int degree) { return (degree + 1) * (degree + 1); }
 
-// Half floats of a colour, in whole words of eight bytes.
+// Half floats per colour, padded to whole words of eight bytes.
 constexpr int color_stride(int degree) { return (3 * harmonics_of(degree) + 3) / 4 * 4; }
 
 }  // namespace splatrl

@@ -8,8 +8,7 @@ namespace {
 
 constexpr int AREA = BLOCK * BLOCK;
 
-// Copy the columns and rows of a block that are on the image: [AREA] values of three channels, or one, one after the
-// other, to pixels one after the other.
+// Copy the columns and rows of a block that are on the image, from planar channels [COUNT, AREA] to interleaved pixels.
 template <int COUNT, class T>
 void copy_block(const T* values, T* image, int width, int columns, int rows) {
     for (int row = 0; row < rows; ++row)

@@ -7,7 +7,7 @@
 
 namespace splatrl {
 
-// Images of one frame, row-major; a null pointer is left out.
+// Images of one frame, row-major; a null pointer means that one is left out.
 struct Images {
     float* rgb;       // [height, width, 3]
     float* depth;     // [height, width] metres
@@ -15,8 +15,8 @@ struct Images {
     uint8_t* pixels;  // [height, width, 3]
 };
 
-// Write the pixels of a tile. This is compiled once, without contraction, so `pixels` is the rounding of `rgb` on every
-// instruction set.
+// Write the pixels of a tile. This is compiled only once, without contraction, so `pixels` is the rounding of `rgb` on
+// every instruction set.
 void write_images(const float* blocks, int width, const Tile& tile, const Images& images);
 
 }  // namespace splatrl

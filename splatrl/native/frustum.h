@@ -1,4 +1,4 @@
-// What can show on a tile at all. `F` is float, or Lanes for sixteen bounds at once.
+// Tests what can show on a tile at all. `F` is float, or Lanes for sixteen bounds at once.
 #pragma once
 
 #include "camera.h"
@@ -8,8 +8,8 @@
 
 namespace splatrl {
 
-// Whether nothing of some Gaussians can show on a tile: everything is behind the near plane, or further beside an
-// edge than it reaches. An edge is a plane through the camera; the reach follows the projected covariance with its
+// Whether nothing of some Gaussians can show on a tile: everything is behind the near plane, or further outside
+// an edge than it reaches. An edge is a plane through the camera; the reach follows the projected covariance with its
 // bounded Jacobian and its dilation, so the test never drops what the projection would show.
 struct Frustum {
     float normals[4][3];  // world axes, pixels; positive is outside
@@ -66,11 +66,11 @@ SPLAT_INLINE bool misses(const Frustum& frustum, const Camera& camera, const Bou
     return missed_by(frustum, camera.position, bounds.center, bounds.radius, bounds.reach, bounds.reach_scale) > 0.0f;
 }
 
-// Whether a Gaussian cannot show on the tile: as above, for one alone and closer. Its reach is in standard deviations, and
-// reach_scale that times its longest axis, metres.
+// Whether a Gaussian cannot show on the tile: as above, but for a single one and tighter. Its reach is in standard
+// deviations, and reach_scale that times its longest axis, metres.
 SPLAT_INLINE bool misses(const Frustum& frustum, const float* position, const float* mean, float reach,
                          float reach_scale) {
-    constexpr float SLACK = 1e-5f;  // metres: rounding here
+    constexpr float SLACK = 1e-5f;  // metres: covers the rounding here
     const Vector<float> offset{mean[0] - position[0], mean[1] - position[1], mean[2] - position[2]};
     const float* forward = frustum.forward;
     const float depth = offset.x * forward[0] + offset.y * forward[1] + offset.z * forward[2] + SLACK;
@@ -89,7 +89,7 @@ SPLAT_INLINE bool misses(const Frustum& frustum, const float* position, const fl
     return missed > 0.0f;
 }
 
-// Whether what a node shows is displaced by at most so many pixels at the depth where it begins; never where that is
+// Whether what a node shows is displaced by at most `tolerance` pixels at its nearest depth; never where that depth is
 // behind the near plane.
 SPLAT_INLINE bool within_tolerance(const Frustum& frustum, const Camera& camera, const Cluster& node, float tolerance) {
     float depth = -node.bounds.radius;

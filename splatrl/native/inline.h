@@ -15,5 +15,5 @@
 #else
 #define HOST_DEVICE
 #define SPLAT_INLINE static inline __attribute__((always_inline))
-#define INLINE_MEMBER inline __attribute__((always_inline))  // of a class
+#define INLINE_MEMBER inline __attribute__((always_inline))  // for members of a class
 #endif

@@ -1,4 +1,4 @@
-// Orders points in space: neighbours in memory are neighbours in space, at every scale.
+// Orders points so that neighbours in memory are neighbours in space, at every scale.
 #pragma once
 
 #include <algorithm>

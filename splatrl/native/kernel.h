@@ -1,4 +1,4 @@
-// What the portable part of the renderer and the kernels of each instruction set say to each other: plain memory.
+// The plain memory that the portable part of the renderer and the kernels of each instruction set share.
 #pragma once
 
 #include <cstddef>
@@ -18,7 +18,7 @@ constexpr uint32_t SLAB = 2048;  // splats that are dealt to blocks at once
 // One group in memory: [GEOMETRY][GROUP] floats.
 enum Geometry { MEAN = 0, AXES = 3, LOG2_OPACITY = 12, GEOMETRY = 13 };
 
-// And for groups of merged Gaussians: how many one stands for, and the sum of their opacities.
+// In addition, for merged Gaussians: how many each stands for, and the sum of their opacities.
 enum Merged { MEMBERS, SUM, MERGING };
 
 struct SceneView {
@@ -41,35 +41,35 @@ struct alignas(32) Splat {
     uint16_t color[4];  // half floats: red, green, blue, the most that alpha can be
 };
 
-// The same as blending reads it: a cache line.
+// The same splat as blending reads it: a cache line.
 struct alignas(64) SlabSplat {
     float x, y, l11, l12, l22, log2_opacity;
     float red, green, blue, peak;
     float depth;
 };
 
-// The lists that a splat is dealt to. Nearly all splats are on at most 2×2 blocks of a tile: those name a list each, and
-// for blocks that they are not on lists of the waste. A splat on more has LARGE, the first block, and how many blocks
-// there are to the right of it and below.
+// The lists that a splat is dealt to. Nearly all splats are on at most 2×2 blocks of a tile: those name a list for
+// each, which is one of the waste lists for blocks that the splat is not on. A splat on more blocks has LARGE, the
+// first block, and how many blocks there are to the right of it and below.
 struct Patch {
     uint16_t lists[4];
 };
 constexpr uint16_t LARGE = 0xffff;
 
-// What decides between splats whose depths are the same number of single precision.
+// Decides between splats whose depths are equal in single precision.
 struct Tie {
-    float depth_rest;         // what single precision leaves of the depth
-    uint32_t original_index;  // in all that a row draws: it decides between what is still equal
+    float depth_rest;         // what single precision drops from the depth
+    uint32_t original_index;  // across all that a row draws: it breaks the remaining ties
 };
 
 // A model as a camera of the batch sees it.
 struct Part {
     const SceneView* scene;
     Camera camera;         // in the frame of the model
-    uint32_t first_index;  // of its Gaussians in all that the row draws
+    uint32_t first_index;  // of its Gaussians, across all that the row draws
 };
 
-// What is drawn into one image: parts, and what is behind them all.
+// What is drawn into one image: the parts, and the background.
 struct Row {
     const Part* parts;
     size_t count;
@@ -79,7 +79,7 @@ struct Row {
 // Accumulated per block: [CHANNELS][BLOCK · BLOCK] floats.
 enum Channel { RED, GREEN, BLUE, TRANSMITTANCE, DEPTH, ALPHA, CHANNELS };
 
-constexpr uint32_t SPARE = 16;  // items at the end of an array that may be touched without being counted
+constexpr uint32_t SPARE = 16;  // extra items at the end of an array that may be read or overwritten
 constexpr uint32_t LIST = SLAB + 2 * SPARE;  // not a power of two, so that lists do not share cache sets
 
 // Memory that a worker keeps from frame to frame. The arrays of splats hold [groups · GROUP + SPARE], of all parts.
@@ -96,7 +96,7 @@ struct Scratch {
     float* pixels;           // [BLOCKS, CHANNELS, BLOCK · BLOCK]
 };
 
-// What a tile took; tiles add up. `blended` counts pairs of a splat and a block.
+// The work that a tile took, which adds up over tiles. `blended` counts pairs of a splat and a block.
 struct Effort {
     uint32_t projected, visible, blended;
     float project_ms, sort_ms, blend_ms;

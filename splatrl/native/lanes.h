@@ -1,5 +1,5 @@
-// Sixteen floats as one value, in as many registers as the instruction set needs. Vector extensions of GCC and Clang carry
-// nearly all of it, on any processor; what they lack has intrinsics on x86 and plain code in the set `portable`.
+// Sixteen floats as one value, in as many registers as the instruction set needs. Vector extensions of GCC and Clang do
+// nearly all of it, on any processor; what they lack uses intrinsics on x86 and plain code in the set `portable`.
 // Everything lives in the namespace of the instruction set, so that the linker never mixes variants.
 #pragma once
 
@@ -162,7 +162,7 @@ LANE_INLINE uint32_t bits_above(const Lanes& a, const Lanes& b) {
 #endif
 }
 
-// A vector of sixteen is of merged Gaussians, or of none.
+// A vector of sixteen has only merged Gaussians, or none.
 LANE_INLINE bool stand_for_many(const Lanes&) { return true; }
 
 // 1 / a and 1 / sqrt(a) to the last bit or two, for normal a > 0: an estimate and one step of Newton's method.
@@ -210,7 +210,7 @@ LANE_INLINE Lanes ceil(const Lanes& a) {
     return out;
 }
 
-// 2^a for a in [-126, 126], anything beyond, relative error 3e-6: 2^(a - round(a)) by a polynomial, then the exponent.
+// 2^a for a in [-126, 126], arbitrary beyond, relative error 3e-6: 2^(a - round(a)) by a polynomial, then the exponent.
 LANE_INLINE Lanes exp2(const Lanes& a) {
     constexpr float ROUND = 12582912.0f;  // 1.5 · 2^23: adding it rounds to an integer in the lowest bits
     Lanes out;

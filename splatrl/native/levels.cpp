@@ -12,7 +12,7 @@ namespace splatrl {
 namespace {
 
 constexpr size_t BUCKET = 64;       // neighbours among which partners are sought
-constexpr float LEAST_CONTRAST = 0.2f;  // of colours: merging equal colours is not free, it moves edges
+constexpr float LEAST_CONTRAST = 0.2f;  // of colours: even merging equal colours has a cost, because it moves edges
 
 // A Gaussian, or several merged into one with their mass, mean and covariance.
 struct Item {
@@ -55,7 +55,7 @@ float squared_distance(const float* a, const float* b) {
     return sum;
 }
 
-// What is lost by merging: the mass that moves, how far, and how different its colour is.
+// What merging loses: the mass that moves, how far, and how different its colour is.
 float cost_of(const Item& a, const Item& b) {
     const float contrast = SH_C0 * SH_C0 * squared_distance(a.sh.data(), b.sh.data());
     const float mass = a.mass + b.mass, moved = mass > 0.0f ? a.mass * b.mass / mass : 0.0f;
@@ -174,7 +174,7 @@ public:
     Levels levels;
 
 private:
-    // Append the node over [first, last) and all below it. Returns its Gaussians, where they are merged further up.
+    // Append the node over [first, last) and all below it. Returns its Gaussians, to be merged further up.
     std::vector<Item> build(uint32_t* first, uint32_t* last) {
         const auto mean = [this](uint32_t i) { return gaussians_.means + 3 * size_t(i); };
         const size_t index = levels.nodes.size();
@@ -212,7 +212,7 @@ private:
         levels.sums.push_back(item.sum);
     }
 
-    // Root mean square by mass; never 0, which is a leaf's.
+    // Root mean square by mass; never 0, which marks a leaf.
     static float error_of(const std::vector<Item>& items) {
         double sum = 0.0, mass = 0.0;
         for (const Item& item : items) sum += double(item.mass) * item.spread, mass += item.mass;

@@ -19,8 +19,8 @@ struct GaussianArrays {
 
 // Nodes come in preorder: the children of an inner node follow it.
 struct Node {
-    uint32_t first, count;  // of the order for a leaf, of the merged Gaussians for an inner node
-    uint32_t skip;          // the node behind all below this one
+    uint32_t first, count;  // in the order for a leaf, in the merged Gaussians for an inner node
+    uint32_t skip;          // the node after all those below this one
     uint32_t leaf;          // 1 or 0
     float error;            // metres by which what it shows is displaced: 0 in a leaf, infinite where it shows nothing
 };

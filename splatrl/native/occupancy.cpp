@@ -45,7 +45,7 @@ void splat(const Ellipsoid& g, double opacity, double extent, const Triple& firs
         for (int64_t y = first[1]; y < end[1]; ++y) {
             const double dx = double(x) + 0.5 - g.mean[0], dy = double(y) + 0.5 - g.mean[1];
             std::array<double, 3> at_zero;  // along the axes, at the column's height z + 1/2 = mean
-            double low = double(first[2]), high = double(end[2] - 1);  // of the z that some axis does not rule out
+            double low = double(first[2]), high = double(end[2] - 1);  // of the heights that no axis rules out
             for (size_t j = 0; j < 3; ++j) {
                 at_zero[j] = g.whitening[j][0] * dx + g.whitening[j][1] * dy;
                 const double slope = g.whitening[j][2], reach = extent + g.half[j];

@@ -1,4 +1,4 @@
-// Lanes from and to memory: half floats, and records of the lanes that a mask names, one after another.
+// Lanes from and to memory: half floats, and records of the lanes in a mask, one after another.
 #pragma once
 
 #include "half.h"
@@ -52,7 +52,7 @@ LANE_INLINE IntLanes join_halves(const IntLanes& low, const IntLanes& high) {
     return out;
 }
 
-// Sixteen numbers of 16 bits, aligned to 32 bytes, each in a word of its own.
+// Sixteen 16-bit numbers, aligned to 32 bytes, each widened to a word.
 LANE_INLINE IntLanes load_shorts(const uint16_t* from) {
     typedef uint16_t ShortPart __attribute__((vector_size(2 * SPLATRL_REGISTER)));
     IntLanes out;
@@ -90,7 +90,7 @@ LANE_INLINE Lanes load_halves(const uint16_t* from) {
 #endif
 }
 
-// Numbers to half floats in the low halves of words, rounded to nearest; what is larger becomes the largest.
+// Numbers to half floats in the low halves of words, rounded to nearest; larger values become the largest finite one.
 LANE_INLINE IntLanes to_halves(const Lanes& a) {
     const Lanes bounded = max(min(a, LARGEST_HALF), -LARGEST_HALF);
     IntLanes out;
@@ -174,7 +174,7 @@ struct Record {
 };
 
 // Write the lanes of the mask, in their order, at `count` and beyond, and return the new count. Up to SPARE places
-// behind it are written over too.
+// after it are overwritten too.
 LANE_INLINE uint32_t append(const Record& record, uint32_t mask, const Scratch& scratch, uint32_t count) {
 #if defined(SPLATRL_AVX512)
     const __m512i ordinals = _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0);
@@ -217,7 +217,7 @@ LANE_INLINE uint32_t append(const Record& record, uint32_t mask, const Scratch& 
     std::memcpy(indices, &record.original_index, sizeof(indices));
     std::memcpy(lows, &record.patch_low, sizeof(lows));
     std::memcpy(highs, &record.patch_high, sizeof(highs));
-    for (uint32_t lane = 0; lane < uint32_t(LANES); ++lane) {  // each is written, the next over it unless it is kept
+    for (uint32_t lane = 0; lane < uint32_t(LANES); ++lane) {  // write each, then overwrite it unless it is kept
         std::memcpy(&scratch.splats[count], rows[lane], sizeof(Splat));
         std::memcpy(&scratch.patches[count], &lows[lane], 4);
         std::memcpy(reinterpret_cast<char*>(&scratch.patches[count]) + 4, &highs[lane], 4);

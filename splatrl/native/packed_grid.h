@@ -1,4 +1,4 @@
-// The memory of a grid.
+// Owns the memory of a grid.
 #pragma once
 
 #include <algorithm>
@@ -25,7 +25,7 @@ public:
             }
         distance_ = make_buffer<uint16_t>(columns * height);
         for (size_t i = 0; i < columns * height; ++i) {
-            const double steps = metres[i] / resolution * (1.0 - 1e-6) * DISTANCE_STEPS;  // single precision
+            const double steps = metres[i] / resolution * (1.0 - 1e-6) * DISTANCE_STEPS;  // allows for single precision
             distance_[i] = uint16_t(std::min(steps, double(FARTHEST)));
         }
         grid_.bits = bits_.data();

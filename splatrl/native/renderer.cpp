@@ -21,8 +21,8 @@ RenderTile kernel_of(Isa isa) {
     }
 }
 
-// Frames are cut into tiles, which take no account of each other: large frames so that a tile's memory stays small, and
-// small ones where they are fewer than the threads.
+// Frames are cut into independent tiles: large frames so that a tile's memory stays small, and small ones where there
+// are fewer of them than threads.
 std::vector<Tile> tiles_of(size_t batch, int width, int height, size_t threads) {
     const int rows = (height + BLOCK - 1) / BLOCK;
     const size_t least = batch == 0 || batch >= threads ? 1 : (threads + batch - 1) / batch;
@@ -52,7 +52,7 @@ struct Renderer::Workspace {
     Buffer<uint16_t> lists = make_buffer<uint16_t>(LISTS * LIST);
     Buffer<float> pixels = make_buffer<float>(BLOCKS * CHANNELS * BLOCK * BLOCK);
     std::vector<Part> parts;
-    size_t capacity;  // Gaussians of a row
+    size_t capacity;  // Gaussians per row
 
     explicit Workspace(size_t capacity)
         : groups(make_buffer<uint32_t>(capacity / GROUP + SPARE)),
@@ -80,7 +80,7 @@ public:
             owner.idle_.pop_back();
         }
         if (workspace_ && workspace_->capacity >= capacity) return;
-        workspace_.reset();  // before there is a larger one
+        workspace_.reset();  // freed before a larger one is made
         workspace_ = std::make_unique<Workspace>(capacity);
     }
     ~Loan() {
@@ -109,7 +109,7 @@ void Renderer::add(const GaussianArrays& gaussians, const Levels& levels) {
 
 // The most Gaussians that the parts of a row have together.
 size_t Renderer::capacity_of(const Batch& batch) const {
-    constexpr size_t MOST = ~uint32_t(0);  // that keys and ties can number
+    constexpr size_t MOST = ~uint32_t(0);  // the most that keys and ties can number
     size_t most = 0;
     for (size_t row = 0; row < batch.rows; ++row) {
         size_t sum = 0;

@@ -15,7 +15,7 @@ namespace splatrl {
 // What the rows of a batch draw, row-major.
 struct Batch {
     const int64_t* models;          // [rows, parts], -1 for none; null: model 0 in each row
-    const float* camera_to_models;  // [rows, parts, 4, 4], not looked at where there is no model
+    const float* camera_to_models;  // [rows, parts, 4, 4], ignored where there is no model
     const float* K;                 // [rows, 3, 3]
     size_t rows, parts;
     int width, height;
@@ -30,7 +30,7 @@ public:
 
     void add(const GaussianArrays& gaussians, const Levels& levels);
 
-    // The images of the batch lie one after another; efforts [rows] takes what each frame took.
+    // The images of the batch lie one after another; efforts [rows] receives the work of each frame.
     void render(const Batch& batch, size_t threads, const Images& images, Effort* efforts);
 
 private:
@@ -46,7 +46,7 @@ private:
     float tolerance_;
     RenderTile render_tile_;
     std::mutex mutex_;
-    std::vector<std::unique_ptr<Workspace>> idle_;  // kept: fresh memory costs a page fault every 4 KiB
+    std::vector<std::unique_ptr<Workspace>> idle_;  // kept, because fresh memory costs a page fault every 4 KiB
 };
 
 }  // namespace splatrl

@@ -16,7 +16,7 @@ namespace {
 using Models = std::optional<Tensor<const int64_t, -1, -1>>;
 using Poses = Tensor<const float, -1, -1, 4, 4>;
 using Lenses = Tensor<const float, -1, 3, 3>;
-// Of each frame: projected, visible, blended, project_ms, sort_ms, blend_ms.
+// For each frame: projected, visible, blended, project_ms, sort_ms, blend_ms.
 using Efforts = Tensor<float, -1, 6>;
 
 void add_model(Renderer& renderer, Tensor<const float, -1, 3> means, Tensor<const float, -1, 3, 3> axes,

@@ -24,7 +24,7 @@ SPLAT_INLINE bool is_pose(const float* matrix) {
         volume += z[i] * (x[next] * y[after] - x[after] * y[next]);
     }
     off[9] = last[3] - 1.0f;
-    // not a number where the position is none
+    // NaN where the position is not finite
     bool right = volume > 0.0f && 0.0f * x[3] + 0.0f * y[3] + 0.0f * z[3] == 0.0f;
     for (float value : off) right &= fabs(value) <= ORTHONORMAL;
     return right;
@@ -32,7 +32,7 @@ SPLAT_INLINE bool is_pose(const float* matrix) {
 
 #ifndef __CUDACC__
 
-// The same, faster where registers hold four numbers.
+// The same, but faster where registers hold four numbers.
 typedef float Quad __attribute__((vector_size(16)));
 typedef int QuadIndex __attribute__((vector_size(16)));
 
@@ -47,7 +47,7 @@ inline Quad after_next_of(const Quad& a) { return __builtin_shuffle(a, QuadIndex
 inline bool is_pose_by_fours(const float* matrix) {
     Quad rows[4];
     std::memcpy(rows, matrix, sizeof(rows));
-    // In the fourth lane 0, or not a number where the position is none; then the position is out of the way.
+    // 0 in the fourth lane, or NaN where the position is not finite; then the position is dropped.
     const Quad position = 0.0f * rows[0] + 0.0f * rows[1] + 0.0f * rows[2];
     const QuadIndex three = {-1, -1, -1, 0};
     const Quad x = (Quad)((QuadIndex)rows[0] & three), y = (Quad)((QuadIndex)rows[1] & three);

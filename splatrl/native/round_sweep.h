@@ -10,7 +10,7 @@ namespace splatrl {
 struct RoundSweep {
     Vec3 bottom, axis, way;  // the cylinder is bottom to bottom + axis at the start
     double radius;
-    bool ball;  // the axis is nothing
+    bool ball;  // the axis has length 0
 
     HOST_DEVICE double contact(const Column& column, bool any) const {
         double first = NEVER;

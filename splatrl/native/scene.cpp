@@ -14,8 +14,8 @@ namespace {
 
 size_t groups_of(const Node& node) { return (node.count + GROUP - 1) / GROUP; }
 
-// Bounds of the Gaussians that [first, last) name, a little loose so that no rounding cuts one off. `opacities` are the
-// most that they can have on an image.
+// Bounds of the Gaussians that [first, last) name, slightly loose so that rounding never cuts one off. `opacities` are
+// the most that they can have on an image.
 Bounds bounds_of(const GaussianArrays& gaussians, const float* opacities, const uint32_t* first, const uint32_t* last) {
     Bounds bounds{};
     float low[3], high[3];
@@ -41,7 +41,7 @@ Bounds bounds_of(const GaussianArrays& gaussians, const float* opacities, const 
     return bounds;
 }
 
-// Bounds of all that `a` and `b` bound.
+// Bounds of everything within `a` and `b`.
 Bounds both(const Bounds& a, const Bounds& b) {
     float apart = 0.0f;
     for (int i = 0; i < 3; ++i) apart = std::hypot(apart, b.center[i] - a.center[i]);
@@ -148,7 +148,7 @@ void Scene::pack(const GaussianArrays& gaussians, const float* opacities, const 
     for (size_t i = 0; i < cluster.groups * GROUP; ++i) {
         const size_t slot = groups_ * GROUP + i;
         float* geometry = geometry_.get() + slot / GROUP * GEOMETRY * GROUP + slot % GROUP;
-        geometry[LOG2_OPACITY * GROUP] = std::numeric_limits<float>::lowest();  // what pads the last group never shows
+        geometry[LOG2_OPACITY * GROUP] = std::numeric_limits<float>::lowest();  // padding of the last group never shows
         if (i >= node.count) continue;
         const size_t source = first[i];
         original_index_[slot] = uint32_t(source);

@@ -11,7 +11,7 @@
 
 namespace splatrl {
 
-// The tolerance that is held: classic images blow every small Gaussian up to a pixel, where merging it shows.
+// The tolerance to keep to: classic images enlarge every small Gaussian to a pixel, where merging it shows.
 inline float held_tolerance(float tolerance, bool antialiased) { return antialiased ? tolerance : tolerance / 4.0f; }
 
 // The most opacity that a merged Gaussian can have on an image. In classic ones each of its members is dilated, so that
@@ -21,8 +21,8 @@ inline float most_opacity(float opacity, float sum, bool antialiased) { return a
 // The most standard deviations at which a Gaussian of this opacity shows.
 float reach_of(float opacity);
 
-// The longest axis of a Gaussian, one standard deviation, from a factor A of its covariance (row-major 3×3); a hair more,
-// so that no rounding makes it shorter.
+// The longest axis of a Gaussian, one standard deviation, from a factor A of its covariance (row-major 3×3); slightly
+// more, so that rounding never makes it shorter.
 float longest_axis(const float* axes);
 
 class Scene {

@@ -20,7 +20,8 @@ constexpr float LOG2_INVISIBLE_ANTIALIASED = -9.99435344f;  // a quarter of it: 
 constexpr float HALF_LOG2_E = 0.72134752f, ROOT_HALF_LOG2_E = 0.84932180f;
 constexpr float SH_C0 = 0.28209479177387814f;
 
-// A Gaussian on the image: alpha(p) = min(peak, 2^(log2_opacity - u² - v²)), u = l11 dx + l12 dy, v = l22 dy, (dx, dy) = p - mean.
+// A Gaussian on the image: alpha(p) = min(peak, 2^(log2_opacity - u² - v²)), u = l11 dx + l12 dy, v = l22 dy, (dx, dy)
+// = p - mean.
 template <class F>
 struct Footprint {
     F x, y, depth;        // pixels, pixels, metres
@@ -40,17 +41,17 @@ SPLAT_INLINE Vector<F> rotate(const float* rotation, F x, F y, F z) {
             x * rotation[6] + y * rotation[7] + z * rotation[8]};
 }
 
-// What a merged Gaussian stands for: so many Gaussians of equal mass, whose opacities have this sum. No members: it is
-// one of the scene's own.
+// What a merged Gaussian stands for: this many Gaussians of equal mass, whose opacities have this sum. No members
+// means one of the scene's own.
 template <class F>
 struct Merging {
     F members, sum;
 };
 
-// The opacity of n Gaussians that lie within one, each x / n of it, is 1 - (1 - x g / n)^n where that one's fall-off is
-// g: a peak and a fall-off with a flat top. min(peak, 2^log2_opacity g) has the same peak and nearly the same integral, which
-// is peak (1 + ln(2^log2_opacity / peak)). The ratio in the logarithm is a fit for many members, carried to few by y: for
-// few that cover each other it falls short, and it never adds.
+// The opacity of n Gaussians that lie within one, each with x / n of its mass, is 1 - (1 - x g / n)^n where its
+// fall-off is g: a peak and a fall-off with a flat top. min(peak, 2^log2_opacity g) has the same peak and nearly the
+// same integral, which is peak (1 + ln(2^log2_opacity / peak)). The ratio in the logarithm is a fit for many members,
+// extended to few by y: for few that cover each other it falls short, and it never adds opacity.
 template <class F>
 SPLAT_INLINE void merge_opacities(F x, F members, F& log2_opacity, F& peak) {
     const F share = reciprocal(members);
@@ -113,7 +114,7 @@ SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const 
     out.l11 = l11;
     out.l12 = -(l11 * (xy * (inverse_root_yy * inverse_root_yy)));
     out.l22 = ROOT_HALF_LOG2_E * inverse_root_yy;
-    // alpha is invisible where (u² + v²) = log2_opacity - LOG2_INVISIBLE; the box of that ellipse, a hair wider.
+    // alpha is invisible where (u² + v²) = log2_opacity - LOG2_INVISIBLE; the box of that ellipse, slightly wider.
     constexpr float LOG2_INVISIBLE = ANTIALIASED ? LOG2_INVISIBLE_ANTIALIASED : LOG2_INVISIBLE_CLASSIC;
     const F squared_reach = max(out.log2_opacity - LOG2_INVISIBLE, 1e-30f) * (1.0002f / HALF_LOG2_E);
     const F reach = squared_reach * reciprocal_sqrt(squared_reach);

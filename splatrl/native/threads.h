@@ -10,7 +10,7 @@
 namespace splatrl {
 
 // Call work(worker, item) for every item in [0, count), from at most `threads` workers numbered from 0.
-// The first exception that a worker throws is thrown again here.
+// The first exception that a worker throws is rethrown here.
 template <class Work>
 void parallel_for(size_t count, size_t threads, Work&& work) {
     std::atomic<size_t> next{0};

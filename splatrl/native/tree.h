@@ -20,7 +20,7 @@ struct Cluster {
     Bounds bounds;   // of all below it
     float error;     // metres by which what it shows is displaced: 0 in a leaf, infinite where it shows nothing
     uint32_t first_group, groups;
-    uint32_t skip;   // the cluster behind all below this one
+    uint32_t skip;   // the cluster after all those below this one
 };
 
 // Bounds of the groups of a cluster: the members of Bounds, one after another.

@@ -31,7 +31,7 @@ class Renderer(Protocol):
     """Turns cameras into images of placed models. Frame i has the same bytes whatever else is in the batch.
 
     A renderer takes one model or a sequence, which ``Parts.model`` indexes. Each row draws its ``parts``, all into one
-    image; where there are none given, every row draws model 0 where it stands. Where ``only`` [B] bool is given, the
+    image; where none are given, every row draws model 0 where it stands. Where ``only`` [B] bool is given, the
     other rows are not drawn and are zero.
     """
 
@@ -40,7 +40,7 @@ class Renderer(Protocol):
         ...
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        """What an observation is: [B, H, W, 3] uint8, ``round(255 · rgb)``."""
+        """The pixels of an observation: [B, H, W, 3] uint8, ``round(255 · rgb)``."""
         ...
 
 
@@ -48,7 +48,7 @@ Drawn = TypeVar("Drawn", Tensor, RenderOutput)
 
 
 def checked_only(only: Tensor, cameras: Cameras) -> Tensor:
-    """A mask of rows, as it is.
+    """Check a mask of rows, and return it as it is.
 
     Raises:
         ValueError: for another shape or type than [B] bool.
@@ -106,12 +106,12 @@ def models_of(scene: Scene | Gaussians | Sequence[Scene | Gaussians]) -> list[Sc
     """
     models = [scene] if isinstance(scene, Scene | Gaussians) else list(scene)
     if not models:
-        raise ValueError("scene: expected a model or several, got none")
+        raise ValueError("scene: expected at least one model, got none")
     return models
 
 
 def require_finite(cameras: Cameras) -> None:
-    """Refuse cameras that no renderer can show.
+    """Refuse cameras that no renderer can draw.
 
     Raises:
         ValueError: names the first row whose pose or intrinsics are not finite, or whose focal length is not positive.

@@ -18,21 +18,21 @@ from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
 BLOCK_THREADS, SHARED_BYTES = 256, 35 * 1024
-"""Of a block, which draws one tile at a time."""
+"""Threads and shared memory of a block, which draws one tile at a time."""
 BLOCKS_A_MULTIPROCESSOR = 4
-"""That the compiler leaves enough registers for."""
+"""Blocks that the compiler leaves enough registers for."""
 TILE = 32
-"""Pixels of a tile, both ways."""
+"""Width and height of a tile, pixels."""
 
 
 def kernel_defines(antialiased: bool, sh_degree: int, levels: bool, parts: bool = False) -> dict[str, int]:
-    """What ``cuda/render.cu`` is compiled with.
+    """Macros that ``cuda/render.cu`` is compiled with.
 
     Args:
-        antialiased: or classic.
+        antialiased: True for antialiased images, False for classic ones.
         sh_degree: of the scene.
         levels: whether there are merged Gaussians, as with a tolerance above 0.
-        parts: whether rows draw parts; without, the first model where it stands.
+        parts: whether rows draw parts; otherwise they draw the first model where it stands.
     """
     return {
         "ANTIALIASED_IMAGES": int(antialiased),
@@ -80,16 +80,16 @@ class _Working(NamedTuple):
 
 
 class CudaRenderer:
-    """Renders the same images as ``NativeRenderer`` on a CUDA device, without waiting for the host.
+    """Renders the same images as ``NativeRenderer`` on a CUDA device, without synchronising with the host.
 
     A block of threads draws a tile of 32×32 pixels from beginning to end: it goes down the trees over the models, sorts
     what may show a slab at a time in shared memory, and blends it with the pixels in registers. Frame i has the same
-    bytes alone and in any batch. Kernels are compiled the first time on a machine, in seconds, and kept.
+    bytes alone and in any batch. Kernels are compiled once per machine, in seconds, and cached.
 
     A camera that is not finite, or whose focal length is not positive, gives a black image. A part whose pose is not
     rigid, or whose model does not exist, shows nothing; a row whose parts together have more Gaussians than fit shows
-    the background. ``raise_faults`` tells of all three. A row has at most 128 parts, which have at most 2²⁴ Gaussians
-    together, merged ones counted.
+    the background. ``raise_faults`` reports all three. A row has at most 128 parts, with at most 2²⁴ Gaussians
+    in all, merged ones included.
 
     Args:
         scene: a scene, whose levels of detail are kept in its cache; or Gaussians; or several such models, which the
@@ -98,12 +98,12 @@ class CudaRenderer:
         background: colour behind the Gaussians, in [0, 1].
         tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
         device: a CUDA device.
-        memory: bytes of working memory at most: with less, fewer tiles are drawn at a time. None takes a quarter of the
-            device's.
-        most_gaussians: that the parts of a row may have together, merged ones not counted. Working memory has room for
-            so many in each tile in flight, or for M times the largest model where that is less: the host does not
-            read which models the M parts are.
-        load: gives what runs the kernels; None compiles them for ``device``.
+        memory: upper bound on working memory, bytes: with less, fewer tiles are drawn at a time. None takes a quarter
+            of the device's memory.
+        most_gaussians: upper bound on the Gaussians of a row's parts together, merged ones not counted. Working memory
+            has room for this many in each tile in flight, or for M times the largest model where that is less: the
+            host does not read which models the M parts are.
+        load: loads the kernels; None compiles them for ``device``.
 
     Raises:
         ValueError: for Gaussians that are not finite or too many, or a tolerance that is negative or not finite.
@@ -133,7 +133,7 @@ class CudaRenderer:
         self._most_gaussians = most_gaussians
         self._memory = self._kernels.memory // 4 if memory is None else memory
         self._faults = FaultFlag(self.device)
-        self._working: dict[int | None, _Working] = {}  # by the number of parts; of every launch, one after the other
+        self._working: dict[int | None, _Working] = {}  # by the number of parts; launches share it, one after the other
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera, float32, on the cameras' device; see ``Renderer``."""
@@ -145,7 +145,7 @@ class CudaRenderer:
         return RenderOutput(rgb.to(where), depth.to(where), alpha.to(where))
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        """What an observation is: [B, H, W, 3] uint8, on the cameras' device; see ``Renderer``."""
+        """The pixels of an observation: [B, H, W, 3] uint8, on the cameras' device; see ``Renderer``."""
         pixels = self._zeros(len(cameras), cameras.height, cameras.width, 3, dtype=torch.uint8)
         self._draw("draw_pixels", cameras, parts, only, _Images(pixels.data_ptr(), None, None, None))
         return pixels.to(cameras.camera_to_world.device)
@@ -153,7 +153,8 @@ class CudaRenderer:
     def efforts(self, cameras: Cameras, parts: Parts | None = None) -> Tensor:
         """What it takes to draw each view: [B, 3] int32, counted while drawing it.
 
-        Candidates for its tiles; those of them that show; pairs of one and a patch of 8×4 pixels that were blended.
+        The columns count the candidates for its tiles, those that show, and blended pairs of one and a patch of 8×4
+        pixels.
         """
         efforts = self._zeros(len(cameras), 3, dtype=torch.int32)
         pixels = self._zeros(len(cameras), cameras.height, cameras.width, 3, dtype=torch.uint8)
@@ -161,7 +162,7 @@ class CudaRenderer:
         return efforts.to(cameras.camera_to_world.device)
 
     def raise_faults(self) -> None:
-        """Raise what was noted of cameras and parts since the last call; see ``Faulty``."""
+        """Raise the faults recorded in cameras and parts since the last call; see ``Faulty``."""
         row = self._faults.take()
         if row is not None:
             raise ValueError(f"cameras[{row}]: expected finite camera_to_world and K with positive focal lengths")
@@ -177,7 +178,7 @@ class CudaRenderer:
         images: _Images,
         efforts: Tensor | None = None,
     ) -> None:
-        """Queue the drawing. Tensors that are freed before it is done are kept by PyTorch for this stream."""
+        """Queue the drawing. PyTorch keeps tensors that are freed before it is done for this stream."""
         if len(cameras) == 0:
             return
         if parts is not None:
@@ -196,14 +197,14 @@ class CudaRenderer:
         kernels.launch(kernel, blocks, BLOCK_THREADS, *arguments, shared=SHARED_BYTES)
 
     def _for_parts(self) -> tuple[Kernels, CudaParts]:
-        """What draws rows with parts, and what places these."""
+        """The kernels that draw rows with parts, and what places the parts."""
         if self._parts is None:
             drawing = self._load("render", kernel_defines(*self._settings, parts=True))
             self._parts = drawing, CudaParts(self._load("place", {}), self._models, self._most_gaussians)
         return self._parts
 
     def _working_for(self, parts: Parts | None) -> _Working:
-        """Keys and nodes of as many blocks as the device holds at a time, or the memory allows."""
+        """Keys and nodes for as many blocks as the device holds at a time, or as the memory allows."""
         columns = None if parts is None else parts.model.shape[1]
         if columns not in self._working:
             kernels, key_capacity = self._kernels, self._models.models[0].gaussians

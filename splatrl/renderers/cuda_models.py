@@ -1,4 +1,4 @@
-"""The models of a renderer as CUDA kernels read them: one behind another in the same arrays."""
+"""The models of a renderer as CUDA kernels read them: one after another in the same arrays."""
 
 import ctypes
 from collections.abc import Mapping, Sequence
@@ -18,9 +18,9 @@ from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
 MOST_INDICES = 2**24
-"""The most Gaussians, merged ones included, that the index in a key tells apart."""
+"""The most Gaussians, merged ones included, that the index in a key can address."""
 MOST_CLUSTERS = 2**25
-"""The most nodes of all models' trees: as many as ``Node`` of cuda/candidates.h tells apart."""
+"""The most nodes of all models' trees: as many as ``Node`` of cuda/candidates.h can address."""
 
 
 class _SceneArrays(ctypes.Structure):
@@ -46,18 +46,18 @@ class Model(NamedTuple):
 
 
 class CudaModels:
-    """Models on a device, with all that kernels need of them.
+    """Models on a device, with everything that kernels need to know about them.
 
     Args:
         scenes: the models.
-        antialiased: whether images are.
+        antialiased: whether images are antialiased.
         background: colour behind the Gaussians.
         tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
         device: where they are kept.
 
     Attributes:
         arrays: what kernels take for ``SceneArrays``.
-        models: where each lies.
+        models: where each one lies in the arrays.
         table: [models, 4] int32 on the device, the same.
         clusters: how many the largest tree has.
         gaussians: how many the largest model has, merged ones not counted.
@@ -103,10 +103,10 @@ class CudaModels:
 
 
 def _require_room(models: Sequence[Model], clusters: int) -> None:
-    """Refuse what the numbers in keys and in nodes of trees have too few bits for."""
+    """Refuse models with more Gaussians or tree nodes than keys and nodes have bits to number."""
     sizes = [model.size for model in models]
     if max(sizes) > MOST_INDICES:
-        number, most = sizes.index(max(sizes)), f"{MOST_INDICES:,} Gaussians, merged ones counted"
+        number, most = sizes.index(max(sizes)), f"{MOST_INDICES:,} Gaussians, merged ones included"
         raise ValueError(f"scene[{number}]: expected at most {most}, got {max(sizes):,}")
     if clusters > MOST_CLUSTERS:
         raise ValueError(
@@ -120,7 +120,7 @@ def degree_of(scenes: Sequence[Scene | Gaussians]) -> int:
 
 
 def _of_degree(degree: int, scene: Scene | Gaussians, tolerance: float) -> tuple[dict[str, Tensor], Arrays | None]:
-    """A model and its levels of detail; harmonics that they lack up to a degree are 0."""
+    """A model and its levels of detail, with harmonics padded by zeros up to a degree."""
     arrays = gaussian_arrays(gaussians_of(scene))
     levels, harmonics = levels_for(scene, arrays, tolerance), arrays["sh"].shape[1]
     missing = (degree + 1) ** 2 - harmonics
@@ -132,7 +132,7 @@ def _of_degree(degree: int, scene: Scene | Gaussians, tolerance: float) -> tuple
 
 
 def _padded(sh: NDArray[np.float32], harmonics: int, missing: int) -> NDArray[np.float32]:
-    """Flat colours of ``harmonics`` each, with so many more that are 0."""
+    """Flat colours of ``harmonics`` coefficients each, with ``missing`` zeros appended to each."""
     return np.pad(sh.reshape(-1, harmonics, 3), ((0, 0), (0, missing), (0, 0))).reshape(-1)
 
 

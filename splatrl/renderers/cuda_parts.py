@@ -1,4 +1,4 @@
-"""Where the parts of rows stand, worked out on the device: what ``CudaRenderer`` does before it draws them."""
+"""Places the parts of each row on the device, before ``CudaRenderer`` draws them."""
 
 import ctypes
 
@@ -14,7 +14,7 @@ from splatrl.renderers.parts import ABSENT, Parts, require_parts_of
 MOST_PARTS = 128
 """The most parts of a row: a block of threads keeps the view of each in shared memory."""
 PLACE_WORDS = 16
-"""Of ``Place`` in cuda/places.h, 32 bits each."""
+"""Size of ``Place`` in cuda/places.h, in words of 32 bits."""
 
 
 class _Asked(ctypes.Structure):
@@ -34,8 +34,8 @@ class CudaParts:
 
     Args:
         kernels: those of cuda/place.cu.
-        models: that parts choose from.
-        most_gaussians: of a row, merged ones not counted.
+        models: those that parts choose from.
+        most_gaussians: upper bound for a row, merged ones not counted.
     """
 
     def __init__(self, kernels: Kernels, models: CudaModels, most_gaussians: int) -> None:
@@ -68,7 +68,7 @@ class CudaParts:
         return places
 
     def raise_faults(self) -> None:
-        """Raise what was noted of parts since the last call; see ``Faulty``."""
+        """Raise the faults recorded in parts since the last call; see ``Faulty``."""
         row = self._faults.take()
         if row is not None:
             raise ValueError(
@@ -81,8 +81,8 @@ def require_few_parts_of(parts: Parts, cameras: Cameras) -> None:
     """Refuse parts that do not belong to a batch of cameras or are too many, without looking at their values.
 
     Raises:
-        ValueError: for another shape or type, or more than ``MOST_PARTS`` a row.
+        ValueError: for another shape or type, or more than ``MOST_PARTS`` per row.
     """
     require_parts_of(parts, cameras)
     if parts.model.shape[1] > MOST_PARTS:
-        raise ValueError(f"parts.model: expected at most {MOST_PARTS} parts a row, got {parts.model.shape[1]}")
+        raise ValueError(f"parts.model: expected at most {MOST_PARTS} parts per row, got {parts.model.shape[1]}")

@@ -1,4 +1,4 @@
-"""gsplat's rasteriser behind our interface: an oracle, and what we compare speeds with."""
+"""gsplat's rasteriser behind our interface: an oracle, and the baseline for speed."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -23,7 +23,7 @@ from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
 MOST_CAMERAS = 1024
-"""Of one call: gsplat numbers images and tiles in 32 bits together, and rows of a launch in 16."""
+"""Cameras per call: gsplat numbers images and tiles together in 32 bits, and rows of a launch in 16."""
 _MISSING = "GsplatRenderer needs gsplat: pip install 'splatrl[gsplat]', on a machine with CUDA's compiler nvcc"
 
 
@@ -31,11 +31,11 @@ class GsplatRenderer:
     """Renders with ``gsplat.rasterization`` (Ye et al. 2024; written against 1.5.3), every Gaussian, on a CUDA device.
 
     Its conventions are those of ``ReferenceRenderer``: near plane, dilation, the margin beside the image at which the
-    projection is held, the largest alpha (0.999) and where a pixel is finished (1e-4). Classic images agree up to
+    projection is clamped, the largest alpha (0.999) and where a pixel is finished (1e-4). Classic images agree up to
     rounding, and to the order of equal single-precision depths. What differs by design:
 
-    - It drops what is fainter than 1/255 in antialiased images too, where we draw down to a quarter of that. At low
-      resolutions surfaces far away come out thinner.
+    - It drops what is fainter than 1/255 in antialiased images too, where we draw down to a quarter of that, so at
+      low resolutions surfaces far away come out thinner.
     - A Gaussian shows no further than 3.33 standard deviations and, by tiles of 16×16 pixels, on the rectangle around
       that. At 1/255 this takes nothing away.
     - Colours may exceed 1 until they are blended, as in ours, and the image is clamped here.
@@ -45,8 +45,8 @@ class GsplatRenderer:
         antialiased: keep the energy of Gaussians smaller than a pixel; False is the classic 3DGS image.
         background: colour behind the Gaussians, in [0, 1].
         device: a CUDA device.
-        memory: bytes of working memory, about; large batches are drawn a part at a time. It is counted as if a camera
-            saw the whole scene, each Gaussian on about one tile.
+        memory: bytes of working memory, approximately; large batches are drawn a part at a time. The estimate assumes
+            that a camera sees the whole scene, each Gaussian on about one tile.
         packed: whether gsplat keeps only what a camera sees, which takes less memory and is usually faster here.
 
     Raises:
@@ -98,7 +98,7 @@ class GsplatRenderer:
         return torch.cat(images).to(cameras.camera_to_world.device)
 
     def _cut(self, cameras: Cameras, parts: Parts | None) -> list[Cameras]:
-        """As many cameras at a time as memory holds; at least one batch, of none where there are none."""
+        """Batches of as many cameras as memory holds; at least one batch, empty where there are no cameras."""
         if parts is not None:
             got = list(parts.model.shape)
             raise ValueError(f"parts: expected no parts, since gsplat draws one model where it stands, got {got}")
@@ -133,12 +133,12 @@ class GsplatRenderer:
 
 
 def _rasterization() -> Any:
-    """gsplat's function. What it needs is compiled here, in minutes, where that was not done before."""
+    """gsplat's function. Its kernels are compiled here, in minutes, unless that was done before."""
     try:
         import gsplat
         from gsplat.cuda import _backend
     except ImportError as error:
         raise ImportError(f"{_MISSING} ({error})") from error
-    if _backend._C is None:  # it says so on the console, and would fail at the first image
+    if _backend._C is None:  # gsplat says so on the console, and would fail at the first image
         raise ImportError(f"{_MISSING}; gsplat {gsplat.__version__} is installed, but nvcc was not found")
     return gsplat.rasterization

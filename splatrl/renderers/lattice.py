@@ -41,7 +41,7 @@ class _Album:
 
 
 class LatticeRenderer:
-    """Gives the same bytes as another renderer, and remembers them by the exact bytes of the camera and its parts.
+    """Returns the bytes of another renderer, remembered by the exact bytes of the camera and its parts.
 
     Worth it where robots stand on a finite lattice of poses: in time every view is a copy. Where poses are continuous
     or noisy nothing repeats; use the renderer itself. When the memory is full, new views are rendered and not
@@ -49,7 +49,7 @@ class LatticeRenderer:
 
     Args:
         renderer: what renders the views that are not remembered.
-        max_bytes: bound on the remembered images; while they grow into a larger tensor the old one exists too.
+        max_bytes: bound on the remembered images; while they are copied to a larger tensor, the old one exists too.
 
     Raises:
         ValueError: for a negative bound.
@@ -75,7 +75,7 @@ class LatticeRenderer:
         return self.renderer.render(cameras, parts, only)
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        """[B, H, W, 3] uint8: remembered where they were seen before, rendered where not; zero where not ``only``."""
+        """[B, H, W, 3] uint8: remembered views are copied, others rendered; rows not in ``only`` are zero."""
         return draw_only(self._recalled, cameras, parts, only)
 
     def _recalled(self, cameras: Cameras, parts: Parts | None) -> Tensor:
@@ -111,9 +111,9 @@ def _keys(cameras: Cameras, parts: Parts | None) -> list[bytes]:
     if parts is None:
         return keys
     absent = (parts.model == ABSENT)[..., None, None]
-    poses = parts.model_to_world.masked_fill(absent, 0.0)  # not looked at
+    poses = parts.model_to_world.masked_fill(absent, 0.0)  # never read
     placed = zip(keys, _row_bytes(parts.model), _row_bytes(poses.flatten(1)), strict=True)
-    return [b"parts".join(key) for key in placed]  # so that none at all is not the scene where it stands
+    return [b"parts".join(key) for key in placed]  # so that a row without parts differs from the scene where it stands
 
 
 def _row_bytes(values: Tensor) -> list[bytes]:

@@ -1,4 +1,4 @@
-"""The renderer for processors: C++, exact or with level of detail, one frame per core."""
+"""The renderer for CPUs: C++, exact or with level of detail, one frame per core."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -17,11 +17,11 @@ from splatrl.scenes.scene import Scene
 
 
 class Effort(NamedTuple):
-    """What each frame of a batch took; where it was drawn in several tiles, their sum.
+    """The work that each frame of a batch took, summed over its tiles.
 
     Attributes:
         projected: [B] int32, Gaussians that were projected.
-        visible: [B] int32, those of them that can show, the ones hidden by others included.
+        visible: [B] int32, those of them that can show, including ones hidden by others.
         blended: [B] int32, pairs of a Gaussian and a block of 4×4 pixels that were blended.
         project_ms: [B] float32, milliseconds of one core for culling, projecting and colouring.
         sort_ms: [B] float32, likewise for the depth order.
@@ -39,9 +39,9 @@ class Effort(NamedTuple):
 class NativeRenderer:
     """Renders the same images as ``ReferenceRenderer`` at the speed that training needs, on the CPU.
 
-    With a ``tolerance``, what is far is drawn by fewer, larger Gaussians, in which neighbours were merged once for the
-    scene: as few as keep the displacement of what is shown within the tolerance. It is measured in pixels of the image
-    that is asked for, so images are sharp at every resolution.
+    With a ``tolerance``, distant surfaces are drawn with fewer, larger Gaussians, in which neighbours were merged once
+    for the scene: as few as keep the displacement of what is shown within the tolerance. It is measured in pixels of
+    the image that is asked for, so images are sharp at every resolution.
 
     Frame i has the same bytes alone, in any batch, in any order and with any number of threads. Instruction sets may
     differ in the last bits; ``SPLATRL_ISA=avx512|avx2|baseline|portable`` forces one for the renderers made after
@@ -99,16 +99,16 @@ class NativeRenderer:
         only: Tensor | None = None,
         out: Tensor | None = None,
     ) -> Tensor:
-        """What an observation is: [B, H, W, 3] uint8.
+        """The pixels of an observation: [B, H, W, 3] uint8.
 
         Args:
             cameras: B views.
             parts: what each of them is shown; None draws model 0 where it stands.
             only: [B] bool, which to draw; the others are zero. None draws all.
-            out: [B, H, W, 3] uint8, contiguous, in main memory: written to in place of a new tensor, whole.
+            out: [B, H, W, 3] uint8, contiguous, in main memory: overwritten whole in place of a new tensor.
 
         Raises:
-            ValueError: for parts that are refused, or an ``out`` of another shape, type, layout or device, or with
+            ValueError: for invalid parts, for an ``out`` of another shape, type, layout or device, or for ``out`` with
                 ``only``.
         """
         parts = checked_parts(parts, cameras, self._models)
@@ -142,7 +142,7 @@ def _empty_pixels(cameras: Cameras) -> Tensor:
 
 
 def _checked_out(out: Tensor, cameras: Cameras) -> Tensor:
-    """Refuse what cannot be drawn into."""
+    """Refuse a tensor that cannot be drawn into."""
     shape = (len(cameras), cameras.height, cameras.width, 3)
     if tuple(out.shape) != shape or out.dtype != torch.uint8 or not out.is_contiguous() or out.device.type != "cpu":
         got = f"{tuple(out.shape)} {out.dtype} on {out.device}{'' if out.is_contiguous() else ', not contiguous'}"

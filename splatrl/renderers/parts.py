@@ -1,4 +1,4 @@
-"""Placed models: what each camera of a batch is shown, when that is more than one scene where it stands."""
+"""Placed models: what each camera of a batch sees when that is more than one scene where it stands."""
 
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ class Parts(NamedTuple):
 
     Attributes:
         model: [B, M] int64, which of the renderer's models; ``ABSENT`` (−1) for none.
-        model_to_world: [B, M, 4, 4] float32, rigid, metres; not looked at where ``model`` is ``ABSENT``.
+        model_to_world: [B, M, 4, 4] float32, rigid, metres; ignored where ``model`` is ``ABSENT``.
     """
 
     model: Tensor
@@ -50,7 +50,7 @@ def require_parts_of(parts: Parts, cameras: Cameras) -> None:
 
 
 def checked_parts(parts: Parts | None, cameras: Cameras, models: int) -> Parts | None:
-    """Parts as they are, after the checks that every renderer on the host makes.
+    """Check parts as every renderer on the host does, and return them as they are.
 
     Args:
         parts: of each row; None where model 0 is drawn.
@@ -58,8 +58,8 @@ def checked_parts(parts: Parts | None, cameras: Cameras, models: int) -> Parts |
         models: how many the renderer has.
 
     Raises:
-        ValueError: for another shape or type, or by row and part for a model that there is not or a pose that is not
-            rigid.
+        ValueError: for another shape or type, or, by row and part, for a model that does not exist or a pose that is
+            not rigid.
     """
     if parts is None:
         return None
@@ -79,14 +79,14 @@ def checked_parts(parts: Parts | None, cameras: Cameras, models: int) -> Parts |
 
 
 def camera_to_models(cameras: Cameras, parts: Parts) -> Tensor:
-    """The pose of each row's camera in the frame of each of its parts: so harmonics need no turning.
+    """The pose of each row's camera in the frame of each of its parts, so that harmonics need no rotation.
 
     Args:
         cameras: B views.
         parts: of the B rows.
 
     Returns:
-        [B, M, 4, 4] float32, metres, computed in double precision and rounded once, each by itself whatever the batch;
+        [B, M, 4, 4] float32, metres, computed in double precision and rounded once, independently of the batch;
         a part that stands at the origin gives ``camera_to_world``.
     """
     model_to_world = parts.model_to_world.double()

@@ -25,13 +25,13 @@ from splatrl.spherical_harmonics import sh_colors
 NEAR = 0.01
 """Metres: a Gaussian whose mean is nearer along the optical axis is not shown."""
 FAINT = INVISIBLE / 4
-"""An opacity that does not show in an antialiased image. Far surfaces are made of many Gaussians each fainter than a
+"""Opacities below it do not show in an antialiased image. Far surfaces are made of many Gaussians each fainter than a
 grey level: without them, tables vanish from small images."""
 DILATION = 0.3
 """Square pixels added to every projected covariance: a Gaussian covers at least about one pixel."""
 MAX_ALPHA = 0.999
 MIN_TRANSMITTANCE = 1e-4
-"""A pixel is finished before the Gaussian that would let no more light than this through."""
+"""A pixel is finished before the first Gaussian that would let no more light than this through."""
 TILE = 16
 """Pixels; a tile only meets the Gaussians whose bounds touch it."""
 CHUNK = 2048
@@ -125,7 +125,7 @@ class ReferenceRenderer:
         one = slice(row, row + 1)
         poses = camera_to_models(cameras[one], parts.rows(one))[0]  # [M, 4, 4]
         in_models = Cameras(poses, cameras.K[row], cameras.width, cameras.height)
-        seen = [self.project(self.models[0][:0], cameras, row)]  # nothing: a row may have no parts
+        seen = [self.project(self.models[0][:0], cameras, row)]  # no Gaussians: a row may have no parts
         for part, model in enumerate(parts.model[row].tolist()):
             if model != ABSENT:
                 seen.append(self.project(self.models[model], in_models, part))
@@ -157,7 +157,7 @@ class ReferenceRenderer:
         determinants = xx * yy - xy * xy
         opacities = visible.opacities
         if self.antialiased:
-            opacities = opacities * (covariances.det() / determinants).clamp_min(1e-12).sqrt()  # 0 has no slope
+            opacities = opacities * (covariances.det() / determinants).clamp_min(1e-12).sqrt()  # no gradient at 0
         reach = 2 * (opacities.detach().clamp_min(self.invisible) / self.invisible).log()  # squared standard deviations
         directions = torch.nn.functional.normalize(visible.means - camera_to_world[:3, 3], dim=-1)
         return Projected(
@@ -173,7 +173,7 @@ class ReferenceRenderer:
 def project_covariances(covariances: Tensor, x: Tensor, y: Tensor, z: Tensor, K: Tensor, cameras: Cameras) -> Tensor:
     """Project covariances with the Jacobian of the pinhole at the mean.
 
-    The Jacobian is taken at most 0.15 image widths beside the image: further out its linearisation explodes.
+    The point of linearisation is clamped to 0.15 image widths beside the image: further out the Jacobian explodes.
 
     Args:
         covariances: [G, 3, 3] camera frame, square metres.

@@ -1,4 +1,4 @@
-"""A cache of arrays on disk: everything in it can be made again."""
+"""A cache of arrays on disk: everything in it can be rebuilt."""
 
 import functools
 import struct
@@ -21,15 +21,15 @@ DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, KeyError, OSE
 
 
 def cached_arrays(name: str, build: Callable[[], Arrays], compressed: bool = True) -> Arrays:
-    """The arrays kept under a name, or those that ``build`` makes, which are kept from then on.
+    """Load the arrays cached under a name, or build them and cache them.
 
-    A damaged file is made again, with a warning. Where the folder cannot be written to, one warning is given and
-    nothing is kept.
+    A damaged file is rebuilt, with a warning. Where the folder cannot be written to, one warning is given and nothing
+    is cached.
 
     Args:
-        name: of the file, without its ending; holds a digest of all that the arrays are made from.
+        name: of the file, without its extension; it holds a digest of everything that the arrays are made from.
         build: makes the arrays.
-        compressed: on disk.
+        compressed: whether the file on disk is compressed.
     """
     path = cache_dir() / f"{name}.npz"
     try:
@@ -38,7 +38,7 @@ def cached_arrays(name: str, build: Callable[[], Arrays], compressed: bool = Tru
     except (FileNotFoundError, NotADirectoryError):
         pass
     except DAMAGED as error:
-        warnings.warn(f"{path}: a cache file that cannot be read, made again: {error}", stacklevel=2)
+        warnings.warn(f"{path}: cannot read this cache file, rebuilding it: {error}", stacklevel=2)
     arrays = build()
     named: dict[str, Any] = dict(arrays)
     try:

@@ -17,18 +17,18 @@ SCENE_FILE = "scene.yaml"
 SCENE_KEYS = ("splat", "name", "world_from_splat", "bounds")
 COMMENTS = {
     "axes": "the file's axis that becomes the world's x, y and z (up)",
-    "scale": "metres a unit of the file",
+    "scale": "metres per unit of the file",
     "translation": "metres, added last",
     "matrix": "from the file's coordinates to world metres: a rotation times one scale, and a shift",
 }
 
 
 def read_description(folder: Path) -> dict[str, Any]:
-    """What a scene folder says of itself: those of ``SCENE_KEYS`` that are not null, ``splat`` always among them.
+    """Read a folder's ``scene.yaml``: the ``SCENE_KEYS`` that are not null, always including ``splat``.
 
     Raises:
         FileNotFoundError: for a folder without a ``scene.yaml``.
-        ValueError: names the file and the key, for what is not YAML, unknown keys or values of another kind.
+        ValueError: for a file that is not YAML, unknown keys or values of another type; names the file and the key.
     """
     path = folder / SCENE_FILE
     if not path.is_file():
@@ -54,18 +54,18 @@ def read_description(folder: Path) -> dict[str, Any]:
 
 
 def write_description(folder: Path, splat: str, name: str, frame: Frame, bounds: Bounds, force: bool = False) -> Path:
-    """Write a ``scene.yaml`` that ``read_scene`` reads and people edit: a comment on every line.
+    """Write a ``scene.yaml`` for ``read_scene`` to read and people to edit, with a comment on every line.
 
     Args:
-        folder: where to; exists.
-        splat: name of the splat file, which lies in this folder or will.
+        folder: to write to; it exists.
+        splat: name of the splat file, which is in this folder or will be.
         name: of the scene.
         frame: arguments of ``similarity``.
         bounds: lower and upper corner, world, metres.
-        force: whether to replace one that is there.
+        force: whether to overwrite an existing file.
 
     Raises:
-        FileExistsError: for one that is there, without ``force``.
+        FileExistsError: for an existing file, without ``force``.
     """
     path = folder / SCENE_FILE
     check_absent(folder, force)
@@ -79,7 +79,7 @@ def write_description(folder: Path, splat: str, name: str, frame: Frame, bounds:
     if (np.array(corners[1]) > np.array(corners[0])).all():
         lines.append((f"bounds: {json.dumps(corners)}", "lower and upper corner of what counts, world, metres"))
     else:
-        lines.append(("bounds: null", "null takes where the opaque Gaussians are"))
+        lines.append(("bounds: null", "null takes the box around the opaque Gaussians"))
     text = "".join(f"{line}  # {comment}\n" for line, comment in lines)
     with replacing(path) as stream:
         stream.write(text.encode())
@@ -90,9 +90,9 @@ def check_absent(folder: Path, force: bool) -> None:
     """Refuse to write over a ``scene.yaml`` unless told to.
 
     Raises:
-        FileExistsError: for one that is there, without ``force``.
+        FileExistsError: for an existing file, without ``force``.
     """
     if (folder / SCENE_FILE).exists() and not force:
         raise FileExistsError(
-            f"{folder / SCENE_FILE}: is there already; keep it, give another folder by --out, or replace it by --force"
+            f"{folder / SCENE_FILE}: already exists; keep it, pass another folder as --out, or overwrite it by --force"
         )

@@ -1,4 +1,4 @@
-"""Where a splat file's own frame lies in the world: one similarity, described by people in YAML."""
+"""The similarity from a splat file's own frame to the world, as people write it in YAML."""
 
 from collections.abc import Sequence
 
@@ -19,7 +19,7 @@ def similarity(
     Args:
         axes: the signed splat axes that give world x, y and z: ``["x", "-z", "y"]`` stands a y-up file upright,
             ``["x", "z", "-y"]`` a −y-up one.
-        scale: metres a splat unit, above 0.
+        scale: metres per splat unit, above 0.
         translation: [3] metres, added last.
         matrix: [4, 4], in place of the other three.
 
@@ -51,7 +51,7 @@ def similarity(
 
 
 def checked_similarity(matrix: Sequence[Sequence[float]] | Tensor) -> Tensor:
-    """A 4×4 similarity as float64, or a ValueError that says what else it is."""
+    """Return a 4×4 similarity as float64; a ValueError says why a matrix is not one."""
     rows = matrix if isinstance(matrix, Tensor) else [[_number("matrix", v) for v in row] for row in matrix]
     if not isinstance(rows, Tensor) and [len(row) for row in rows] != [4, 4, 4, 4]:
         raise ValueError(f"world_from_splat.matrix: expected 4 rows of 4, got {[len(row) for row in rows]}")

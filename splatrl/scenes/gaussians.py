@@ -14,7 +14,7 @@ INVISIBLE = 1.0 / 255.0
 
 
 class Gaussians(TensorClass):
-    """N anisotropic Gaussians (Kerbl et al. 2023), activated: what files store as logs and logits is plain here.
+    """N anisotropic Gaussians (Kerbl et al. 2023), with activated values where files store logs and logits.
 
     Attributes:
         means: [N, 3] float32, metres once in the world frame.
@@ -41,7 +41,7 @@ class Gaussians(TensorClass):
         return axes @ axes.mT
 
     def transformed(self, transform: Tensor) -> "Gaussians":
-        """The same Gaussians in another frame; spherical harmonics turn with them.
+        """The same Gaussians in another frame; their spherical harmonics rotate with them.
 
         Args:
             transform: [4, 4], a rotation, a uniform positive scale and a translation.
@@ -68,7 +68,7 @@ class Gaussians(TensorClass):
 def checked_gaussians(
     source: str, means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, sh: Tensor
 ) -> Gaussians:
-    """Make Gaussians of values from outside: shapes checked, quaternions normalised, unusable rows dropped.
+    """Make Gaussians from outside values: shapes checked, quaternions normalised, unusable rows dropped.
 
     Rows with a non-finite value, a zero quaternion, a scale that is not positive or an opacity below 1/255 (which no
     renderer shows) are left out, with one warning that counts them.
@@ -93,7 +93,7 @@ def checked_gaussians(
         raise ValueError(f"{source}: sh: expected shape [{count}, 1 or 4 or 9 or 16, 3], got {list(sh.shape)}")
     means, quats, scales, opacities, sh = (v.float() for v in (means, quats, scales, opacities, sh))
     finite = torch.cat([means, quats, scales, opacities[:, None], sh.flatten(1)], 1).isfinite().all(1)
-    norms = quats.double().norm(dim=1, keepdim=True)  # float64: the square of a tiny or a huge float32 is not 0 or inf
+    norms = quats.double().norm(dim=1, keepdim=True)  # float64: squares neither underflow nor overflow
     finite &= (norms[:, 0] > 0) & (scales > 0).all(1)
     visible = opacities >= INVISIBLE
     keep = finite & visible

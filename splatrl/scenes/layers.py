@@ -1,4 +1,4 @@
-"""Flat layers of a scene: planes across a direction near which much of its surface lies."""
+"""Flat layers of a scene: planes that much of its surface lies near."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ _DIRECTIONS = 500
 ALIGNED = 0.8
 """Cosine, times flatness, above which a Gaussian lies flat in a layer."""
 _LOOSE = 0.3
-"""How much a Gaussian in a layer counts that does not lie flat in it."""
+"""Weight of a Gaussian that is in a layer but does not lie flat in it."""
 _APART = np.cos(np.radians(30.0))
 _DRIFT = np.cos(np.radians(10.0))
 
@@ -21,10 +21,10 @@ class Layer:
     """The points around a plane.
 
     Attributes:
-        normal: [3] unit vector; which of the two sides it points to means nothing.
+        normal: [3] unit vector; its sign has no meaning.
         height: of the plane along the normal.
-        thickness: points within it on either side belong to the layer.
-        weight: share of all weight that lies in the layer, where what is not flat in it counts less.
+        thickness: points within this distance on either side belong to the layer.
+        weight: share of the total weight that lies in the layer; Gaussians that are not flat in it count less.
     """
 
     normal: Floats
@@ -38,12 +38,12 @@ def heaviest_layer(points: Floats, normals: Floats, weights: Floats, thickness: 
 
     Args:
         points: [N, 3].
-        normals: [N, 3], of a length that says how flat a Gaussian is, 0 to 1.
-        weights: [N], of sum 1.
+        normals: [N, 3]; the length, 0 to 1, says how flat a Gaussian is.
+        weights: [N], summing to 1.
         thickness: of the layer.
 
     Returns:
-        The layer, and the weight of the heaviest one across a direction at least 30° away.
+        The layer, and the weight of the heaviest one whose normal is at least 30° away.
     """
     directions = np.concatenate([np.eye(3), _hemisphere(_DIRECTIONS)])
     layers = [layer_at(points, normals, weights, direction, thickness) for direction in directions]
@@ -53,7 +53,7 @@ def heaviest_layer(points: Floats, normals: Floats, weights: Floats, thickness: 
 
 
 def layer_at(points: Floats, normals: Floats, weights: Floats, normal: Floats, thickness: float) -> Layer:
-    """The heaviest layer across one direction; arguments as for ``heaviest_layer``."""
+    """The heaviest layer with a given normal; arguments as for ``heaviest_layer``."""
     heights = points @ normal
     flat = np.abs(normals @ normal) > ALIGNED
     mass = weights * np.where(flat, 1.0, _LOOSE)
@@ -61,7 +61,7 @@ def layer_at(points: Floats, normals: Floats, weights: Floats, normal: Floats, t
     inside = (heights >= low) & (heights <= high)
     bins = np.floor((heights[inside] - low) / thickness * 2).astype(np.int64)  # half a thickness each
     sums = np.convolve(np.bincount(bins, mass[inside]), np.ones(4))  # both sides of the plane
-    best = int(sums.argmax())  # of bins best - 3 … best
+    best = int(sums.argmax())  # the sum over bins best - 3 … best
     center = low + (best - 1) * 0.5 * thickness
     within = np.abs(heights - center) <= thickness
     if not within.any():
@@ -73,7 +73,7 @@ def layer_at(points: Floats, normals: Floats, weights: Floats, normal: Floats, t
 
 
 def tilted_layer(points: Floats, normals: Floats, weights: Floats, layer: Layer) -> Layer:
-    """A layer turned by at most 10° so that it fits its points, wherever that makes it hardly lighter."""
+    """Tilt a layer by at most 10° to fit its points, as long as that costs it hardly any weight."""
     start = layer.normal
     for shrink in (1.0, 1.0, 0.5, 0.5, 0.25, 0.25):
         within = np.abs(points @ layer.normal - layer.height) <= shrink * layer.thickness
@@ -90,7 +90,7 @@ def tilted_layer(points: Floats, normals: Floats, weights: Floats, layer: Layer)
 
 
 def _hemisphere(count: int) -> Floats:
-    """Directions spread evenly, none the opposite of another: a Fibonacci lattice, [count, 3]."""
+    """Evenly spread directions on half a sphere (a Fibonacci lattice): [count, 3]."""
     z = (np.arange(count) + 0.5) / count
     turn = np.pi * (1 + 5**0.5) * np.arange(count)
     radius = np.sqrt(1 - z**2)

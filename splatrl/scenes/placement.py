@@ -36,9 +36,9 @@ def upright_frame(
     """Stand a file upright with its floor at z = 0.
 
     Args:
-        upright: how it lies; the rest goes before what it says.
-        axes: of the file that give the world's, as for ``similarity``.
-        scale: metres a unit.
+        upright: how the file lies; the other arguments override it.
+        axes: signed axes of the file that become the world's, as for ``similarity``.
+        scale: metres per unit.
         translation: [3] metres, added last.
     """
     scale = upright.metres_per_unit if scale is None else scale
@@ -54,7 +54,7 @@ def upright_frame(
 
 
 def matrix_frame(transform: Tensor | ArrayLike) -> Frame:
-    """A frame of a 4×4 similarity, with numbers short enough to read."""
+    """The frame of a 4×4 similarity, with numbers short enough to read."""
     matrix = checked_similarity(torch.as_tensor(np.asarray(transform, np.float64)))
     return {"matrix": [[_rounded(value, 8) for value in row] for row in matrix.tolist()]}
 
@@ -64,8 +64,8 @@ def nerfstudio_transform(path: Path) -> Tensor:
 
     The file ``dataparser_transforms.json`` beside a trained model holds ``transform`` [R | t] (3×4, a rotation and a
     shift) and ``scale`` s. Nerfstudio moved the cameras, and with them all that it trained, by
-    x_splat = s · (R x + t), so x = Rᵀ (x_splat / s − t). That frame is metric and z up where the cameras were, as
-    those of phones (Polycam, Record3D) are; those of COLMAP have a scale and an up of their own.
+    x_splat = s · (R x + t), so x = Rᵀ (x_splat / s − t). That frame is metric and z up if the cameras' was, as it
+    is for phones (Polycam, Record3D); COLMAP's has a scale and an up direction of its own.
 
     Args:
         path: of the JSON file.
@@ -75,7 +75,7 @@ def nerfstudio_transform(path: Path) -> Tensor:
 
     Raises:
         FileNotFoundError: where there is no such file.
-        ValueError: for what is not JSON, or not such a transform and scale.
+        ValueError: for a file that is not JSON or lacks such a transform and scale.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected nerfstudio's dataparser_transforms.json, found no file")
@@ -113,7 +113,7 @@ def metres_per_unit(start: Sequence[float], end: Sequence[float], metres: float)
         metres: how far apart they are.
 
     Raises:
-        ValueError: for points at one place, or values that are not finite numbers, the distance above 0.
+        ValueError: for points that coincide, values that are not finite, or a distance that is not above 0.
     """
     apart = float(np.linalg.norm(np.subtract(end, start)))
     if not np.isfinite(apart) or apart == 0.0:
@@ -125,7 +125,7 @@ def metres_per_unit(start: Sequence[float], end: Sequence[float], metres: float)
 
 
 def rescaled(transform: Tensor, scale: float) -> Tensor:
-    """A similarity made larger or smaller about the world's origin, so that it has this many metres a file unit."""
+    """Rescale a similarity about the world's origin, so that it has this many metres per file unit."""
     result = transform.clone()
     result[:3] *= scale / float(transform[:3, 0].norm())
     return result
@@ -146,12 +146,12 @@ def floor_height(upright: Upright, world_from_splat: Tensor) -> float:
 
 
 def _standing(up: ArrayLike) -> NDArray[np.float64]:
-    """The rotation that turns ``up`` to +z: what the nearest axis needs, then the smallest turn that is left."""
+    """The rotation that turns ``up`` to +z: the one for the nearest axis, then the smallest rotation that remains."""
     direction = np.asarray(up, np.float64)
     nearest = min(AXES, key=lambda name: -direction[AXES[name][0]] * AXES[name][1])
     coarse = similarity(STANDING[nearest])[:3, :3].numpy()
     x, y, z = coarse @ direction
-    # Rodrigues' formula for the turn from (x, y, z) to (0, 0, 1); z > 0.5 here.
+    # Rodrigues' formula for the rotation from (x, y, z) to (0, 0, 1); z > 0.5 here.
     slant = -x * y / (1 + z)
     turn = np.array([[1 - x * x / (1 + z), slant, -x], [slant, 1 - y * y / (1 + z), -y], [x, y, z]])
     return turn @ coarse

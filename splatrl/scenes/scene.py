@@ -17,10 +17,10 @@ Bounds = tuple[Point, Point]
 """Lower and upper corner, world, metres."""
 
 OPAQUE = 0.5
-TRIM = 0.005  # of the opaque Gaussians lies outside the bounds at each end of each axis: floaters
+TRIM = 0.005  # share of the opaque Gaussians outside the bounds at each end of each axis: floaters
 
 CACHE_VERSION = 1
-"""Part of every cache key: raise it when what is cached under the same settings changes its meaning."""
+"""Part of every cache key: raise it when what is cached under the same settings changes meaning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class Scene:
     """Gaussians in the world frame (right-handed, z up, metres).
 
     Attributes:
-        name: for people: captions, file names.
+        name: for captions and file names.
         gaussians: N Gaussians.
         bounds: lower and upper corner of where the scene is, metres.
     """
@@ -45,10 +45,10 @@ class Scene:
         They are built again exactly when the Gaussians, the settings or ``CACHE_VERSION`` change.
 
         Args:
-            kind: what they are; an identifier.
-            settings: all that ``build`` depends on beside the Gaussians, as JSON can write it.
+            kind: an identifier of what they are.
+            settings: everything else that ``build`` depends on, as JSON can write it.
             build: makes the arrays.
-            compressed: on disk; False where reading should be fast and little would be saved.
+            compressed: whether to compress them on disk; False where reading should be fast and little would be saved.
         """
         assert kind.isidentifier(), kind
         recipe = [CACHE_VERSION, dict(settings), self.digest]

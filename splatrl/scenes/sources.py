@@ -1,4 +1,4 @@
-"""Where scenes come from: the generated backyard, splat files, and folders that say how their splat file stands."""
+"""Where scenes come from: the generated backyard, splat files, and folders that say how their splat file lies."""
 
 import math
 import os
@@ -22,20 +22,20 @@ YARD: Bounds = ((-HALF_WIDTH, -HALF_WIDTH, 0.0), (HALF_WIDTH, HALF_WIDTH, HALF_W
 
 
 def backyard(seed: int = 0, clutter: int = 0, bounds: Sequence[Sequence[float]] | None = None) -> Scene:
-    """Generate a backyard in the sun, 6 × 6 m, with a red egg to be found in it.
+    """Generate a backyard in the sun, 6 × 6 m, with a red egg to find.
 
     Example:
         >>> backyard().name
         'backyard'
 
     Args:
-        seed: of leaves, grain, clouds and the places of the trees; from 0.
+        seed: for leaves, grain, clouds and the places of the trees; at least 0.
         clutter: which arrangement of pots, wood pile, barrel and bench; 0 is the one to train in, and every other
             number moves them elsewhere, out of the robots' reach.
         bounds: lower and upper corner, world, metres; None takes the yard.
 
     Raises:
-        ValueError: for bounds that bound nothing, or a ``clutter`` below 0.
+        ValueError: for empty bounds, or a ``clutter`` below 0.
     """
     corners = YARD if bounds is None else _checked_bounds(bounds)
     return Scene("backyard", backyard_gaussians(seed, clutter), corners)
@@ -64,7 +64,7 @@ def read_scene(
 
     Raises:
         FileNotFoundError: where there is no such file or folder.
-        ValueError: for a damaged file, unknown keys, a frame that is not a similarity, or bounds that bound nothing.
+        ValueError: for a damaged file, unknown keys, a frame that is not a similarity, or empty bounds.
     """
     splat = Path(path).expanduser()
     stated: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""Where a splat file lies in the world as far as a person says so; a guess decides the rest."""
+"""What a person states about where a splat file lies in the world; a guess supplies the rest."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ from splatrl.scenes.upright import Upright
 
 @dataclass(frozen=True, eq=False)
 class StatedFrame:
-    """What is known of a file's frame; None where nothing is.
+    """What is known about a file's frame; None where nothing is.
 
     Attributes:
         axes: signed axes of the file that become the world's x, y and z, as for ``similarity``.
         transform: [4, 4] float64, from the file to world metres, in place of axes and translation.
-        scale: metres a unit; a transform is rescaled about the world's origin.
+        scale: metres per unit; a transform is rescaled about the world's origin.
         translation: [3] metres, added last.
 
     Raises:
@@ -32,7 +32,7 @@ class StatedFrame:
 
     def __post_init__(self) -> None:
         if self.transform is not None and (self.axes is not None or self.translation is not None):
-            raise ValueError("transform: expected no axes and no translation beside it, got them")
+            raise ValueError("transform: expected no axes and no translation beside it, got some")
         if self.axes is not None:
             similarity(self.axes)
         if self.scale is not None and not 0.0 < self.scale < float("inf"):

@@ -1,4 +1,4 @@
-"""What is in a splat file, in numbers."""
+"""Statistics of a splat file."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,14 @@ from splatrl.scenes.scene import Bounds, robust_bounds
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 _CELLS = 64
-"""Cells along the diagonal of the robust bounds in which floaters are looked for."""
+"""Cells along the diagonal of the robust bounds, for finding floaters."""
 _PIECE = 0.01
-"""Of all Gaussians: a connected piece with a smaller share floats."""
+"""A connected piece with a smaller share of all Gaussians is a floater."""
 
 
 @dataclass(frozen=True)
 class Survey:
-    """Gaussians in numbers, in the frame and the units that they have.
+    """Statistics of Gaussians, in their own frame and units.
 
     Attributes:
         count: how many.
@@ -27,7 +27,7 @@ class Survey:
         bounds: corners of the box around the opaque ones without the outermost half per cent at each end.
         opacities: [5] at ``QUANTILES``.
         scales: [5] at ``QUANTILES``: the longest standard deviation of each Gaussian.
-        floaters: share of the Gaussians that hang apart from the scene.
+        floaters: share of the Gaussians that are detached from the scene.
     """
 
     count: int
@@ -45,7 +45,7 @@ class Survey:
             f"gaussians   {self.count:,}, spherical harmonics of degree {self.sh_degree}",
             f"extent      {_box(self.extent)}",
             f"opaque      {_box(self.bounds)}: {' × '.join(f'{size:.3g}' for size in upper - lower)} units",
-            f"floaters    {self.floaters:.1%} of the Gaussians hang apart from the scene",
+            f"floaters    {self.floaters:.1%} of the Gaussians are detached from the scene",
             f"quantiles   {percent}",
             f"  opacity   {'  '.join(f'{value:8.3f}' for value in self.opacities)}",
             f"  scale     {'  '.join(f'{value:8.3g}' for value in self.scales)}",
@@ -74,7 +74,7 @@ def survey(gaussians: Gaussians) -> Survey:
 
 
 def floats(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Which Gaussians hang apart from the scene: [N].
+    """Which Gaussians are detached from the scene: [N].
 
     Means are sorted into cells of a 64th of the diagonal of the robust bounds. Gaussians farther outside these bounds
     than half the diagonal float, and so do those in a 26-connected piece of cells with less than 1 % of all.

@@ -1,4 +1,4 @@
-"""A guess of which way is up in a splat file, where its floor is, and what its units are."""
+"""Guesses which way is up in a splat file, where its floor is, and what its units are."""
 
 import math
 from dataclasses import dataclass
@@ -16,15 +16,15 @@ SURE, LIKELY, GUESS, GIVEN = "fairly sure", "likely", "only a guess", "given"
 
 _SAMPLE = 20_000
 _THICKNESS = 0.02
-"""Of a layer on either side, in diagonals of the scene."""
+"""Thickness of a layer on either side, in diagonals of the scene."""
 _MIN_OPACITY = 0.3
 _SNAP = math.cos(math.radians(3.0))
-"""Up is called an axis of the file where it is this close to it."""
+"""Cosine of the angle within which up counts as an axis of the file."""
 _ROOM = (2.2, 3.0)
-"""Metres: heights between which most rooms lie."""
+"""Range of most rooms' heights, metres."""
 _ROOM_HEIGHT = 2.5
 _CELLS = 12
-"""A side of the scene, seen from above."""
+"""Cells per side of the scene, seen from above."""
 _OPPOSITE = 0.6
 """A ceiling covers at least this share of its floor's cells, or the other way round: shelves and worktops do not."""
 
@@ -34,8 +34,8 @@ class Guess:
     """Something concluded from the Gaussians alone.
 
     Attributes:
-        confidence: in words.
-        reason: what speaks for it.
+        confidence: how sure it is, in words.
+        reason: the evidence for it.
     """
 
     confidence: str
@@ -53,7 +53,7 @@ class Upright:
         up: [3] unit vector in the file's frame.
         floor: height of the floor along ``up``, file units.
         ceiling: height of the ceiling, where there is one.
-        metres_per_unit: 1 where nothing tells.
+        metres_per_unit: 1 where nothing indicates another value.
         axis_guess: how sure the axis is, without its sign.
         sign_guess: how sure its sign is.
         floor_guess: how sure the floor is.
@@ -75,7 +75,7 @@ class Upright:
             f"  axis      {self.axis_guess}",
             f"  sign      {self.sign_guess}",
             f"floor       at {self.floor:.3g} units along up; {self.floor_guess}",
-            f"units       {self.metres_per_unit:.4g} metres a unit; {self.units_guess}",
+            f"units       {self.metres_per_unit:.4g} metres per unit; {self.units_guess}",
         ]
         return "\n".join(rows)
 
@@ -92,13 +92,13 @@ def axis_name(direction: ArrayLike) -> str | None:
 def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None) -> Upright:
     """Guess up, the floor and the units from where opaque Gaussians lie and which way they are flat.
 
-    The ground is the layer with the most Gaussians, those that lie flat in it above all; walls make weaker layers.
-    What stands on it tells its upper side; where that does not, the file's origin does, which structure from motion
-    puts near the cameras. All of this fails for scenes without ground.
+    The ground is the layer with the most Gaussians, above all those that lie flat in it; walls make weaker layers.
+    Its upper side is the one that things stand on or, where that is unclear, the one with the file's origin, which
+    structure from motion puts near the cameras. All of this fails for scenes without ground.
 
     Args:
         gaussians: in the file's frame.
-        up: [3] the direction, where it is known; only the floor and the units are guessed then.
+        up: [3] the up direction, where it is known; then only the floor and the units are guessed.
     """
     points, normals, weights = _surfaces(gaussians)
     size = float(np.linalg.norm(np.subtract(*np.quantile(points, [0.99, 0.01], axis=0)))) or 1.0
@@ -131,7 +131,7 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None) -> Upright:
 
 
 def _ground(points: Floats, normals: Floats, weights: Floats, thickness: float) -> tuple[Layer, Guess]:
-    """The heaviest layer, across an axis of the file where it nearly is, and how much it stands out."""
+    """The heaviest layer, aligned with an axis of the file where it nearly is, and how much it stands out."""
     layer, rival = heaviest_layer(points, normals, weights, thickness)
     ratio = layer.weight / max(rival, 1e-9)
     guess = Guess(
@@ -184,7 +184,7 @@ def _opposite(points: Floats, normals: Floats, layer: Layer) -> float | None:
 
 
 def _sign(heights: Floats, weights: Floats, layer: Layer, other: float | None, size: float) -> tuple[float, str]:
-    """Evidence in −1 … 1 that up is the layer's normal rather than against it, and the strongest reason."""
+    """Evidence in −1 … 1 that up is the layer's normal rather than its opposite, and the strongest reason."""
     relative = heights - layer.height
     if other is None:
         above, below = weights[relative > layer.thickness].sum(), weights[relative < -layer.thickness].sum()
@@ -209,7 +209,7 @@ def _sign(heights: Floats, weights: Floats, layer: Layer, other: float | None, s
 
 def _units(room: float | None) -> tuple[float, Guess]:
     if room is None:
-        return 1.0, Guess("cannot be known", "there is no ceiling to tell; measure something and give --distance")
+        return 1.0, Guess("cannot be known", "there is no ceiling to judge by; measure something and pass --distance")
     if _ROOM[0] <= room <= _ROOM[1]:
         return 1.0, Guess(LIKELY, f"floor and ceiling are {room:.2f} units apart, as rooms are in metres")
     return _ROOM_HEIGHT / room, Guess(GUESS, f"floor and ceiling are {room:.3g} units apart, taken as {_ROOM_HEIGHT} m")

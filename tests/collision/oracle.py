@@ -9,7 +9,7 @@ from splatrl.collision import Occupancy
 def separation(body: Body, body_to_world: np.ndarray, occupancy: Occupancy) -> float:
     """Metres between the body and the nearest solid voxel where they are apart, negative where they overlap.
 
-    The absolute value need not be a distance; it is small wherever the answer hangs on rounding.
+    The absolute value need not be a distance; it is small wherever the answer depends on rounding.
     """
     centers = (occupancy.keys() + 0.5) * occupancy.resolution - body_to_world[:3, 3]
     half = 0.5 * occupancy.resolution
@@ -37,7 +37,7 @@ def _point_distances(centers: np.ndarray, half: float) -> np.ndarray:
 
 
 def _segment_distances(tip: np.ndarray, centers: np.ndarray, half: float) -> np.ndarray:
-    """From the segment between -tip and tip: the distance is convex along it, so thirds are cut off."""
+    """From the segment between -tip and tip: the distance is convex along it, so ternary search finds the least."""
     low, high = np.full(len(centers), -1.0), np.ones(len(centers))
     for _ in range(80):
         left, right = low + (high - low) / 3, high - (high - low) / 3

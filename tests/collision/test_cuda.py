@@ -1,4 +1,4 @@
-"""The checker for GPUs against the one for CPUs: its kernels' own source emulated, and where there is a GPU on that."""
+"""The checker for GPUs against the one for CPUs: its kernels' source, emulated and, where there is a GPU, run on it."""
 
 import math
 import pickle
@@ -21,7 +21,7 @@ from tests.collision.test_native import moves_in, poses_in, rooms
 from tests.emulator import emulated
 
 SURE = 1e-7
-"""Metres: the finest margin that ``verify`` tells. A GPU fuses multiplications and additions: it rounds otherwise."""
+"""Metres: the finest margin that ``verify`` resolves. A GPU rounds differently: it fuses multiply and add."""
 SCENES = ("clutter", "rooms", "fine")
 Make = Callable[[Occupancy, Body], CudaChecker]
 
@@ -50,7 +50,7 @@ def emulated_checker(occupancy: Occupancy, body: Body) -> CudaChecker:
 
 @dataclass
 class There:
-    """A checker that finds tensors on its own device, where it reads them in place."""
+    """A checker that is given tensors on its own device, which it reads in place."""
 
     checker: CudaChecker
 
@@ -206,10 +206,10 @@ def test_a_pose_that_is_none_is_a_hit_until_its_row_is_told(make, how):
     bad = good.clone()
     for row in (66, 41):
         SPOILT[how](bad[row])
-    told = "row 41: expected finite numbers, and of a pose an orthonormal rotation"
+    told = "row 41: expected finite numbers and, for a pose, an orthonormal rotation"
     for ask in (lambda: checker.collides(bad), lambda: checker.sweeps(bad, good), lambda: checker.sweeps(good, bad)):
         assert ask().nonzero().flatten().tolist() == [41, 66]
-        checker.sweeps(good, good)  # which takes nothing back
+        checker.sweeps(good, good)  # a valid batch clears no fault
         with pytest.raises(ValueError, match=told):
             checker.raise_faults()
         checker.raise_faults()
@@ -231,7 +231,7 @@ def test_a_point_that_is_none_has_no_clearance_until_its_row_is_told(make):
 
 
 def test_rotations_are_refused_where_the_cpu_refuses_them(make):
-    """Both say whether a pose is rigid in their own way of counting."""
+    """Both decide whether a pose is rigid, each with its own arithmetic."""
     checker, native = make(CUBE, BODIES[1]), NativeChecker(CUBE, BODIES[1])
     generator = torch.Generator().manual_seed(0)
     poses = random_poses(400, (1, 1, 1), (2, 2, 2))
@@ -278,7 +278,7 @@ def test_strided_double_and_unaligned_poses_are_read_right(make, scenes):
 
 def test_tensors_elsewhere_make_the_way_and_are_refused_at_once(make, scenes, monkeypatch):
     checker, native = make(scenes["rooms"], BODIES[0]), NativeChecker(scenes["rooms"], BODIES[0])
-    if checker.device.type == "cpu":  # where nothing is elsewhere
+    if checker.device.type == "cpu":  # where no tensor is on another device
         monkeypatch.setattr(checker, "_faults_for", lambda *values: checker._faults_elsewhere)
     start, end = moves_in(scenes["rooms"], 100, turning=False)
     assert torch.equal(checker.sweeps(start, end), native.sweeps(start, end))

@@ -12,7 +12,7 @@ from splatrl.scenes.gaussians import Gaussians
 from tests.collision.density_twin import density_of
 
 EVERY_PIECE = DensitySettings(min_volume=0.0)
-"""Drops no floater."""
+"""Settings that drop no floaters."""
 
 
 def gaussians(means, scales, opacities=0.9, quats=(1.0, 0.0, 0.0, 0.0)) -> Gaussians:

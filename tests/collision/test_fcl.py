@@ -104,7 +104,7 @@ def test_the_distance_field_changes_no_answer_of_fcl(body):
 
 def test_a_hit_does_not_stick_to_the_poses_after_it():
     checker = FclChecker(CUBE, Box((0.6, 0.1, 0.1)))
-    near, far = (0.05, 0.05, 0.05), (0.05, 0.05, 0.2)  # 0.05 m off, too near for the distance field to tell
+    near, far = (0.05, 0.05, 0.05), (0.05, 0.05, 0.2)  # 0.05 m off, too near for the distance field to settle
     assert checker.collides(at(near, far, near, far, far)).tolist() == [True, False, True, False, False]
     assert checker.collides(at(far)).tolist() == [False]
     assert checker.clearance(torch.tensor([far])) < checker.body.radius

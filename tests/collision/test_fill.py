@@ -26,7 +26,7 @@ def hollow(lower, upper, resolution=0.05) -> Occupancy:
 
 
 def room_with_cupboard(gap: float = 0.0) -> Occupancy:
-    """A closed room with a hollow cupboard in it, in whose front is a gap of some width over its whole height."""
+    """A closed room with a hollow cupboard in it, whose front has a gap of some width over its full height."""
     room = hollow(*ROOM) | hollow((2.0, 0.5, 0.05), (2.6, 1.4, 0.9))
     return room.carved([[2.0, 0.9, 0.1]], [[2.05, 0.9 + gap, 0.85]]) if gap else room
 

@@ -1,4 +1,4 @@
-"""A captured kitchen against collision boxes that were made for it by hand."""
+"""A captured kitchen against hand-made collision boxes."""
 
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,7 +13,7 @@ from splatrl.geometry import rigid
 from splatrl.scenes import read_scene
 
 MIDDLE = ((-0.75, 0.0, 0.1), (0.75, 0.85, 1.9))
-"""What the counters on three sides leave free, from above the floor up to the ceiling."""
+"""The space between the counters on three sides, from above the floor to the ceiling."""
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The fast checker against FCL and the readable twin: nothing may differ but touches within rounding."""
+"""The fast checker against FCL and the readable twin: only touches within rounding may differ."""
 
 import copy
 import math
@@ -18,12 +18,12 @@ from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
 from tests.collision.test_fcl import BODIES, CUBE, at, clutter, random_poses
 
 SURE = 1e-5
-"""Metres: within this of a touch FCL's own rounding decides."""
+"""Metres: closer than this to a touch, FCL's own rounding decides."""
 SCENES = ("clutter", "rooms")
 
 
 def rooms() -> Occupancy:
-    """Thin walls with a door, a floor and a table, at other than a round place."""
+    """Thin walls with a door, a floor and a table, at coordinates that are not round."""
     lower = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 1.6, 0.0], [0.7, 1.2, 0.6], [0.7, 1.2, 0.0]]
     upper = [
         [4.0, 3.0, 0.05],
@@ -80,7 +80,7 @@ def assert_nothing_missed(occupancy: Occupancy, body: Body, count: int, turning:
     hits = hit_in_100_steps(FclChecker(occupancy, body), start, end)
     missed = (hits & ~NativeChecker(occupancy, body).sweeps(start, end)).nonzero()[:, 0]
     assert 0.1 * count < hits.sum() < 0.95 * count
-    # a graze is no miss: the same pose by pose, of a body that is smaller by what FCL may round
+    # a graze is not a miss: compare pose by pose with a body smaller by FCL's rounding
     closer = hit_in_100_steps(FclChecker(occupancy, smaller(body)), start[missed], end[missed])
     assert not closer.any(), f"missed in rows {missed[closer].tolist()}"
 
@@ -132,7 +132,7 @@ def test_no_straight_sweep_differs_from_the_readable_twin(scenes, name, body):
     same[[one.row for one in found.disagreements]] = False
     short = (twin.free_fraction(start, end) - native.free_fraction(start, end))[same]
     assert short.min() > -1e-5
-    assert short.max() < 2e-3  # a micrometre of slack is this much of the way where a body comes in at a slant
+    assert short.max() < 2e-3  # a micrometre of slack is this much of the move where a body comes in at a slant
 
 
 @pytest.mark.parametrize("body", BODIES)

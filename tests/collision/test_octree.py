@@ -24,7 +24,7 @@ def decode(stream: np.ndarray) -> set[tuple[int, int, int, int]]:
                 visit(half, *corner)
 
     visit(2**16, -(2**15), -(2**15), -(2**15))
-    assert next(words, None) is None, "the stream goes on behind its last node"
+    assert next(words, None) is None, "the stream goes on after its last node"
     return leaves
 
 

@@ -102,8 +102,8 @@ def test_a_compressed_pcd_is_refused_with_what_is_read(tmp_path):
         (b"WIDTH 3", b"WIDTH 4", "POINTS: expected WIDTH × HEIGHT, 4, got 3"),
         (b"HEIGHT 1\n", b"", "expected the lines .* got none with HEIGHT"),
         (b"DATA", b"TADA", "expected a PCD file with a header that ends in DATA"),
-        (b"POINTS 3", b"POINTS 999999999999\nWIDTH 999999999999", r"bytes or more behind the header, got \d+"),
-        (b"COUNT 1 1 1 1 4", b"COUNT 1 1 1 1 999999999999", "bytes or more behind the header"),
+        (b"POINTS 3", b"POINTS 999999999999\nWIDTH 999999999999", r"bytes or more after the header, got \d+"),
+        (b"COUNT 1 1 1 1 4", b"COUNT 1 1 1 1 999999999999", "bytes or more after the header"),
     ],
 )
 @pytest.mark.parametrize("data", ["ascii", "binary"])
@@ -118,10 +118,10 @@ def test_a_damaged_pcd_header_is_refused_before_anything_is_allocated(tmp_path, 
 def test_a_pcd_cut_short_or_with_words_for_numbers_is_refused(tmp_path):
     path = tmp_path / "cloud.pcd"
     path.write_bytes(pcd()[:-1])
-    with pytest.raises(ValueError, match=r"cloud.pcd: expected 60 bytes or more behind the header, got 59"):
+    with pytest.raises(ValueError, match=r"cloud.pcd: expected 60 bytes or more after the header, got 59"):
         read_points(path)
     path.write_bytes(pcd(data="ascii").replace(b"1.500000", b"1.5000oo"))
-    with pytest.raises(ValueError, match=r"cloud.pcd: expected 8 numbers a row"):
+    with pytest.raises(ValueError, match=r"cloud.pcd: expected 8 numbers per row"):
         read_points(path)
     lines = pcd(data="ascii").splitlines(keepends=True)
     path.write_bytes(b"".join(lines[:-1]))

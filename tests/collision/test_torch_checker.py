@@ -1,4 +1,4 @@
-"""The readable twin, and the exact touches on which it, the native checker and FCL are listed."""
+"""The readable twin, and exact touches, with what it, the native checker and FCL say about each."""
 
 import math
 
@@ -26,7 +26,7 @@ def moves(count: int, seed: int, turning: bool) -> tuple[torch.Tensor, torch.Ten
 
 
 def between(start: torch.Tensor, end: torch.Tensor, share: torch.Tensor | float) -> torch.Tensor:
-    """Poses on moves at a fixed orientation, in float64: rounded to float32 they would leave the line."""
+    """Poses on moves at a fixed orientation, in float64, because rounding to float32 would move them off the line."""
     pose = start.double()
     share = torch.as_tensor(share, dtype=torch.float64).expand(len(start))
     pose[:, :3, 3] += share[:, None] * (end.double() - start.double())[:, :3, 3]
@@ -181,7 +181,7 @@ def test_a_gpu_answers_as_the_cpu_does(body):
 
 
 def turned(*eighths: tuple[int, float]) -> torch.Tensor:
-    """A product of rotations: (axis, angle in eighths of a turn)."""
+    """A product of rotations, each (axis, angle in eighths of a turn)."""
     rotation = torch.eye(3, dtype=torch.float64)
     for axis, eighth in eighths:
         rotation = rotation @ axis_rotations(axis, torch.tensor(eighth * math.pi / 4, dtype=torch.float64))
@@ -193,7 +193,7 @@ TIP = math.atan(HALF) / (math.pi / 4)  # with an eighth of a turn it brings a cu
 SLAB, BLOCK, BALL, ROD = Box((0.5, 0.25, 0.125)), Box((0.5, 0.5, 0.5)), Sphere(0.25), Capsule(0.125, 0.5)
 VOXEL = Occupancy(np.ones((1, 1, 1), bool), (0, 0, 0), 0.5)
 TOUCHES = {
-    # of VOXEL: body, rotation, centre, the way out, and whether FCL calls it a hit; None where the touch cannot be
+    # with VOXEL: body, rotation, centre, the way out, and whether FCL calls it a hit; None where the touch cannot be
     # written in float32, so that rounding decides
     "box, face to face": (SLAB, turned(), (0.75, 0.25, 0.25), (1, 0, 0), True),
     "box, face to face, half off": (SLAB, turned(), (0.75, 0.5, 0.5), (1, 0, 0), True),

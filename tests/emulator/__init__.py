@@ -20,7 +20,7 @@ from tests.builds import built
 HERE = Path(__file__).parent
 _FLAGS = [
     "-std=c++17",
-    "-O1",  # -O2 takes twice as long to compile, and tests run each kernel for moments
+    "-O1",  # -O2 takes twice as long to compile, and each kernel runs only for moments
     "-g1",
     "-fPIC",
     "-shared",
@@ -41,7 +41,7 @@ class EmulatedKernels:
         defines: macros.
 
     Attributes:
-        seed: of the order in which threads run; 0 is the order of their numbers.
+        seed: decides the order in which threads run; 0 is the order of their numbers.
     """
 
     device = torch.device("cpu")
@@ -78,7 +78,7 @@ def emulated(source: str | Path, defines: Mapping[str, int] | None = None) -> Em
 
 @functools.cache
 def _library(path: Path, defines: tuple[tuple[str, int], ...]) -> Path:
-    """Compile a source once for each content of it and of all headers."""
+    """Compile a source again only when it or a header changes."""
     text = path.read_text()
     names, at_once = _KERNEL.findall(text), 1 if "__shared__" in text else "emulator::MOST_AT_ONCE"
     cases = "\n".join(
@@ -103,7 +103,7 @@ extern "C" int launch(const char* name, unsigned blocks, unsigned threads, void*
 
 
 def _compile(program: str, flags: list[str], made: Path) -> None:
-    """Make a shared library of a program."""
+    """Compile a program into a shared library."""
     compiler = os.environ.get("CXX") or shutil.which("c++") or shutil.which("g++")
     assert compiler, "expected the C++ compiler that builds the package"
     command = [compiler, *flags, "-x", "c++", "-", "-o", str(made)]

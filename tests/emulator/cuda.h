@@ -1,10 +1,11 @@
-// CUDA's execution model on one CPU core, for testing: the threads of a block are fibers, and a few blocks run at a time.
+// CUDA's execution model on one CPU core, for tests: the threads of a block are fibers, and a few blocks run at a time.
 //
-// A fiber runs until it waits for the others: at a barrier of the block, or with its warp. Which fiber goes on next is
-// drawn by a seed, so what depends on the order of threads between two barriers gives other results with other seeds.
-// Blocks take turns, so each takes some of the work that they share. Those of a source with static __shared__ variables,
-// of which there is one here, come one after another.
-// Included before a kernel's source, in place of what NVRTC has built in.
+// A fiber runs until it waits for the others: at a barrier of the block, or with its warp. Which fiber runs next is
+// drawn from a seed, so code that depends on the order of threads between two barriers gives different results for
+// different seeds.
+// Blocks take turns, so each takes some of the work that they share. Those of a source with static __shared__
+// variables, of which there is one here, come one after another. Included before a kernel's source, in place of what
+// NVRTC has built in.
 #pragma once
 
 #include <setjmp.h>
@@ -47,7 +48,7 @@ constexpr size_t STACK = 256 * 1024, MOST_SHARED = 228 * 1024;
 
 struct Barrier {
     unsigned waiting = 0, passed = 0;
-    int any = 0, every = 1, any_before = 0, every_before = 1;  // votes, and those of the barrier that was passed last
+    int any = 0, every = 1, any_before = 0, every_before = 1;  // votes, and those of the last barrier that was passed
 };
 
 struct Warp {
@@ -70,7 +71,7 @@ struct Block {
     Barrier barrier;
     Warp warps[MOST_THREADS / LANES];
     std::vector<Fiber> fibers{MOST_THREADS};
-    std::unique_ptr<char[]> stacks{new char[MOST_THREADS * STACK]};  // what is not used takes no memory
+    std::unique_ptr<char[]> stacks{new char[MOST_THREADS * STACK]};  // unused pages take no memory
     alignas(128) unsigned char shared_memory[MOST_SHARED];
 };
 
@@ -79,7 +80,7 @@ inline Block* here = nullptr;  // the block that runs
 inline Fiber* running = nullptr;
 inline jmp_buf scheduler;
 inline unsigned threads = 0;
-inline uint64_t moves = 0;  // of any barrier: whether anything goes on
+inline uint64_t moves = 0;  // progress at any barrier, to detect deadlock
 inline Index block_size, grid_size;
 
 [[noreturn]] inline void fail(const char* why) {
@@ -92,7 +93,7 @@ inline void yield() {
     if (_setjmp(running->state) == 0) _longjmp(scheduler, 1);
 }
 
-// Wait until `count` fibers are here.
+// Wait until `count` fibers have arrived.
 inline void meet(Barrier& barrier, unsigned count, int vote = 0) {
     barrier.any |= vote != 0, barrier.every &= vote != 0;
     const unsigned turn = barrier.passed;
@@ -113,7 +114,7 @@ inline unsigned warp_size() {
     return threads - first < LANES ? threads - first : LANES;
 }
 
-// Every lane gives a value and sees those of all.
+// Every lane contributes a value and receives those of all lanes.
 inline const uint64_t* exchange(unsigned mask, uint64_t value) {
     if (mask != 0xffffffffu) fail("expected a collective of all 32 lanes");
     if (warp_size() != LANES) fail("expected whole warps");

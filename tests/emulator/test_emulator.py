@@ -1,4 +1,4 @@
-"""That the emulator finds what it is there to find."""
+"""The emulator finds the errors that it is meant to find."""
 
 import faulthandler
 import multiprocessing
@@ -92,7 +92,7 @@ def test_threads_that_never_come_end_the_program(
     kernels, out = emulated(source(tmp_path, text)), torch.zeros(1, dtype=torch.int32)
 
     def run() -> None:
-        faulthandler.disable()  # it would tell of the abort outside of what is captured
+        faulthandler.disable()  # it would report the abort outside the captured output
         kernels.launch("half", 1, 32, out)
 
     child = multiprocessing.get_context("fork").Process(target=run)

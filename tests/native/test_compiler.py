@@ -21,7 +21,7 @@ SOURCES: dict[str, list[dict[str, int]]] = {
     ],
     "place": [{}],
 }
-"""Every kernel, with each value of everything that it is compiled with."""
+"""Every kernel compiles, with every value of each of its macros."""
 ARCHITECTURES = ("sm_80", "sm_90", "sm_120")
 
 pytest.importorskip("cuda.core", reason="needs the extra cuda")
@@ -46,7 +46,7 @@ def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def kept(source: str, arch: str, defines: dict[str, int]) -> tuple[bytes, str]:
-    """What ``translated`` gives, from an earlier run where neither sources nor compiler have changed since."""
+    """The result of ``translated``, from an earlier run if neither sources nor compiler have changed since."""
     recipe = f"{compiler._digest(source, arch, defines)} {Path(compiler.__file__).read_text()}"
     name = f"{source}-{arch}-{hashlib.sha256(recipe.encode()).hexdigest()[:24]}.pickle"
     path = built(name, lambda made: made.write_bytes(pickle.dumps(translated(source, arch, defines))))

@@ -1,4 +1,4 @@
-"""How kernels are loaded and launched: by a driver that is pretended, whose kernels the emulator runs."""
+"""How kernels are loaded and launched: by a fake driver, whose kernels the emulator runs."""
 
 import ctypes
 from contextlib import nullcontext
@@ -25,7 +25,7 @@ class Attribute(IntEnum):
 
 
 class PretendedDriver:
-    """Does what it is told, in the types that the real one takes, and keeps a note of it."""
+    """Does what it is told, in the types that the real one takes, and records it."""
 
     CUfunction_attribute = Attribute
     CUstream = staticmethod(int)
@@ -62,7 +62,7 @@ class PretendedDriver:
 
 @pytest.fixture
 def driver(monkeypatch: pytest.MonkeyPatch) -> list[PretendedDriver]:
-    """A GPU that is none: the pretended drivers of all kernels that are loaded."""
+    """A fake GPU: the fake drivers of all loaded kernels."""
     drivers: list[PretendedDriver] = []
 
     def pretend(source: str, arch: str, defines: dict[str, int]) -> bytes:
@@ -91,7 +91,7 @@ def test_a_renderer_is_loaded_and_launched_as_the_driver_asks(driver: list[Prete
     assert one.images == [b"\x7fELF"] and one.allowed == {}
     name, blocks, threads, shared, stream = one.launched[0]
     assert (name, threads, stream) == ("draw_pixels", 256, 77)
-    assert blocks == 6 and shared < FREELY_SHARED  # three a multiprocessor, of 18 tiles
+    assert blocks == 6 and shared < FREELY_SHARED  # three per multiprocessor, for 18 tiles
     assert one.launched[1:] == []
 
 

@@ -1,4 +1,4 @@
-"""Scenes, cameras and measures that the renderer tests share."""
+"""Scenes, cameras and metrics that the renderer tests share."""
 
 import math
 
@@ -10,7 +10,7 @@ from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
 
 LIKENESS = 60.0
-"""Decibels: the least agreement of a fast renderer with the reference."""
+"""The least PSNR of a fast renderer against the reference, decibels."""
 
 
 def gaussians(
@@ -46,7 +46,7 @@ def random_gaussians(seed: int, count: int = 300, degree: int = 0) -> Gaussians:
 
 
 def dust(seed: int, opacity: float, scale: float, count: int = 3000) -> Gaussians:
-    """Tiny Gaussians 20 m away along x, which merge to few that cover more than the area of their members."""
+    """Tiny Gaussians 20 m away along x, which merge into few that cover more than the area of their members."""
     g = torch.Generator().manual_seed(seed)
     means = [[20.0, 0.0, 0.0]] * count
     cloud = gaussians(means, scale=scale, opacity=opacity).float()

@@ -1,6 +1,6 @@
 """The level-of-detail tree from its definition, slowly: the readable twin of ``splatrl/native/levels.cpp``.
 
-A merged Gaussian is here the list of the Gaussians that it stands for, and all that it holds is computed from these in
+Here a merged Gaussian is the list of the Gaussians that it stands for, and all its values are computed from these in
 float64. The C++ code merges in pairs, in float32.
 """
 
@@ -11,13 +11,13 @@ from splatrl.scenes.cache import Arrays
 from splatrl.spherical_harmonics import C0
 
 CAPACITY = 256
-"""Gaussians that a node holds at most."""
+"""The most Gaussians that a node holds."""
 RUN = 16
 """Neighbours that lie next to each other in memory, in any order."""
 BUCKET = 64
 """Neighbours among which partners are sought."""
 LEAST_CONTRAST = 0.2
-"""Of colours: merging equal ones is not free."""
+"""Contrast that is added to that of colours: even merging equal ones has a cost."""
 
 Numbers = NDArray[np.float64]
 Group = NDArray[np.int64]  # indices of the Gaussians that one stands for
@@ -39,7 +39,7 @@ class _Twin:
         self.build(np.arange(len(means)))
 
     def build(self, members: Group) -> list[Group]:
-        """Append the node over some Gaussians and all below it; what it shows."""
+        """Append the node over some Gaussians and all below it; returns what it shows."""
         node = len(self.nodes)
         self.nodes.append([0, 0, 0, 0])
         self.errors.append(0.0)
@@ -54,18 +54,18 @@ class _Twin:
             self.nodes[node] = [len(self.merged), len(groups), 0, 0]
             self.errors[node] = self.error(groups)
             self.merged.extend(groups)
-        self.nodes[node][2] = len(self.nodes)  # the node behind all below this one
+        self.nodes[node][2] = len(self.nodes)  # the node after all those below this one
         return groups
 
     def merge(self, groups: list[Group]) -> list[Group]:
-        """Merge the cheapest pair of neighbours again and again, until a node holds what is left."""
+        """Merge the cheapest pair of neighbours repeatedly, until the rest fits into a node."""
         groups = [groups[i] for i in in_space(self.centers(groups), BUCKET)]
         masses, centers, colors = (np.array(values) for values in zip(*map(self.summary, groups), strict=True))
         bucket = np.arange(len(groups)) // BUCKET
         alive = np.ones(len(groups), bool)
 
         def costs(i: int) -> Numbers:
-            """What is lost by merging i with each: mass that moves · how far² · how different its colour is."""
+            """What merging i with each one loses: mass that moves · how far² · how different its colour is."""
             moved = masses[i] * masses / (masses[i] + masses)
             distances, contrasts = (((values[i] - values) ** 2).sum(1) for values in (centers, colors))
             possible = alive & (bucket == bucket[i]) & (np.arange(len(groups)) != i)
@@ -87,19 +87,19 @@ class _Twin:
         return self.masses[group].sum(), self.mean(self.means, group), C0 * self.mean(self.sh[:, 0], group)
 
     def mean(self, values: Numbers, group: Group) -> Numbers:
-        """Of the group's members, by mass."""
+        """Mean over the group's members, by mass."""
         return np.average(values[group], axis=0, weights=self.masses[group])
 
     def centers(self, groups: list[Group]) -> Numbers:
         return np.array([self.mean(self.means, group) for group in groups])
 
     def covariance(self, group: Group) -> Numbers:
-        """Of the whole: the mean of the members' covariances, and the covariance of their means."""
+        """Covariance of the whole: the mean of the members' covariances plus the covariance of their means."""
         offsets = self.means - self.mean(self.means, group)
         return self.mean(self.covariances + offsets[:, :, None] * offsets[:, None], group)
 
     def error(self, groups: list[Group]) -> float:
-        """By how much members lie off their merged mean: root mean square by mass, metres."""
+        """Root mean square distance of members from their merged mean, by mass, metres."""
         squares = np.concatenate([((self.means[g] - self.mean(self.means, g)) ** 2).sum(1) for g in groups])
         return float(np.sqrt(np.average(squares, weights=self.masses[np.concatenate(groups)])))
 
@@ -126,7 +126,7 @@ def projected_area(covariances: Numbers) -> Numbers:
 
 
 def halves(points: Numbers, multiple: int) -> tuple[Group, Group]:
-    """Which points come first along the longest axis of their box, and which second: half, at a multiple."""
+    """Split points along the longest axis of their box into two halves, at a multiple."""
     along = points[:, np.ptp(points, axis=0).argmax()]
     parts = -(-len(points) // multiple)
     middle = (parts + 1) // 2 * multiple
@@ -135,7 +135,7 @@ def halves(points: Numbers, multiple: int) -> tuple[Group, Group]:
 
 
 def in_space(points: Numbers, run: int) -> Group:
-    """An order in which neighbours follow each other: halved until runs are left."""
+    """An order in which neighbours follow each other, by halving until runs are left."""
     if len(points) <= run:
         return np.arange(len(points))
     return np.concatenate([half[in_space(points[half], run)] for half in halves(points, run)])

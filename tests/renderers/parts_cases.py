@@ -1,4 +1,4 @@
-"""Models, placements and measures that the tests of parts share, whichever renderer they are of."""
+"""Models, placements and metrics that the tests of parts share, for any renderer."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -17,13 +17,13 @@ IDENTITY = torch.eye(4)
 
 
 class Maker(NamedTuple):
-    """How a renderer is made of models, and how near its parts must come to the same Gaussians moved to the world.
+    """How to make a renderer of models, and how close its parts must be to the same Gaussians moved to the world.
 
     Attributes:
         make: takes models, ``antialiased`` and ``background``; the renderer's own settings by keyword.
         rgb: the most that a colour may differ.
-        share: of bytes that may differ, by one grey level.
-        turned_share: the same where harmonics are turned: a renderer may keep them rounded.
+        share: of bytes that may differ by one grey level.
+        turned_share: the same where harmonics are rotated, as a renderer may keep them rounded.
     """
 
     make: Callable[..., Renderer]
@@ -45,7 +45,7 @@ def make_native(
     background: Sequence[float] = BACKGROUND,
     **settings: Any,
 ) -> Renderer:
-    """The renderer for processors."""
+    """The renderer for CPUs."""
     return NativeRenderer(models, antialiased, background, **settings)
 
 
@@ -63,14 +63,14 @@ def random_models(degrees: Sequence[int], counts: Sequence[int] = (250, 90, 40))
 
 
 def random_poses(seed: int, *shape: int, spread: float = 0.7) -> Tensor:
-    """model_to_world [*shape, 4, 4] of any turn, around the origin."""
+    """model_to_world [*shape, 4, 4], randomly rotated, around the origin."""
     g = torch.Generator().manual_seed(seed)
     turns = quats_to_rotations(torch.randn(*shape, 4, generator=g, dtype=torch.float64))
     return rigid(turns, spread * torch.randn(*shape, 3, generator=g, dtype=torch.float64)).float()
 
 
 def random_parts(seed: int, batch: int, most: int = 4, models: int = 3) -> Parts:
-    """Parts of which some are absent, and those have no pose; the first of each row is there."""
+    """Parts of which some are absent, with no valid pose; the first of each row is present."""
     g = torch.Generator().manual_seed(seed)
     model = torch.randint(ABSENT, models, (batch, most), generator=g)
     model[:, 0] = torch.randint(0, models, (batch,), generator=g)
@@ -87,7 +87,7 @@ def placed(batch: int, *parts: tuple[int, Tensor]) -> Parts:
 
 
 def in_world(models: Sequence[Gaussians], parts: Parts, row: int) -> Gaussians:
-    """All Gaussians of a row in one model that stands where the world does; of the highest degree there is."""
+    """All Gaussians of a row in one model in the world frame, of the highest degree among them."""
     harmonics = max(model.sh.shape[1] for model in models)
     moved = []
     for number, pose in zip(parts.model[row].tolist(), parts.model_to_world[row], strict=True):
@@ -113,16 +113,16 @@ def drawn_in_world(
 
 
 def assert_like(image: RenderOutput, expected: RenderOutput, rgb: float) -> None:
-    """Colours and alphas to ``rgb``, and depth, relative, to ten times that where there is something."""
+    """Check colours and alphas to within ``rgb``, and relative depth to ten times that where pixels are covered."""
     assert (image.rgb - expected.rgb).abs().max() <= rgb
     assert (image.alpha - expected.alpha).abs().max() <= rgb
-    covered = expected.alpha > 0.05  # the mean over next to nothing is not stable
+    covered = expected.alpha > 0.05  # the mean over almost nothing is not stable
     assert covered.any()
     assert ((image.depth - expected.depth).abs() / expected.depth)[covered].max() <= 10 * rgb
 
 
 def assert_same_bytes(pixels: Tensor, expected: Tensor, share: float) -> None:
-    """All but a share of the bytes, and those by one grey level."""
+    """Check that only a share of the bytes differs, and by one grey level."""
     apart = (pixels.int() - expected.int()).abs()
     assert apart.max() <= 1 and (apart > 0).double().mean() <= share
 
@@ -133,5 +133,5 @@ def walls(*colors: Sequence[float]) -> list[Gaussians]:
 
 
 def at(x: float, y: float = 0.0, z: float = 0.0) -> Tensor:
-    """The pose [4, 4] of what stands there, not turned."""
+    """The pose [4, 4] of a model that stands there, not rotated."""
     return rigid(torch.eye(3), torch.tensor([x, y, z]))

@@ -1,4 +1,4 @@
-"""A gsplat that is our reference: what is handed to it is checked, and a matrix that is transposed shows."""
+"""A fake gsplat that draws by our reference and checks its arguments, so that a transposed matrix shows."""
 
 from types import ModuleType
 from typing import Any
@@ -33,7 +33,7 @@ def rasterization(
     render_mode: str = "RGB",
     rasterize_mode: str = "classic",
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """What gsplat 1.5.3 promises for these arguments, checked and drawn by the reference."""
+    """The result that gsplat 1.5.3 promises, from checked arguments and the reference."""
     count, batch = len(means), len(viewmats)
     assert (means.shape, quats.shape, scales.shape) == ((count, 3), (count, 4), (count, 3))
     assert opacities.shape == (count,) and viewmats.shape == (batch, 4, 4) and Ks.shape == (batch, 3, 3)
@@ -51,7 +51,7 @@ def rasterization(
 
 
 def modules(rasterization: Any = rasterization, extension: object = "compiled") -> dict[str, ModuleType]:
-    """What ``sys.modules`` holds where such a gsplat is installed; no ``extension`` where it found no compiler."""
+    """The ``sys.modules`` of an installed gsplat like this; ``extension`` is None where it found no compiler."""
     package, cuda, backend = (ModuleType(name) for name in ("gsplat", "gsplat.cuda", "gsplat.cuda._backend"))
     package.__version__, package.rasterization = "1.5.3", rasterization  # type: ignore[attr-defined]
     backend._C, cuda._backend = extension, backend  # type: ignore[attr-defined]

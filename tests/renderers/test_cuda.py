@@ -1,4 +1,4 @@
-"""The renderer for GPUs: its kernels' own source, emulated on the CPU, and where there is a GPU on that."""
+"""The renderer for GPUs: its kernels' own source, emulated on the CPU and, where there is a GPU, run on it."""
 
 from collections.abc import Callable
 from typing import Any
@@ -125,7 +125,7 @@ def test_the_order_of_threads_between_barriers_changes_nothing(seed: int) -> Non
 
 
 def wall_of_equal_depths(count: int, degree: int = 0) -> Gaussians:
-    """Gaussians at one depth from a camera at the origin, in the order of no coordinate, and some before and behind."""
+    """Gaussians at one depth from a camera at the origin, in no spatial order, and some before and behind it."""
     scene = random_gaussians(6, count, degree)
     scene.means[:, 0] = 2.0
     scene.means[: count // 50, 0] = torch.linspace(0.5, 900.0, count // 50)
@@ -175,7 +175,7 @@ def test_a_camera_that_cannot_be_drawn_is_black_and_told_of_later(make: Make, fa
         ValueError, match=r"cameras\[2\]: expected finite camera_to_world and K with positive focal lengths"
     ):
         renderer.raise_faults()
-    renderer.raise_faults()  # it was told once
+    renderer.raise_faults()  # a fault is reported once
 
 
 def test_nothing_at_all_is_drawn(make: Make) -> None:
@@ -192,7 +192,7 @@ def test_nothing_at_all_is_drawn(make: Make) -> None:
 def test_efforts_count_what_was_done(make: Make) -> None:
     renderer = make(gaussians([[2.0, 0.0, 0.0], [3.0, 0.3, 0.0], [-2.0, 0.0, 0.0]], scale=0.01))
     projected, visible, blended = renderer.efforts(on(renderer, ahead()))[0].tolist()
-    assert 2 <= visible <= projected <= 8  # each on up to four tiles
+    assert 2 <= visible <= projected <= 8  # each counted on up to four tiles
     assert visible <= blended <= 4 * visible
 
 

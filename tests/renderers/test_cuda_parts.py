@@ -1,4 +1,4 @@
-"""Placed models on a GPU: the kernels' own source, emulated on the CPU, and where there is a GPU on that."""
+"""Placed models on a GPU: the kernels' own source, emulated on the CPU and, where there is a GPU, run on it."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -48,7 +48,7 @@ def make(request: pytest.FixtureRequest) -> Make:
 
 
 def images(renderer: CudaRenderer, cameras: Cameras, parts: Parts | None = None) -> list[Tensor]:
-    """All that a renderer gives: pixels, rgb, depth and alpha. Cameras may be elsewhere than the renderer."""
+    """Everything that a renderer returns: pixels, rgb, depth and alpha. Cameras may be on another device."""
     return [renderer.pixels(cameras, parts), *renderer.render(cameras, parts)]
 
 
@@ -65,7 +65,7 @@ def test_parts_look_like_their_gaussians_moved_to_the_world(
     renderer = make(models, antialiased)
     expected, pixels = drawn_in_world(lambda model: make(model, antialiased), models, cameras, parts)
     assert_like(renderer.render(cameras, parts), expected, 1e-3)
-    turned = max(degrees) > 0  # harmonics are kept as half floats: turned ones are rounded elsewhere
+    turned = max(degrees) > 0  # harmonics are kept as half floats, so rotated ones round differently
     assert_same_bytes(renderer.pixels(cameras, parts), pixels, 0.02 if turned else 1e-4)
     renderer.raise_faults()
 
@@ -174,7 +174,7 @@ def test_as_many_parts_as_there_may_be_look_like_their_gaussians(make: Make) -> 
     assert_like(make(models).render(cameras, parts), expected, 1e-3)
     assert_same_bytes(make(models).pixels(cameras, parts), pixels, 1e-3)
     more = placed(1, *[(0, IDENTITY)] * (MOST_PARTS + 1))
-    with pytest.raises(ValueError, match=r"parts\.model: expected at most 128 parts a row, got 129"):
+    with pytest.raises(ValueError, match=r"parts\.model: expected at most 128 parts per row, got 129"):
         make(models).pixels(cameras, more)
 
 
@@ -218,7 +218,7 @@ def test_a_part_that_cannot_be_placed_shows_nothing_and_is_told_of_later(make: M
     assert_equal(images(renderer, cameras, wrong), images(renderer, cameras, right))
     with pytest.raises(ValueError, match=r"parts\[2\]: expected -1 or models in \[0, 3\), rigid model_to_world"):
         renderer.raise_faults()
-    renderer.raise_faults()  # it was told once
+    renderer.raise_faults()  # a fault is reported once
 
 
 @pytest.mark.parametrize("bound", ["memory", "index"])
@@ -270,7 +270,7 @@ def test_parts_and_bounds_that_cannot_be_are_refused() -> None:
     renderer, cameras = CudaRenderer(random_gaussians(0, 9), load=emulated), random_cameras(31, 3, 9, 7)
     with pytest.raises(ValueError, match=r"parts\.model: expected \[3, M\] torch.int64"):
         renderer.pixels(cameras, placed(4, (0, IDENTITY)))
-    with pytest.raises(ValueError, match="scene: expected a model or several, got none"):
+    with pytest.raises(ValueError, match="scene: expected at least one model, got none"):
         CudaRenderer([], load=emulated)
     with pytest.raises(ValueError, match="most_gaussians: expected at least 1, at most 16,777,216, got 16,777,217"):
         CudaRenderer(random_gaussians(0, 9), most_gaussians=2**24 + 1, load=emulated)
@@ -278,5 +278,5 @@ def test_parts_and_bounds_that_cannot_be_are_refused() -> None:
 
 def test_a_model_that_no_key_has_room_for_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cuda_models_module, "MOST_INDICES", 89)
-    with pytest.raises(ValueError, match=r"scene\[1\]: expected at most 89 Gaussians, merged ones counted, got 90"):
+    with pytest.raises(ValueError, match=r"scene\[1\]: expected at most 89 Gaussians, merged ones included, got 90"):
         CudaRenderer(random_models([0, 0, 0], (40, 90, 40)), load=emulated)

@@ -1,4 +1,4 @@
-"""gsplat behind our interface: what it is handed, without a GPU; what it draws, on one."""
+"""gsplat behind our interface: what it is passed, without a GPU; what it draws, on one."""
 
 import sys
 from typing import Any
@@ -17,7 +17,7 @@ BACKGROUND = (0.2, 0.5, 0.9)
 
 @pytest.fixture
 def batches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """A gsplat that is the reference; how many cameras each of its calls got."""
+    """A fake gsplat that draws by the reference; returns how many cameras each of its calls got."""
     calls: list[int] = []
 
     def noted(**arguments: Any) -> Any:
@@ -29,7 +29,7 @@ def batches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def pretend(monkeypatch: pytest.MonkeyPatch, **contents: Any) -> None:
-    """Install a gsplat of these contents."""
+    """Install a fake gsplat with these contents."""
     for name, module in modules(**contents).items():
         monkeypatch.setitem(sys.modules, name, module)
 
@@ -44,7 +44,7 @@ def test_it_is_handed_scene_and_cameras_in_its_own_conventions(antialiased: bool
     image, expected = renderer.render(cameras), reference.render(cameras)
     assert all(part.dtype == torch.float32 for part in image)
     for part, truth in zip(image, expected, strict=True):
-        torch.testing.assert_close(part, truth, atol=1e-4, rtol=1e-4)  # a pose that was inverted twice
+        torch.testing.assert_close(part, truth, atol=1e-4, rtol=1e-4)  # poses were inverted twice
     assert (renderer.pixels(cameras).int() - reference.pixels(cameras).int()).abs().max() <= 1
 
 
@@ -108,7 +108,7 @@ def test_classic_images_are_those_of_the_reference(cuda_device: torch.device, de
     except ImportError as error:
         pytest.skip(str(error))
     image, truth = renderer.render(cameras), ReferenceRenderer(double(scene), False, BACKGROUND).render(cameras)
-    assert psnr(image.rgb, truth.rgb) >= 50.0  # a Gaussian at the limit of 1/255 falls on either side of it
+    assert psnr(image.rgb, truth.rgb) >= 50.0  # a Gaussian at the limit of 1/255 may fall on either side of it
     assert psnr(image.alpha, truth.alpha) >= 50.0
     covered = truth.alpha > 0.05
     assert ((image.depth - truth.depth).abs() / truth.depth)[covered].mean() < 1e-3

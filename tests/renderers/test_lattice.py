@@ -9,7 +9,7 @@ from tests.renderers.parts_cases import at, placed, random_parts
 
 
 class Counting:
-    """A renderer that counts the frames that it was asked for."""
+    """A renderer that counts the frames that it draws."""
 
     def __init__(self) -> None:
         self.renderer = NativeRenderer([random_gaussians(0, 100), random_gaussians(1, 30)], threads=1)
@@ -19,7 +19,7 @@ class Counting:
         return self.renderer.render(cameras, parts, only)
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        assert only is None, "a memory asks for what it has not, and no more"
+        assert only is None, "the cache asks only for what it lacks"
         self.frames += len(cameras)
         return self.renderer.pixels(cameras, parts)
 

@@ -10,11 +10,11 @@ from tests.renderers.cases import random_gaussians
 from tests.renderers.levels_twin import RUN, tree_of
 
 MERGED = {"means": (3,), "axes": (3, 3), "opacities": (), "sh": (-1, 3), "members": (), "sums": ()}
-"""What is known of each merged Gaussian, by name, and its shape."""
+"""The values of each merged Gaussian, by name, and their shapes."""
 
 
 def sorted_in_runs(nodes: NDArray[np.uint32], values: NDArray[np.float64], leaf: bool) -> NDArray[np.int64]:
-    """An order of rows in which those of a run, which may have any, go by their first column."""
+    """An order of rows that sorts each run, whose own order is free, by the first column."""
     order = np.arange(len(values))
     for first, count, _, kind in nodes.astype(np.int64):
         for start in range(first, first + count, RUN) if kind == leaf else ():
@@ -24,7 +24,7 @@ def sorted_in_runs(nodes: NDArray[np.uint32], values: NDArray[np.float64], leaf:
 
 
 def tidied(levels: Arrays, harmonics: int) -> Arrays:
-    """The same tree with its rows shaped, and in an order that does not depend on who built it."""
+    """The same tree with its rows shaped, in an order that does not depend on which code built it."""
     nodes, order = levels["nodes"].reshape(-1, 4), levels["order"]
     rows = {
         name: levels[name].reshape(-1, *(harmonics if size < 0 else size for size in shape))

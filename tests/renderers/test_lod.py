@@ -18,7 +18,7 @@ from tests.renderers.cases import dust, psnr, random_cameras, random_gaussians
 
 
 def arrays_of(gaussians: Gaussians) -> dict[str, Tensor]:
-    """What ``build_levels`` takes, with axes from the covariances."""
+    """The arguments of ``build_levels``, with axes from the covariances."""
     axes = torch.linalg.cholesky(gaussians.covariances().double()).float().contiguous()
     return {"means": gaussians.means, "axes": axes, "opacities": gaussians.opacities, "sh": gaussians.sh}
 
@@ -34,7 +34,7 @@ def level_views(lower: list[float], upper: list[float], batch: int, size: int = 
 
 
 def psnrs(gaussians: Gaussians, cameras: Cameras, tolerance: float, antialiased: bool = True) -> Tensor:
-    """Of each view with level of detail against the exact one, decibels, at most 80."""
+    """PSNR of each view with level of detail against the exact one, decibels, at most 80."""
     exact = NativeRenderer(gaussians, antialiased).render(cameras).rgb
     fast = NativeRenderer(gaussians, antialiased, tolerance=tolerance).render(cameras).rgb
     return torch.tensor([min(80.0, psnr(a[None], b[None])) for a, b in zip(fast, exact, strict=True)])

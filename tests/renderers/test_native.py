@@ -16,7 +16,7 @@ from tests.renderers.cases import LIKENESS, ahead, double, gaussians, psnr, rand
 def assert_alike(fast: RenderOutput, reference: RenderOutput) -> None:
     assert psnr(fast.rgb, reference.rgb) >= LIKENESS
     assert psnr(fast.alpha, reference.alpha) >= LIKENESS
-    covered = reference.alpha > 0.05  # the mean over next to nothing is not stable
+    covered = reference.alpha > 0.05  # the mean over almost nothing is not stable
     errors = ((fast.depth - reference.depth).abs() / reference.depth)[covered]
     assert errors.numel() == 0 or errors.mean() < 1e-4
 
@@ -114,7 +114,7 @@ def test_a_tensor_that_pixels_cannot_be_drawn_into_is_refused(out: torch.Tensor)
 def test_efforts_count_what_was_done() -> None:
     scene = gaussians([[2.0, 0.0, 0.0], [3.0, 0.3, 0.0], [-2.0, 0.0, 0.0]], scale=0.01)
     effort = NativeRenderer(scene, threads=1).efforts(ahead())
-    assert effort.visible.tolist() == [2] and effort.projected.tolist() == [16]  # they are projected by sixteen
+    assert effort.visible.tolist() == [2] and effort.projected.tolist() == [16]  # sixteen are projected at a time
     assert 2 <= effort.blended.item() <= 8
     assert all((stage > 0).all() for stage in (effort.project_ms, effort.sort_ms, effort.blend_ms))
 

@@ -1,4 +1,4 @@
-"""Some rows of a batch: drawn as in the whole batch, and nothing else is."""
+"""Some rows of a batch are drawn as in the whole batch, and nothing else is."""
 
 from collections.abc import Callable
 

@@ -30,7 +30,7 @@ every_maker = pytest.mark.parametrize("maker", MAKERS.values(), ids=MAKERS)
 
 
 def images(renderer: Renderer, cameras: Cameras, parts: Parts | None = None) -> list[torch.Tensor]:
-    """All that a renderer gives: pixels, rgb, depth and alpha."""
+    """Everything that a renderer returns: pixels, rgb, depth and alpha."""
     return [renderer.pixels(cameras, parts), *renderer.render(cameras, parts)]
 
 
@@ -73,7 +73,7 @@ def test_one_part_at_home_is_the_scene_where_it_stands(maker: Maker) -> None:
 @every_maker
 def test_parts_at_home_are_one_scene_to_the_byte_and_equal_depths_go_by_part_then_index(maker: Maker) -> None:
     g = torch.Generator().manual_seed(1)
-    flat = []  # more Gaussians of one depth than any sort leaves to chance, and of two
+    flat = []  # too many Gaussians of one depth for any sort to order by chance, and of two depths
     for count in (300, 200):
         means = torch.cat([torch.full((count, 1), 2.0), 0.3 * torch.randn(count, 2, generator=g)], 1)
         means[::7, 0] = 2.5
@@ -179,7 +179,7 @@ def test_a_pose_that_is_not_rigid_is_refused_by_row_and_part(maker: Maker, pose:
 
 @every_maker
 def test_no_model_at_all_is_refused(maker: Maker) -> None:
-    with pytest.raises(ValueError, match="scene: expected a model or several, got none"):
+    with pytest.raises(ValueError, match="scene: expected at least one model, got none"):
         maker.make([])
 
 

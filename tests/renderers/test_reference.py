@@ -65,7 +65,7 @@ def test_gaussians_of_equal_depth_are_blended_in_the_order_of_the_scene() -> Non
 def test_a_colour_with_degree_one_is_brightest_from_the_side_that_its_sign_says() -> None:
     scene = gaussians([[0.0, 0.0, 0.0]], [[0.5, 0.5, 0.5]], scale=0.3)
     sh = torch.zeros(1, 4, 3, dtype=torch.float64)
-    sh[0, 3, 0] = -0.5  # the basis is -0.4886 x: red grows with x of the direction of sight
+    sh[0, 3, 0] = -0.5  # the basis is -0.4886 x: red grows with x of the viewing direction
     scene = Gaussians(scene.means, scene.quats, scene.scales, scene.opacities, sh, batch_size=[1])
     K = intrinsics(1.0, 21, 15)
     sides = torch.stack([look_at([-2.0, 0.0, 0.0], [0.0, 0.0, 0.0]), look_at([2.0, 0.0, 0.0], [0.0, 0.0, 0.0])])

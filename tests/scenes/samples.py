@@ -1,4 +1,4 @@
-"""Gaussians and splat files made by hand, from the formats' descriptions rather than by the code that reads them."""
+"""Gaussians and splat files made by hand, from the formats' descriptions rather than with the code that reads them."""
 
 import gzip
 import io
@@ -31,14 +31,14 @@ def sample_gaussians(count: int = 7, degree: int = 2, seed: int = 0) -> Gaussian
 
 
 def assert_same(read: Gaussians, expected: Gaussians, atol: float = 2e-6) -> None:
-    """Equal fields; quaternions up to their sign."""
+    """Check that fields are equal, quaternions up to their sign."""
     for name in ("means", "scales", "opacities", "sh"):
         torch.testing.assert_close(getattr(read, name), getattr(expected, name), atol=atol, rtol=2e-6, msg=name)
     torch.testing.assert_close((read.quats * expected.quats).sum(1).abs(), torch.ones(len(expected)))
 
 
 def assert_valid(gaussians: Gaussians) -> None:
-    """All that the fields of ``Gaussians`` promise."""
+    """Check everything that the fields of ``Gaussians`` promise."""
     count = len(gaussians)
     assert count > 0
     assert gaussians.means.shape == gaussians.scales.shape == (count, 3)
@@ -67,7 +67,7 @@ def ply_fields(gaussians: Gaussians) -> dict[str, NDArray[np.float32]]:
 def ply_bytes(
     fields: Mapping[str, NDArray[np.float32]], kind: str = "binary_little_endian", count: int | None = None
 ) -> bytes:
-    """A PLY file of float fields; ``count`` is what the header says in place of the truth."""
+    """A PLY file of float fields; ``count`` is what the header claims instead of the truth."""
     columns = np.stack([np.asarray(values, np.float64) for values in fields.values()], 1)
     header = ["ply", f"format {kind} 1.0", "comment by hand", f"element vertex {count or len(columns)}"]
     header += [*(f"property float {name}" for name in fields), "end_header", ""]
@@ -145,7 +145,7 @@ def compressed_ply_bytes(
 
 
 def zip_bytes(entries: Mapping[str, bytes]) -> bytes:
-    """A ZIP bundle with right checksums."""
+    """A ZIP bundle with correct checksums."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as bundle:
         for name, content in entries.items():
@@ -184,7 +184,7 @@ def sog_entries(count: int = 6, bands: int = 0, seed: int = 0) -> tuple[dict[str
         pixels["shN_labels"][..., 1] = 0
         pixels["shN_centroids"] = rng.integers(0, 256, (1, 64 * ((bands + 1) ** 2 - 1), 4)).astype(np.uint8)
     for image in pixels.values():
-        image[..., 3] = np.maximum(image[..., 3], 1)  # encoders may drop the colour of what is transparent
+        image[..., 3] = np.maximum(image[..., 3], 1)  # encoders may drop the colour of transparent pixels
     entries = {"meta.json": json.dumps(sog_meta(count, bands)).encode()}
     for name, image in pixels.items():
         entries[f"{name}.webp"] = imagecodecs.webp_encode(image, lossless=True)

@@ -10,7 +10,7 @@ ARRAYS = {"a": np.arange(6).reshape(2, 3), "b": np.array(0.5)}
 
 
 class Build:
-    """Counts how often it is asked."""
+    """Counts how often it is called."""
 
     def __init__(self) -> None:
         self.calls = 0
@@ -46,7 +46,7 @@ def test_a_damaged_file_is_made_again_with_a_warning(folder: Path, size: int) ->
     cached_arrays("x-1", build)
     path = folder / "x-1.npz"
     path.write_bytes(path.read_bytes()[:size])
-    with pytest.warns(UserWarning, match=r"x-1\.npz: a cache file that cannot be read, made again"):
+    with pytest.warns(UserWarning, match=r"x-1\.npz: cannot read this cache file, rebuilding it"):
         assert_arrays(cached_arrays("x-1", build))
     assert_arrays(cached_arrays("x-1", build))
     assert build.calls == 2

@@ -31,7 +31,7 @@ Damage = Callable[[bytes], bytes]
 
 @st.composite
 def damages(draw: st.DrawFn) -> Damage:
-    """Some overwritten, inserted or removed bytes, and perhaps a cut; places are fractions of the length."""
+    """Some overwritten, inserted or removed bytes, and perhaps truncation; places are fractions of the length."""
     place = st.floats(0.0, 1.0, exclude_max=True)
     near_start = place.map(lambda fraction: fraction**4)  # headers are short and matter most
     edits = draw(

@@ -61,7 +61,7 @@ class TestCompressedPly:
         [
             (b"element chunk 1", b"element chunk 2", "chunk: expected 1 rows, got 2"),
             (b"element vertex 3", b"element vertex 257", "chunk: expected 2 rows, got 1"),
-            (b"element vertex 3", b"element vertex 4", "expected 136 bytes behind the header, got 120"),
+            (b"element vertex 3", b"element vertex 4", "expected 136 bytes after the header, got 120"),
             (b"element vertex 3", b"element vertex 0", "chunk: expected 1 rows, got 1|vertex: expected 1 rows, got 0"),
             (b"little", b"big", "format: expected binary_little_endian, got binary_big_endian"),
             (b"packed_scale", b"packed_scald", "vertex: expected the uints packed_position"),
@@ -70,7 +70,7 @@ class TestCompressedPly:
             (
                 b"element vertex",
                 b"element other 0\nelement vertex",
-                "expected the elements chunk, vertex and perhaps sh",
+                "expected the elements chunk, vertex and optionally sh",
             ),
         ],
     )
@@ -144,7 +144,7 @@ class TestSog:
             section = section[key]
         section[keys[-1]] = value
         path = written(tmp_path / "a.sog", zip_bytes({**entries, "meta.json": json.dumps(meta).encode()}))
-        if message is None:  # a texture that is larger than it needs to be is none of our business
+        if message is None:  # a texture may be larger than it needs to be
             assert_valid(read_gaussians(path))
         else:
             with pytest.raises(ValueError, match=rf"a\.sog: .*{message}"):

@@ -116,7 +116,7 @@ def test_a_header_that_promises_lists_without_end_is_refused(tmp_path: Path) -> 
     )
     names = ply_fields(sample_gaussians(1, 0))
     header += b"".join(f"property float {name}\n".encode() for name in names) + b"end_header\n"
-    with pytest.raises(ValueError, match="expected 99999999999 bytes or more behind the header, got 0"):
+    with pytest.raises(ValueError, match="expected 99999999999 bytes or more after the header, got 0"):
         read_gaussians(written(tmp_path / "a.ply", header))
 
 
@@ -124,7 +124,7 @@ def test_a_header_that_promises_lists_without_end_is_refused(tmp_path: Path) -> 
 def test_a_binary_file_of_another_length_is_refused(tmp_path: Path, extra: int) -> None:
     content = ply_bytes(ply_fields(sample_gaussians(7, 0)))
     content = content[:extra] if extra < 0 else content + b"\0" * extra
-    with pytest.raises(ValueError, match=rf"expected 392 bytes behind the header, got {392 + extra}"):
+    with pytest.raises(ValueError, match=rf"expected 392 bytes after the header, got {392 + extra}"):
         read_gaussians(written(tmp_path / "a.ply", content))
 
 

@@ -116,9 +116,9 @@ def test_what_another_writer_writes_reads_back_within_its_quantisation(tmp_path:
         ({"degree": 4}, "shDegree: expected 0 to 3, got 4"),
         ({"fractional_bits": 25}, "fractionalBits: expected at most 24, got 25"),
         ({"count": 0}, "numPoints: expected at least 1, got 0"),
-        ({"count": 10}, "expected 200 bytes behind the header, got 180: truncated"),
-        ({"count": 8}, "expected 160 bytes behind the header, got more"),
-        ({"degree": 1}, "expected 261 bytes behind the header, got 180: truncated"),
+        ({"count": 10}, "expected 200 bytes after the header, got 180: truncated"),
+        ({"count": 8}, "expected 160 bytes after the header, got more"),
+        ({"degree": 1}, "expected 261 bytes after the header, got 180: truncated"),
         ({"count": 0xFFFFFFFF}, "numPoints: 4294967295 Gaussians need 85899345900 bytes, more than a file of"),
     ],
 )
@@ -162,7 +162,7 @@ def test_a_stream_that_unpacks_to_more_than_its_header_promises_is_not_unpacked(
     payload, count = random_spz(3, 0)
     path = written(tmp_path / "a.spz", spz_bytes(payload + bytes(1 << 27), count))
     tracemalloc.start()
-    with pytest.raises(ValueError, match="expected 180 bytes behind the header, got more"):
+    with pytest.raises(ValueError, match="expected 180 bytes after the header, got more"):
         read_gaussians(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

@@ -9,7 +9,7 @@ from splatrl.scenes.upright import Guess, Upright
 
 NO_GUESS = Guess("given", "the test says so")
 LYING = Upright(np.array([0.0, -1.0, 0.0]), -0.7, None, 2.0, NO_GUESS, NO_GUESS, NO_GUESS, NO_GUESS)
-"""A file that is −y up, with its floor 0.7 units below the origin and 2 m a unit."""
+"""A file that is −y up, with its floor 0.7 units below the origin and 2 m per unit."""
 TURNED = similarity(["x", "z", "-y"], 3.0, [1.0, 2.0, 5.0])
 
 

@@ -76,7 +76,7 @@ def test_the_axes_kept_for_each_up_are_a_rotation_that_stands_it_upright(axis: s
 
 @pytest.mark.parametrize("axis", STANDING)
 def test_up_and_floor_of_boxes_on_a_floor_are_found_whichever_axis_is_up(axis: str) -> None:
-    placed = similarity(STANDING[axis], 1.0, [1.0, 2.0, -0.7])  # the floor is at 0.7 of the file's up
+    placed = similarity(STANDING[axis], 1.0, [1.0, 2.0, -0.7])  # the floor is at 0.7 along the file's up
     upright = guess_upright(lying(yard(), placed))
     assert axis_name(upright.up) == axis
     assert upright.floor == pytest.approx(0.7, abs=0.01)

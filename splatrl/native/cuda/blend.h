@@ -6,7 +6,7 @@
 
 namespace splatrl {
 
-constexpr int QUAD = 4;  // patches of a warp
+constexpr int QUAD = 4;  // patches per warp
 
 struct Color {
     float red, green, blue;
@@ -40,7 +40,7 @@ SPLAT_INLINE Color color_of(const SceneArrays& scene, uint32_t slot, const Vecto
     return {out[0], out[1], out[2]};
 }
 
-// The Gaussian of a slot, as it is projected.
+// The projection of the Gaussian in a slot.
 SPLAT_INLINE Footprint<float> footprint_of(const SceneArrays& scene, const Camera& camera, uint32_t slot,
                                            const Vector<float>& offset) {
     const float4* shape = scene.shapes + 3 * size_t(slot);
@@ -49,12 +49,12 @@ SPLAT_INLINE Footprint<float> footprint_of(const SceneArrays& scene, const Camer
     return project<ANTIALIASED_IMAGE, WITH_LEVELS>(camera, offset, axes, c.y, Merging<float>{c.z, c.w});
 }
 
-// The part that has an index of the row.
+// The part to which an index of the row belongs.
 SPLAT_INLINE int part_of(const Views& views, const Shared& shared, uint32_t index) {
     return WITH_PARTS ? behind_last(shared.bases, 0, views.parts, index) - 1 : 0;
 }
 
-// Where the Gaussian with an index of the row lies.
+// The slot of the Gaussian with an index of the row.
 SPLAT_INLINE uint32_t slot_of(const SceneArrays& scene, const Views& views, const Shared& shared, int part,
                               uint32_t index) {
     return scene.slots[WITH_PARTS ? index + place_of(views, shared.row, part).shift : index];
@@ -142,8 +142,8 @@ struct Pixels {
             active |= uint32_t(__any_sync(ALL_LANES, transmittance[i] > MIN_TRANSMITTANCE) != 0) << i;
     }
 
-    // Blend one splat over a patch. Its share of a pixel is 0 from where the transmittance would fall to
-    // MIN_TRANSMITTANCE, which goes on falling.
+    // Blend one splat over a patch. Its share of a pixel is 0 once the transmittance would fall to
+    // MIN_TRANSMITTANCE; the transmittance itself keeps falling.
     INLINE_MEMBER void blend(const Record& record, int patch) {
         const float4 place = record.place, fall = record.fall, color = record.color;
         const float dx = (patch % 2 == 0 ? x : x + PATCH_WIDTH) - place.x;

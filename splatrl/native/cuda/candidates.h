@@ -17,7 +17,7 @@ struct Node {
     INLINE_MEMBER uint32_t with(uint32_t cluster) const { return word - this->cluster() + cluster; }
 };
 
-// Begin with the roots of all that is to be drawn, at the first of `nodes`.
+// Start with the roots of everything that is to be drawn, at the beginning of `nodes`.
 SPLAT_INLINE void plant(const Views& views, Shared& shared, uint32_t* nodes) {
     if (thread() == 0) nodes[0] = 0, shared.frontier[0] = !WITH_PARTS, shared.frontier[1] = 0, shared.accepted = 0;
     __syncthreads();
@@ -30,7 +30,7 @@ SPLAT_INLINE void plant(const Views& views, Shared& shared, uint32_t* nodes) {
     __syncthreads();
 }
 
-// Go down the trees, a level at a time, in `nodes` [3, capacity]. Leaves the nodes to draw in the third part.
+// Descend the trees a level at a time, in `nodes` [3, capacity]. Leaves the nodes to draw in its third row.
 SPLAT_INLINE void cull(const SceneArrays& scene, const Views& views, Shared& shared, uint32_t* nodes, int capacity) {
     uint32_t* accepted = nodes + 2 * size_t(capacity);
     plant(views, shared, nodes);
@@ -65,8 +65,8 @@ SPLAT_INLINE Key key_of(double depth, uint32_t index) {
     return (steps < FARTHEST ? steps : FARTHEST) << INDEX_BITS | index;
 }
 
-// The key of the Gaussian in a slot of a part; NO_KEY where it cannot show on the tile. The order of two Gaussians must not
-// hang on a rounding: depths are computed in double precision, as on the CPU.
+// The key of the Gaussian in a slot of a part; NO_KEY where it cannot show on the tile. The order of two Gaussians must
+// not depend on rounding: depths are computed in double precision, as on the CPU.
 SPLAT_INLINE Key candidate(const SceneArrays& scene, const Shared& shared, int part, uint32_t slot) {
     const View& view = shared.views[part];
     const float4 sphere = scene.spheres[slot];
@@ -101,8 +101,8 @@ SPLAT_INLINE void append(Shared& shared, Key* keys, Key key) {
     if (key != NO_KEY) keys[base + rank_in(found)] = key;
 }
 
-// The keys of all that may show, from the nodes that `cull` left. Half a warp takes a node: first its groups, then
-// the sixteen Gaussians of each group in view.
+// The keys of all Gaussians that may show, from the nodes that `cull` left. Half a warp takes a node: first its groups,
+// then the sixteen Gaussians of each group in view.
 SPLAT_INLINE void find_candidates(const SceneArrays& scene, Shared& shared, const uint32_t* nodes, int capacity,
                                   Key* keys) {
     const uint32_t* accepted = nodes + 2 * size_t(capacity);

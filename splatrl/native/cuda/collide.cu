@@ -1,8 +1,10 @@
-// Thousands of bodies against a grid at once. A block takes some queries. Its threads ask the distance field of one pose
-// each, which settles most of them, and gather those that it leaves open; then its warps take these one at a time and
-// search the voxels around them together. No answer depends on another, so neither on the order nor on the batch.
+// Thousands of bodies against a grid at once. A block takes some queries. Its threads look up one pose each in the
+// distance field, which settles most of them, and gather those that it leaves open; then its warps take these one at a
+// time and search the voxels around them together. Answers are independent of each other, of their order and of the
+// batch.
 //
-// BODY_KIND is a Shape::Kind: a macro, so that each is compiled by itself. A pose that is none is noted, and is a hit.
+// BODY_KIND is a Shape::Kind: a macro, so that each kind is compiled separately. An invalid pose is recorded, and is a
+// hit.
 #include "platform.h"
 
 #include "collision.h"
@@ -13,12 +15,12 @@ namespace splatrl {
 
 constexpr int MOST_OPEN = 1024, WARPS = BLOCK_THREADS / WARP;
 
-// What is asked, poses as row-major 4×4 matrices.
+// The queries of a launch, with poses as row-major 4×4 matrices.
 struct Queries {
     const float *start, *end;
     int* fault;  // the lowest row that was refused
     int count;
-    int at_once;  // that a block takes, a multiple of WARP and at most MOST_OPEN
+    int at_once;  // queries per block, a multiple of WARP and at most MOST_OPEN
 };
 
 struct Shared {
@@ -27,7 +29,7 @@ struct Shared {
     int found, taken;
 };
 
-// Call settled(row) by a thread for every row, and answer(row, search) by a warp for those of which it says false.
+// Call settled(row) with one thread for every row, and answer(row, search) with one warp for those where it is false.
 template <class Settled, class Answer>
 SPLAT_INLINE void each_query(const Queries& queries, const Settled& settled, const Answer& answer) {
     __shared__ Shared shared;
@@ -77,7 +79,7 @@ SPLAT_INLINE Shape of_this_kind(Shape shape) {
     return shape;
 }
 
-// Moves; what is known is written by write(row, free share).
+// Answer moves; write(row, free share) stores each result.
 template <bool ANY, class Write>
 SPLAT_INLINE void answer_moves(const Grid& grid, const Shape& shape, const Queries& queries, const Write& write) {
     const auto settled = [&](int row) {

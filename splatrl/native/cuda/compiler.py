@@ -23,10 +23,10 @@ def source_path(source: str | Path) -> Path:
 
 
 def compiled(source: str | Path, arch: str, defines: Mapping[str, int] | None = None) -> bytes:
-    """Machine code (cubin) of a source, from the cache where it is there.
+    """Machine code (cubin) of a source, from the cache if it is there.
 
-    The first time a line on standard error says what is compiled, as it takes seconds. Where the cache cannot be
-    written to, it is compiled every time.
+    The first time, a line on standard error says what is compiled, because it takes seconds. Where the cache cannot be
+    written to, the source is compiled every time.
 
     Args:
         source: as for ``source_path``.
@@ -35,7 +35,7 @@ def compiled(source: str | Path, arch: str, defines: Mapping[str, int] | None = 
 
     Raises:
         ImportError: where cuda-core or NVRTC is not installed; says how to get them.
-        RuntimeError: where the source does not compile; NVRTC's log.
+        RuntimeError: where the source does not compile; holds NVRTC's log.
     """
     name = source_path(source).stem
     path = cache_dir() / f"{name}-{arch}-{_digest(source, arch, defines or {})}.cubin"
@@ -55,7 +55,7 @@ def compiled(source: str | Path, arch: str, defines: Mapping[str, int] | None = 
 
 
 def translated(source: str | Path, arch: str, defines: Mapping[str, int]) -> tuple[bytes, str]:
-    """Compile a source: machine code, and what the assembler says of registers and memory. See ``compiled``."""
+    """Compile a source into machine code, with what the assembler says about registers and memory. See ``compiled``."""
     try:
         from cuda.core import Program, ProgramOptions
     except ImportError as error:
@@ -73,12 +73,12 @@ def translated(source: str | Path, arch: str, defines: Mapping[str, int]) -> tup
     )
     try:
         program = Program(path.read_text(), "c++", options)
-    except RuntimeError as error:  # of cuda-core, where the NVRTC library is not found
+    except RuntimeError as error:  # raised by cuda-core where the NVRTC library is not found
         raise ImportError(_MISSING) from error
     log = _Log()
     try:
         code = program.compile("cubin", logs=log).code
-    except Exception as error:  # cuda-core has no public class for it
+    except Exception as error:  # cuda-core has no public class for a compiler's error
         said = f"{log.text}\n{error}".replace("\0", "").strip()
         raise RuntimeError(f"{path.name} for {arch}: expected a source that compiles\n{said}") from error
     return bytes(code), log.text
@@ -95,7 +95,7 @@ class _Log:
 
 
 def _digest(source: str | Path, arch: str, defines: Mapping[str, int]) -> str:
-    """Of all that machine code is made from: every header counts, whether the source includes it or not."""
+    """Digest of everything that machine code is made from; every header counts, whether included or not."""
     digest = hashlib.sha256()
     files = [path for folder in FOLDERS for path in sorted(folder.iterdir()) if path.suffix in (".h", ".cu", "")]
     for path in (*files, source_path(source)):

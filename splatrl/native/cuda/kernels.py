@@ -40,8 +40,8 @@ class Kernels(Protocol):
             name: of the kernel.
             blocks: of the grid.
             threads: of a block.
-            arguments: of the kernel. A tensor stands for its address and must be contiguous on the device, None for no
-                address; an int is one of 32 bits, a float is single precision, what ctypes makes is what it says.
+            arguments: of the kernel. A tensor stands for its address and must be contiguous on the device, None for a
+                null pointer; an int has 32 bits, a float is single precision, and ctypes values are passed as they are.
             shared: bytes of dynamic shared memory.
         """
         ...
@@ -70,13 +70,13 @@ def packed(arguments: tuple[Any, ...], device: torch.device) -> list[Any]:
 
 
 def uploaded(values: NDArray[Any], device: torch.device) -> Tensor:
-    """The same bits on a device, as signed integers, which PyTorch has of every size."""
+    """The same bits on a device, as signed integers, which PyTorch has in every size."""
     bits = values.view(np.dtype(f"i{values.itemsize}"))
     return torch.from_numpy(bits if bits.flags.writeable else bits.copy()).to(device)
 
 
 class CudaKernels:
-    """Kernels on a CUDA device, by the driver's own interface: see ``Kernels``.
+    """Kernels on a CUDA device, through the driver's own interface: see ``Kernels``.
 
     Args:
         source: name of a file in ``splatrl/native/cuda``, or a path.
@@ -91,7 +91,7 @@ class CudaKernels:
     def __init__(
         self, source: str | Path, device: torch.device | str, defines: Mapping[str, int] | None = None
     ) -> None:
-        self.device = torch.empty(0, device=device).device  # with its index; and PyTorch's context is there from now on
+        self.device = torch.empty(0, device=device).device  # with its index; this also creates PyTorch's context
         major, minor = torch.cuda.get_device_capability(self.device)
         properties = torch.cuda.get_device_properties(self.device)
         self.multiprocessors, self.memory = properties.multi_processor_count, properties.total_memory
@@ -120,10 +120,10 @@ class CudaKernels:
             kernel, where = self._kernel(name, shared), ctypes.addressof(addresses)
             self._answer(
                 self._driver.cuLaunchKernel(kernel, blocks, 1, 1, threads, 1, 1, shared, stream, where, 0)
-            )  # which copies the arguments before it returns
+            )  # this call copies the arguments before it returns
 
     def _kernel(self, name: str, shared: int) -> Any:
-        """The kernel, allowed to use so much shared memory."""
+        """The kernel, allowed to use this much shared memory."""
         if (name, shared) not in self._kernels:
             kernel = self._answer(self._driver.cuModuleGetFunction(self._module, name.encode()))
             limit = self._driver.CUfunction_attribute.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
@@ -133,7 +133,7 @@ class CudaKernels:
         return self._kernels[name, shared]
 
     def _answer(self, answer: tuple[Any, ...]) -> Any:
-        """What the driver gives, after its verdict."""
+        """The driver's result, after checking its status."""
         error, *values = answer
         if int(error) != 0:
             raise RuntimeError(f"CUDA driver on {self.device}: {error!r}")

@@ -20,7 +20,7 @@ struct Cut {
     INLINE_MEMBER Key begin(int bucket) const { return low + (Key(bucket) << shift); }
 };
 
-// Replace counts by the sums of all before each. Returns the sum of all.
+// Replace each count by the sum of those before it. Returns the sum of all.
 SPLAT_INLINE uint32_t sum_up(Shared& shared, uint32_t* counts) {
     constexpr int OWN = BUCKETS / THREADS;
     uint32_t own[OWN], total = 0;
@@ -28,7 +28,7 @@ SPLAT_INLINE uint32_t sum_up(Shared& shared, uint32_t* counts) {
         own[i] = total;
         total += counts[thread() * OWN + i];
     }
-    uint32_t upto = total;  // within the warp
+    uint32_t upto = total;  // inclusive sum within the warp
     for (int by = 1; by < WARP; by *= 2) {
         const uint32_t before = __shfl_up_sync(ALL_LANES, upto, by);
         if (lane() >= by) upto += before;
@@ -56,7 +56,7 @@ SPLAT_INLINE void count_keys(uint32_t* counts, const Key* keys, uint32_t count, 
     __syncthreads();
 }
 
-// Bring keys into the order of their buckets, from `from` to `to`; `ends` [BUCKETS] says where each bucket ends.
+// Copy keys from `from` to `to` in the order of their buckets; `ends` [BUCKETS] says where each bucket ends.
 SPLAT_INLINE void deal_to_buckets(Shared& shared, const Key* from, Key* to, uint32_t count, const Cut& cut,
                                   uint32_t* ends) {
     count_keys(ends, from, count, cut);
@@ -68,11 +68,11 @@ SPLAT_INLINE void deal_to_buckets(Shared& shared, const Key* from, Key* to, uint
     __syncthreads();
 }
 
-// Sort all of shared.sorted, whatever its keys: bitonic, each thread holding neighbours. Exchanges are between registers,
-// lanes, or by memory.
+// Sort all of shared.sorted, whatever its keys: a bitonic sort in which each thread holds neighbours and exchanges them
+// between registers, between lanes, or through memory.
 SPLAT_INLINE void sort_by_exchange(Shared& shared) {
     constexpr int OWN = SLAB / THREADS;
-    static_assert(OWN == 2, "the exchange within a thread is that of two");
+    static_assert(OWN == 2, "the exchange within a thread is between two keys");
     const int first = thread() * OWN;
     __syncthreads();
     Key mine[OWN] = {shared.sorted[first], shared.sorted[first + 1]};
@@ -99,7 +99,7 @@ SPLAT_INLINE void sort_by_exchange(Shared& shared) {
     __syncthreads();
 }
 
-// The least and the largest of the block's keys, to shared.low and shared.high.
+// The smallest and the largest of the block's keys, to shared.low and shared.high.
 SPLAT_INLINE void find_range(Shared& shared, Key low, Key high) {
     if (thread() == 0) shared.low = NO_KEY, shared.high = 0;
     __syncthreads();
@@ -116,7 +116,7 @@ SPLAT_INLINE void find_range(Shared& shared, Key low, Key high) {
 }
 
 // Sort the first `count` of shared.sorted. They are dealt to buckets of their own range, where each key finds its place
-// by a look at the others of its bucket; where one bucket holds too many for that, they are sorted by exchange.
+// by comparison with the others of its bucket; where one bucket holds too many for that, they are sorted by exchange.
 SPLAT_INLINE void sort_slab(Shared& shared, uint32_t count) {
     constexpr uint32_t CROWD = 48;
     Key low = NO_KEY, high = 0;
@@ -158,14 +158,14 @@ SPLAT_INLINE int behind_last(const uint32_t* numbers, int first, int end, uint32
     return first;
 }
 
-// Of keys that are all at least `from` and at most `last`: where to cut so that those before fit into a slab.
+// Where to cut keys in [from, last] so that those before the cut fit into a slab.
 SPLAT_INLINE Key fitting_cut(Shared& shared, const Key* keys, uint32_t count, Key from, Key last) {
     for (;;) {
         const Cut cut(from, last);
         count_keys(shared.histogram, keys, count, cut);
         const uint32_t all = sum_up(shared, shared.histogram);
         if (all <= SLAB) return last + 1;
-        const int whole = behind_last(shared.histogram, 0, BUCKETS, SLAB) - 1;  // buckets before it are within the slab
+        const int whole = behind_last(shared.histogram, 0, BUCKETS, SLAB) - 1;  // buckets before it fit into the slab
         __syncthreads();
         if (whole > 0) return cut.begin(whole);
         last = cut.begin(1) - 1;
@@ -184,7 +184,7 @@ SPLAT_INLINE uint32_t gather(Shared& shared, const Key* keys, uint32_t count, Ke
     return shared.gathered;
 }
 
-// Begin with the candidates of a tile; `both` [2, capacity] holds them in its first part.
+// Start with the candidates of a tile; `both` [2, capacity] holds them in its first row.
 SPLAT_INLINE void begin_slabs(Shared& shared, Key* both, int capacity) {
     const uint32_t count = shared.count;
     Slabs slabs{both, count, 0, count, BUCKETS, 1, 0, shared.low, shared.high};
@@ -198,7 +198,7 @@ SPLAT_INLINE void begin_slabs(Shared& shared, Key* both, int capacity) {
     __syncthreads();
 }
 
-// Go on to as many buckets as fit into a slab, or to one that does not.
+// Advance to as many buckets as fit into a slab, or to a single one that does not.
 SPLAT_INLINE void take_buckets(const Shared& shared, Slabs& slabs) {
     const Cut cut(slabs.low, slabs.high);
     const int first = slabs.bucket, behind = behind_last(shared.ends, first, BUCKETS, slabs.end + SLAB);
@@ -207,8 +207,8 @@ SPLAT_INLINE void take_buckets(const Shared& shared, Slabs& slabs) {
     slabs.from = cut.begin(first), slabs.last = cut.begin(slabs.bucket) - 1;
 }
 
-// Bring the next slab, nearest first, to shared.sorted. Returns how many there are in it, 0 behind the last. Where it has
-// got to is kept in shared memory: blending needs the registers.
+// Bring the next slab, nearest first, to shared.sorted. Returns its size, 0 after the last one. The progress
+// is kept in shared memory, because blending needs the registers.
 SPLAT_INLINE uint32_t next_slab(Shared& shared) {
     Slabs slabs = shared.slabs;
     uint32_t some = 0;

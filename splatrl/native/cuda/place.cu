@@ -1,5 +1,5 @@
 // Where the parts of each row stand: the row's camera in the frame of each, and which of the row's indices are its own.
-// A warp takes a row. Done once a batch, so that the tiles of a row share it.
+// A warp takes a row. Done once per batch, so that the tiles of a row share it.
 #include "platform.h"
 
 #include "places.h"
@@ -7,19 +7,19 @@
 
 namespace splatrl {
 
-// What is asked of a renderer: parts [batch, parts] and the cameras of their rows.
+// The inputs of a batch: parts [batch, parts] and the cameras of their rows.
 struct Asked {
     const Model* models;           // [models]
     const int64_t* model;          // [batch, parts], -1 for none
     const float* model_to_world;   // [batch, parts, 4, 4]
     const float* camera_to_world;  // [batch, 4, 4]
     const uint8_t* only;           // [batch] which rows are drawn; null for all
-    int* fault;                    // the lowest row that asks for what cannot be drawn
+    int* fault;                    // the lowest row with something that cannot be drawn
     int parts, model_count;
     uint32_t most_indices, most_gaussians;  // of a row
 };
 
-// The size and the Gaussians of a part; `wrong` where it cannot be drawn, which leaves it out.
+// The model of a part; sets `wrong` where it cannot be drawn, and then it is left out.
 SPLAT_INLINE Model model_of(const Asked& asked, size_t at, bool& wrong) {
     const int64_t model = asked.model[at];
     if (model == -1) return {};
@@ -55,7 +55,7 @@ SPLAT_INLINE void express_camera(const float* model_to_world, const float* camer
         }
 }
 
-// Whether all of a row fits: no parts of it show where their sum is more than a key can tell apart or a tile can hold.
+// Whether a row fits: none of its parts shows where they have more Gaussians than a key can number or a tile can hold.
 SPLAT_INLINE bool fits(const Asked& asked, size_t row, bool& wrong) {
     uint32_t indices = 0, gaussians = 0;
     for (int part = lane(); part < asked.parts; part += WARP) {

@@ -1,10 +1,10 @@
 // Thousands of small images at once. A block draws a tile of 32×32 pixels from beginning to end and takes the next: it
-// goes down the tree (candidates.h), puts what may show in order of depth (order.h), and blends it slab by slab with the
-// pixels in registers (blend.h). Blocks take no account of each other, and what is found in no order is ordered by keys
-// of which no two are equal: a frame has the same bytes in every batch.
+// descends the tree (candidates.h), sorts what may show by depth (order.h), and blends it slab by slab with the pixels
+// in registers (blend.h). Blocks are independent, and what threads find in any order is sorted by keys of which no two
+// are equal: a frame has the same bytes in every batch.
 //
 // ANTIALIASED_IMAGES, LEVELS_OF_DETAIL (1 or 0), SH_DEGREE and MOST_PARTS (of a row; 0 draws the first model where it
-// stands) are macros, so that each is compiled by itself.
+// stands) are macros, so that each combination is compiled separately.
 #include "platform.h"
 
 #include "blend.h"
@@ -15,7 +15,7 @@ namespace splatrl {
 
 // Whether a camera can be drawn: finite, with positive focal lengths.
 SPLAT_INLINE bool is_camera(const float* pose, const float* K) {
-    float sum = 0.0f;  // not a number where any of them is none
+    float sum = 0.0f;  // NaN where any of them is not finite
     for (int i = 0; i < 16; ++i) sum += 0.0f * pose[i];
     for (int i = 0; i < 9; ++i) sum += 0.0f * K[i];
     return sum == 0.0f && K[0] > 0.0f && K[4] > 0.0f;
@@ -46,7 +46,7 @@ SPLAT_INLINE bool next_tile(const Views& views, const Workspace& workspace, Shar
     return shared.row < views.batch;
 }
 
-// Look at each part of the row with the row's camera in its frame.
+// Set up the view of each part of the row: the row's camera in the part's frame.
 SPLAT_INLINE void view_parts(const Views& views, Shared& shared) {
     if (!WITH_PARTS) return;
     for (int part = thread(); part < views.parts; part += THREADS) {
@@ -71,7 +71,7 @@ SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const
     uint32_t* nodes = workspace.nodes + 3 * size_t(blockIdx.x) * workspace.node_capacity;
     while (next_tile(views, workspace, shared)) {
         if (!shared.drawn) continue;
-        view_parts(views, shared);  // which cull waits for
+        view_parts(views, shared);  // cull waits for it
         cull(scene, views, shared, nodes, workspace.node_capacity);
         find_candidates(scene, shared, nodes, workspace.node_capacity, keys);
         if (workspace.efforts != nullptr) note(workspace, shared, PROJECTED, thread() == 0 ? shared.count : 0);

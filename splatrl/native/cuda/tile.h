@@ -1,4 +1,4 @@
-// What the stages of render.cu say to each other.
+// What the stages of render.cu pass to each other.
 #pragma once
 
 #include "platform.h"
@@ -11,25 +11,24 @@
 namespace splatrl {
 
 constexpr int THREADS = BLOCK_THREADS, WARPS = THREADS / WARP;
-static_assert(WARPS * 4 == PATCHES_ACROSS * PATCHES_DOWN, "four patches of 8×4 pixels a warp, in its registers");
+static_assert(WARPS * 4 == PATCHES_ACROSS * PATCHES_DOWN, "four patches of 8×4 pixels per warp, in its registers");
 
 constexpr bool ANTIALIASED_IMAGE = ANTIALIASED_IMAGES != 0, WITH_LEVELS = LEVELS_OF_DETAIL != 0;
-constexpr bool WITH_PARTS = MOST_PARTS > 0;  // without, a row is the first model where it stands
+constexpr bool WITH_PARTS = MOST_PARTS > 0;  // otherwise a row is the first model where it stands
 constexpr int VIEWS = WITH_PARTS ? MOST_PARTS : 1;
 
 constexpr int SLAB = 512;      // splats that are sorted and blended at once
 constexpr int BUCKETS = 1024;  // of a histogram of depths
 
-// Depth in the high bits, the index in the row in the low ones, which counts through its parts: no two keys of an image
-// are equal, so their order does not hang on the order in which they were found.
+// Depth in the high bits, the index in the row, counted across its parts, in the low ones: no two keys of an image
+// are equal, so their order does not depend on the order in which they were found.
 using Key = uint64_t;
 constexpr int INDEX_BITS = 24;
 constexpr Key NO_KEY = ~Key(0);
 
-// The models of a renderer, one behind another, every Gaussian by itself. A slot is its place; slots without one pad the
-// groups.
+// The models of a renderer, one after another, with a slot for every Gaussian; slots without a Gaussian pad the groups.
 struct SceneArrays {
-    const float4* spheres;            // [slots] mean, metres; its reach (flat_scene.h) by bits, 0 for nothing
+    const float4* spheres;            // [slots] mean, metres; the bits of its reach (flat_scene.h), 0 for nothing
     const float4* shapes;             // [slots, 3] factor A of the covariance, log2 opacity, members and sum if merged
     const uint16_t* colors;           // [slots, color_stride] half floats, [harmonics, 3]; final colours at degree 0
     const uint32_t* indices;          // [slots] index in the model, merged Gaussians behind it
@@ -43,8 +42,8 @@ struct SceneArrays {
 struct Views {
     const float* camera_to_world;     // [batch, 4, 4]
     const float* K;                   // [batch, 3, 3]
-    const uint8_t* only;              // [batch] which to draw; null for all
-    const Place* places;              // [batch, parts]; not looked at without parts
+    const uint8_t* only;              // [batch] which rows to draw; null for all
+    const Place* places;              // [batch, parts]; unused without parts
     int batch, width, height, parts;
 };
 
@@ -52,11 +51,11 @@ SPLAT_INLINE const Place& place_of(const Views& views, int row, int part) {
     return views.places[size_t(row) * views.parts + part];
 }
 
-// Memory of the launch; [blocks] parts.
+// Memory of the launch, one part per block.
 struct Workspace {
     Key* keys;                        // [blocks, 2, key_capacity]
     uint32_t* nodes;                  // [blocks, 3, node_capacity]
-    int* next_tile;                   // 0 at first
+    int* next_tile;                   // 0 at the start
     int* fault;                       // the lowest row whose camera is refused
     uint32_t* efforts;                // [batch, EFFORTS] added to; null if not asked for
     int key_capacity, node_capacity;
@@ -81,13 +80,13 @@ struct Record {
 struct Slabs {
     const Key* keys;                  // in the order of their buckets, unless one slab takes them all
     uint32_t count;
-    uint32_t begin, end;              // of the keys at hand
-    int bucket;                       // behind those at hand
-    Key from, last;                   // of the keys at hand, those that are still to come; none where last < from
+    uint32_t begin, end;              // of the current keys
+    int bucket;                       // the one after those at hand
+    Key from, last;                   // range of the current keys that are still to come; empty where last < from
     Key low, high;                    // of all keys
 };
 
-// What a model is culled with: the camera in its own frame.
+// The view that a model is culled with: the camera in its own frame.
 struct View {
     Camera camera;
     Frustum frustum;
@@ -99,14 +98,14 @@ struct Shared {
     Tile tile;
     int item, row, drawn;             // drawn: whether the tile is drawn at all
     uint32_t count, gathered, accepted, frontier[2];
-    Key low, high;                    // of the keys that were looked at last
+    Key low, high;                    // of the keys that were examined last
     Slabs slabs;
     uint32_t sums[WARPS];
     uint32_t ends[BUCKETS];           // where each bucket of the candidates ends
     Key sorted[SLAB];                 // the keys of a slab, in the end nearest first
-    uint32_t patches[SLAB];           // that its splats show on, by bits
+    uint32_t patches[SLAB];           // bits of the patches that each of its splats shows on
     uint32_t bases[VIEWS];            // of the parts; not set without parts
-    union {                           // what is needed one after another
+    union {                           // never needed at the same time
         View views[VIEWS];            // of the parts
         struct {
             uint32_t histogram[BUCKETS];

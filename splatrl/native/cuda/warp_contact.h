@@ -6,9 +6,9 @@
 
 namespace splatrl {
 
-constexpr int AT_ONCE = 4;  // columns of which a lane reads the voxels: memory takes its time
+constexpr int AT_ONCE = 4;  // columns that a lane reads at once, to hide the latency of memory
 
-// What a warp keeps in shared memory: also what all lanes have the same of, as registers are few.
+// What a warp keeps in shared memory, including values that all lanes share, because registers are scarce.
 struct Search {
     Normal normals[NORMALS];
     int waiting[(AT_ONCE + 1) * WARP];  // columns with something solid, in the order in which they were found
@@ -17,8 +17,8 @@ struct Search {
     BoxSweep sweep;
 };
 
-// Call prepare() by the whole warp, if there is anything solid, and then contact(column) for every such column, until
-// one of them says 0; the smallest of what they say. Few columns hold something solid, so they are gathered first.
+// The smallest result of contact(column) over all columns with something solid; stops at 0. If there are any, the whole
+// warp calls prepare() first. Few columns hold something solid, so they are gathered before they are searched.
 template <class Prepare, class Contact>
 SPLAT_INLINE double first_by_warp(const Columns& columns, int* waiting, const Prepare& prepare, const Contact& contact) {
     const int along_y = columns.along_y(), count = columns.along_x() * along_y;
@@ -51,7 +51,7 @@ SPLAT_INLINE double first_by_warp(const Columns& columns, int* waiting, const Pr
             if (done + lane() < found) first = min(first, contact(column(waiting[done + lane()])));
             if (__any_sync(ALL_LANES, first == 0.0)) return 0.0;
         }
-        found = max(found - done, 0);  // less than a warp's; they come first the next time
+        found = max(found - done, 0);  // fewer than a warp's lanes; they come first next time
         const int left = lane() < found ? waiting[done + lane()] : 0;
         __syncwarp();
         if (lane() < found) waiting[lane()] = left;
@@ -67,7 +67,7 @@ struct WarpContact {
 
     HOST_DEVICE double operator()(const Shape& shape, const Pose& pose, const Vec3& way, bool any) const {
         const Columns columns = columns_on_way(grid, shape, pose, way);
-        __syncwarp();  // nobody still reads what the last search left
+        __syncwarp();  // no lane still reads what the last search left
         if (shape.kind != Shape::BOX) {
             const RoundSweep sweep = round_sweep(shape, pose, way);
             return first_by_warp(
@@ -83,7 +83,7 @@ struct WarpContact {
             [&](const Column& column) { return search.sweep.contact(column, any); });
     }
 
-    // Every lane makes one.
+    // Every lane makes one normal.
     HOST_DEVICE void write_normals() const {
         Normal normal;
         const bool made = lane() < search.box.normals && make_normal(search.box, lane(), normal);

@@ -1,5 +1,5 @@
 // From sorted splats to a tile, slab by slab: the splats of a slab are laid out nearest first and dealt to the blocks
-// that they touch, then each block is blended with its pixels in registers. Blocks that are finished take no more.
+// that they touch, then each block is blended with its pixels in registers. Finished blocks are given no more splats.
 #pragma once
 
 #include "kernel.h"
@@ -9,11 +9,11 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Items that are fetched ahead: enough for the caches to answer. What is fetched past the end of a list is never used.
+// Items to prefetch: enough for the caches to keep up. What is fetched past the end of a list is never used.
 constexpr uint32_t FETCH = 16, AHEAD = 4;
 static_assert(FETCH <= SPARE && AHEAD <= SPARE, "the arrays have room to read ahead");
 
-// Lists of the splats on each block, and which blocks take no more.
+// Lists of the splats on each block, and which blocks are finished.
 struct Blocks {
     uint16_t* lists;
     uint32_t lengths[LISTS];
@@ -26,7 +26,7 @@ struct Blocks {
     }
 };
 
-// Nothing drawn yet; pixels outside the tile are finished from the start.
+// Start with nothing drawn; pixels outside the tile are finished from the start.
 template <bool WITH_DEPTH>
 LANE_INLINE void start_tile(float* pixels, Blocks& blocks, const Tile& tile, const float* background) {
     const Lanes start[CHANNELS] = {lanes(background[RED]), lanes(background[GREEN]), lanes(background[BLUE]),
@@ -74,8 +74,8 @@ LANE_INLINE void deal(const Scratch& scratch, const uint64_t* keys, uint32_t cou
 }
 
 // Blend a list of splats over one block, front to back. Returns whether all its pixels are finished.
-// A splat's share of a pixel is 0 from where the transmittance would fall to MIN_TRANSMITTANCE. The transmittance goes
-// on falling, so what is finished stays finished.
+// A splat's share of a pixel is 0 once the transmittance would fall to MIN_TRANSMITTANCE. The transmittance keeps
+// falling, so a finished pixel stays finished.
 template <bool ANTIALIASED, bool WITH_DEPTH>
 LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const uint16_t* end, float left, float top,
                              float* channels) {
@@ -114,8 +114,8 @@ LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const 
     return bits_above(transmittance, lanes(MIN_TRANSMITTANCE)) == 0;
 }
 
-// Blend what has been dealt to the blocks. Returns whether all of them are finished; adds to `blended` how often a splat
-// was blended over a block.
+// Blend what has been dealt to the blocks. Returns whether all of them are finished; adds to `blended` how often a
+// splat was blended over a block.
 template <bool ANTIALIASED, bool WITH_DEPTH>
 LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, Blocks& blocks, uint32_t& blended) {
     bool all_finished = true;

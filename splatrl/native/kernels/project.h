@@ -35,7 +35,7 @@ LANE_INLINE void pixels_between(const Lanes& middle, const Lanes& extent, int lo
     last = floor(max(min(middle + extent - 0.5f, float(high)) + 1.0f, 0.0f)) - 1.0f;
 }
 
-// Depths in double precision, split into two floats: the order of two Gaussians must not hang on a rounding.
+// Depths in double precision, split into two floats: the order of two Gaussians must not depend on rounding.
 LANE_INLINE void exact_depths(const float* means, const Camera& camera, Lanes& depths, Lanes& rests) {
     const float *forward = camera.rotation + 6, *position = camera.position;
     alignas(64) float near[GROUP], rest[GROUP];
@@ -57,7 +57,7 @@ LANE_INLINE void patches_of(const Tile& tile, const Lanes& left, const Lanes& ri
     const IntLanes last_column = to_ints((right - float(tile.left)) * (1.0f / BLOCK));
     const IntLanes last_row = to_ints((bottom - float(tile.top)) * (1.0f / BLOCK));
     alignas(64) static constexpr uint32_t TURNS[GROUP] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
-    const IntLanes turns = load_ints(TURNS);  // lists of the waste take turns: none waits for the splat before it
+    const IntLanes turns = load_ints(TURNS);  // waste lists take turns, so that no splat waits for the one before it
     FOR_PARTS {
         const IntPart first = first_row.part[p] * ACROSS + first_column.part[p], waste = turns.part[p] + WASTE;
         const IntPart right_by = last_column.part[p] - first_column.part[p], down_by = last_row.part[p] - first_row.part[p];
@@ -113,7 +113,7 @@ LANE_INLINE void fetch_group(const SceneView& scene, uint32_t group) {
     for (size_t line = 0; line < bytes; line += 64) __builtin_prefetch(colors + line, 0, 1);
 }
 
-// Project the groups of a part that scratch names, behind `count` splats. Returns how many splats there are then.
+// Project the groups of a part that scratch names, after the first `count` splats. Returns the new number of splats.
 template <bool ANTIALIASED>
 static uint32_t project_groups(const Part& part, const Tile& tile, uint32_t groups, const Scratch& scratch,
                                uint32_t count) {

@@ -26,7 +26,7 @@ static void sift_down(const Tie* ties, uint64_t* heap, uint32_t root, uint32_t c
     heap[root] = key;
 }
 
-// Order keys by a heap: for walls of equal depth.
+// Heapsort, for walls of equal depth.
 static void order_by_heap(const Tie* ties, uint64_t* keys, uint32_t count) {
     for (uint32_t root = count / 2; root-- > 0;) sift_down(ties, keys, root, count);
     for (uint32_t last = count - 1; last > 0; --last) {
@@ -41,7 +41,7 @@ static void order_by_heap(const Tie* ties, uint64_t* keys, uint32_t count) {
 // lie on a grid, as in quantised files. `found` has room for `count` numbers.
 static void order_ties(const Tie* ties, uint64_t* keys, uint32_t count, uint32_t low, int unsorted, uint32_t* found) {
     constexpr uint32_t LONG = 24, FETCH_TIES = 8;
-    uint32_t tied = 0;  // those that agree with the key before them
+    uint32_t tied = 0;  // keys that agree with the one before them
     uint32_t last = count > 0 ? (uint32_t(keys[0] >> 32) - low) >> unsorted : 0;
     for (uint32_t i = 1; i < count; ++i) {
         const uint32_t digits = (uint32_t(keys[i] >> 32) - low) >> unsorted;
@@ -74,7 +74,7 @@ static void order_ties(const Tie* ties, uint64_t* keys, uint32_t count, uint32_t
     }
 }
 
-// Radix sort by the leading bits in which the depths differ, least significant digit first, then the ties.
+// Radix sort by the leading bits in which the depths differ, least significant digit first; then the ties are ordered.
 // Returns the sorted keys, in `scratch.keys`.
 static const uint64_t* sort_by_depth(const Scratch& scratch, uint32_t count) {
     constexpr int DIGIT = 11, VALUES = 1 << DIGIT;

@@ -25,7 +25,7 @@ def is_compressed(header: PlyHeader) -> bool:
 def read_compressed_ply(path: Path, header: PlyHeader) -> Gaussians:
     """Read a compressed PLY file.
 
-    All that gsply's compiled loops take for granted is checked first: they do not check bounds.
+    Everything that gsply's compiled loops take for granted is checked first, because they do not check bounds.
 
     Raises:
         ValueError: for another layout, or a size other than the header promises.
@@ -35,7 +35,7 @@ def read_compressed_ply(path: Path, header: PlyHeader) -> Gaussians:
     if header.format != "binary_little_endian":
         raise ValueError(f"{path}: format: expected binary_little_endian, got {header.format}")
     if list(header.elements) not in (["chunk", "vertex"], ["chunk", "vertex", "sh"]):
-        raise ValueError(f"{path}: expected the elements chunk, vertex and perhaps sh, got {list(header.elements)}")
+        raise ValueError(f"{path}: expected the elements chunk, vertex and optionally sh, got {list(header.elements)}")
     count = header.elements["vertex"].count
     harmonics = len(header.elements["sh"].properties) if "sh" in header.elements else 0
     if harmonics not in (0, 9, 24, 45):

@@ -12,9 +12,9 @@ from splatrl.scenes.gaussians import Gaussians
 
 
 def extra_module(name: str, path: Path) -> ModuleType:
-    """Import a module that the extra ``gsply`` brings.
+    """Import a module that the extra ``gsply`` installs.
 
-    It is imported with the first file that needs it, because its compiler takes seconds to start.
+    It is imported only for the first file that needs it, because its compiler takes seconds to start.
 
     Raises:
         ImportError: without the extra; says how to install it.
@@ -26,7 +26,7 @@ def extra_module(name: str, path: Path) -> ModuleType:
 
 
 def from_gsply(path: Path, decoded: Any) -> Gaussians:
-    """Gaussians of what gsply decoded: log scales, logits and harmonics [N, K, 3] without degree 0."""
+    """Gaussians from what gsply decoded: log scales, logits and harmonics [N, K, 3] without degree 0."""
     sh = np.concatenate([decoded.sh0[:, None, :], decoded.shN], 1)
     stored = (decoded.means, decoded.quats, decoded.scales, decoded.opacities, sh)
     return activated(path, *(np.ascontiguousarray(values, np.float32) for values in stored))

@@ -1,4 +1,4 @@
-"""3DGS PLY as Inria's code, nerfstudio, gsplat and others write it; what splatrl writes is Inria's layout."""
+"""3DGS PLY as Inria's code, nerfstudio, gsplat and others write it; splatrl itself writes Inria's layout."""
 
 import os
 from pathlib import Path
@@ -24,7 +24,7 @@ def read_ply(path: Path) -> Gaussians:
     """Read a PLY file of Gaussians: fields by name in any order, ASCII or binary, SH degree 0 to 3.
 
     Raises:
-        ValueError: for a damaged file, one of something else than Gaussians, or a wrong number of harmonics.
+        ValueError: for a damaged file, one that does not hold Gaussians, or a wrong number of harmonics.
     """
     header = read_ply_header(path)
     if is_compressed(header):
@@ -54,11 +54,11 @@ def write_gaussians(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
     logits; Gaussians of opacity 0 are written, and readers drop them.
 
     Args:
-        path: where to; ends in .ply.
+        path: to write to; ends in .ply.
         gaussians: in any frame.
 
     Raises:
-        ValueError: for another ending, or for values that have no finite log.
+        ValueError: for another file extension, or for values that have no finite log.
     """
     path = Path(path)
     if path.suffix.lower() != ".ply":
@@ -89,7 +89,7 @@ def _rest(count: int) -> tuple[str, ...]:
 
 
 def _checked_fields(path: Path, header: PlyHeader) -> tuple[str, ...]:
-    """Names of the harmonics above degree 0, once it is sure that all fields are there."""
+    """Check that every field is there; return the names of the harmonics above degree 0."""
     if "vertex" not in header.elements:
         raise ValueError(f"{path}: expected an element vertex, got {', '.join(header.elements) or 'none'}")
     properties = header.elements["vertex"].properties

@@ -1,4 +1,4 @@
-"""The header of a PLY file, read before anything is allocated on its word."""
+"""The header of a PLY file, checked before memory is allocated for what it promises."""
 
 import re
 from dataclasses import dataclass, field
@@ -21,7 +21,7 @@ class PlyElement:
 
     @property
     def size(self) -> int | None:
-        """Bytes of the table in a binary file; None where it has lists, whose lengths only the rows tell."""
+        """Bytes of the table in a binary file; None where it has lists, whose lengths are only in the rows."""
         if "list" in self.properties.values():
             return None
         return self.count * sum(SIZES[kind] for kind in self.properties.values())
@@ -29,7 +29,7 @@ class PlyElement:
 
 @dataclass
 class PlyHeader:
-    """Format and tables of a PLY file, its length in bytes and that of the file."""
+    """Format and tables of a PLY file, and the lengths of its header and of the file in bytes."""
 
     format: PlyFormat
     elements: dict[str, PlyElement]
@@ -43,11 +43,11 @@ class PlyHeader:
         if self.format != "ascii" and None not in sizes:
             promised = sum(size for size in sizes if size is not None)
             if held != promised:
-                raise ValueError(f"{path}: expected {promised} bytes behind the header, got {held}")
+                raise ValueError(f"{path}: expected {promised} bytes after the header, got {held}")
         else:  # each value takes a byte or more
             least = sum(element.count * max(1, len(element.properties)) for element in self.elements.values())
             if held < least:
-                raise ValueError(f"{path}: expected {least} bytes or more behind the header, got {held}")
+                raise ValueError(f"{path}: expected {least} bytes or more after the header, got {held}")
 
 
 def read_ply_header(path: Path) -> PlyHeader:

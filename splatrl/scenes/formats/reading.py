@@ -10,7 +10,7 @@ from pathlib import Path
 from splatrl.scenes.gaussians import Gaussians
 
 Reader = Callable[[Path], Gaussians]
-"""Reads a file that is there and not empty."""
+"""Reads an existing, non-empty file."""
 
 
 @cache

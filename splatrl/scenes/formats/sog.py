@@ -1,4 +1,4 @@
-"""PlayCanvas's SOG, version 2: a ZIP of lossless WebP textures, one pixel a Gaussian, and a meta.json."""
+"""PlayCanvas's SOG, version 2: a ZIP of lossless WebP textures, one pixel per Gaussian, and a meta.json."""
 
 import io
 import json
@@ -15,7 +15,7 @@ DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, Runt
 """What zipfile raises for a damaged archive."""
 
 TEXTURES = {"means": 2, "quats": 1, "scales": 1, "sh0": 1}
-"""How many textures with a pixel for each Gaussian the attributes have."""
+"""How many textures each attribute has, with one pixel per Gaussian."""
 
 MAX_PALETTE = 1 << 16
 
@@ -23,7 +23,7 @@ MAX_PALETTE = 1 << 16
 def read_sog(path: Path) -> Gaussians:
     """Read a .sog bundle of version 2.
 
-    All that gsply's compiled loops take for granted is checked first: they do not check bounds.
+    Everything that gsply's compiled loops take for granted is checked first, because they do not check bounds.
 
     Raises:
         ValueError: for a damaged bundle, another version or textures that do not fit ``count``.
@@ -64,7 +64,7 @@ def _meta(path: Path, entries: dict[str, bytes]) -> dict[str, Any]:
 
 
 def _check(path: Path, meta: dict[str, Any], entries: dict[str, bytes], size: int) -> None:
-    """Every field that decoding reads: there, of its type, and in agreement with the textures."""
+    """Check that every field that decoding reads exists, has its type and agrees with the textures."""
     count = meta.get("count")
     most = 8 * size + (1 << 16)  # real bundles take 15 bytes or more for each Gaussian
     if type(count) is not int or not 1 <= count <= most:

@@ -1,4 +1,4 @@
-"""The .splat format of web viewers: 32 bytes a Gaussian, no header, no harmonics above degree 0."""
+"""The .splat format of web viewers: 32 bytes per Gaussian, no header, no harmonics above degree 0."""
 
 from pathlib import Path
 

@@ -37,7 +37,7 @@ class Header(NamedTuple):
 
     @property
     def widths(self) -> dict[str, int]:
-        """Bytes a Gaussian of each attribute, in the order of the file."""
+        """Bytes per Gaussian of each attribute, in the order of the file."""
         rotation = 3 if self.version == 2 else 4
         harmonics = 3 * ((self.sh_degree + 1) ** 2 - 1)
         return {"positions": 9, "alphas": 1, "colors": 3, "scales": 3, "rotations": rotation, "sh": harmonics}
@@ -69,7 +69,7 @@ def read_spz(path: Path) -> Gaussians:
 
 
 def _unpack(path: Path, data: bytes) -> tuple[Header, Bytes]:
-    """Header and attributes; never unpacks more than the header promises, nor believes one that promises too much."""
+    """Header and attributes; unpacks no more than the header promises, and refuses one that promises too much."""
     if data[:4] == b"NGSP":
         version = int.from_bytes(data[4:8], "little")
         raise ValueError(f"{path}: version: expected gzipped SPZ 2 or 3, got {version}")
@@ -91,9 +91,9 @@ def _unpack(path: Path, data: bytes) -> tuple[Header, Bytes]:
         raise ValueError(f"{path}: expected a gzip stream, got a damaged one: {error}") from error
     extended = bool(header.flags & HAS_EXTENSIONS)
     if len(payload) < promised or not (inflater.eof or extended or surplus):
-        raise ValueError(f"{path}: expected {promised} bytes behind the header, got {len(payload)}: truncated")
+        raise ValueError(f"{path}: expected {promised} bytes after the header, got {len(payload)}: truncated")
     if surplus and not extended:
-        raise ValueError(f"{path}: expected {promised} bytes behind the header, got more")
+        raise ValueError(f"{path}: expected {promised} bytes after the header, got more")
     return header, np.frombuffer(payload, np.uint8)
 
 

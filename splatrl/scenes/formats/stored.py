@@ -1,4 +1,4 @@
-"""Between stored values, logs and logits, and the activated ones of ``Gaussians``."""
+"""Converts between stored values (logs and logits) and the activated ones of ``Gaussians``."""
 
 import numpy as np
 import torch
@@ -8,7 +8,7 @@ from torch import Tensor
 from splatrl.scenes.gaussians import Gaussians, checked_gaussians
 
 EDGE = 1e-9
-"""Opacities are stored as logits this far from 0 and 1: finite, and 1 again once they are float32."""
+"""Opacities are kept this far from 0 and 1, so that logits are finite; in float32, 1 is read back as 1."""
 
 Floats = NDArray[np.float32]
 
@@ -16,7 +16,7 @@ Floats = NDArray[np.float32]
 def activated(
     source: object, means: Floats, quats: Floats, log_scales: Floats, opacity_logits: Floats, sh: Floats
 ) -> Gaussians:
-    """Gaussians of the values that a file stores.
+    """Gaussians from the values that a file stores.
 
     Args:
         source: what the values came from, for the messages.
@@ -37,5 +37,5 @@ def activated(
 
 
 def opacity_logits(opacities: Tensor) -> Tensor:
-    """What a file stores for opacities: [N] float64 logits, finite for 0 and 1 too."""
+    """The logits that a file stores for opacities: [N] float64, finite even for 0 and 1."""
     return opacities.double().clamp(EDGE, 1 - EDGE).logit()

@@ -24,7 +24,7 @@ class Shift:
 
 
 STEP = 0.05
-"""Metres: what moves does so by whole steps, and so stands in the voxels of that size as it did before."""
+"""Metres: things move by whole steps, so they fill voxels of that size as they did before."""
 REACHES = {
     "wood pile": ((-10, -4), (-8, 10), (0.0, 0.0)),
     "shrub pot": ((-4, 10), (9, 14), (0.5, 2 * pi)),
@@ -32,7 +32,7 @@ REACHES = {
     "rain barrel": ((-5, 10), (1, 8), (0.5, 2 * pi)),
     "bench": ((0, 2), (3, 12), (0.0, 0.0)),
 }
-"""Least and most x and y in steps, and turn in radians, of each thing that moves. None comes nearer to the robots'
+"""Least and greatest x and y (steps) and turn (radians) of each thing that moves. None comes nearer to the robots'
 bodies: pile and pot, which stand within their reach, leave it, and the pots on the table change places inside the box
 that they fill."""
 BELONGS_TO = {
@@ -69,7 +69,7 @@ def moved(part: Surfels, center: tuple[float, float], move: Shift) -> Surfels:
     """The surfels of a thing where it has been moved to.
 
     Args:
-        part: of the thing, before light falls on them.
+        part: surfels of the thing, before light falls on them.
         center: x and y about which it turns, metres.
         move: how.
     """

@@ -20,12 +20,12 @@ from splatrl.spherical_harmonics import C0
 def backyard_gaussians(seed: int = 0, clutter: int = 0) -> Gaussians:
     """A backyard of 6 × 6 m in the sun: lawn, hedge, fence, brick wall, shed, trees, things in the way, a red egg.
 
-    The task in it is the same for every seed; leaves, grain, clouds and the place of the trees are not. The same
+    The task in it is the same for every seed; leaves, grain, clouds and the place of the trees vary. The same
     numbers give the same bytes.
 
     Args:
         seed: from 0.
-        clutter: from 0; any other moves pots, wood pile, barrel and bench, and none of them towards the robots.
+        clutter: from 0; any other number moves pots, wood pile, barrel and bench, none of them towards the robots.
 
     Returns:
         About 50,000 Gaussians, spherical harmonics of degree 0, world frame, metres, ground at z = 0.

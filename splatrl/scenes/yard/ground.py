@@ -11,7 +11,7 @@ from splatrl.scenes.yard.surfels import THICKNESS, Array, Rectangle, Surfels, jo
 NEAR = 1.8
 """Half width of the part of the lawn that robots see from close by, metres."""
 STONES = ((-0.75, -2.45), (-0.72, -1.95), (-0.62, -1.45), (-0.55, -0.95), (-0.58, -0.45), (-0.66, 0.08), (-0.6, 0.6))
-"""Middles of the stepping stones that lead from the shed's door into the yard, metres."""
+"""Centres of the stepping stones that lead from the shed's door into the yard, metres."""
 
 
 def square(half: float) -> Rectangle:
@@ -20,9 +20,9 @@ def square(half: float) -> Rectangle:
 
 
 def turf(rng: Rng) -> Surfels:
-    """The lawn: a tight layer of ground, finer in the middle, and blades of grass.
+    """The lawn: a layer of ground without gaps, finer in the middle, and blades of grass.
 
-    The ground is tight by the overlap of small surfels: large ones so near a camera would be smeared over the image.
+    Small overlapping surfels close the ground: large ones this near a camera would smear over the image.
     """
     parts = []
     for half, inner, step, blades, length in ((NEAR, 0.0, 0.057, 8000, 0.055), (HALF_WIDTH, NEAR, 0.12, 3600, 0.085)):
@@ -38,7 +38,7 @@ def turf(rng: Rng) -> Surfels:
 
 
 def on_stones(points: Array, radius: float) -> NDArray[np.bool_]:
-    """Which places lie within a radius of the middle of a stepping stone, [N] bool."""
+    """Which points lie within a radius of the centre of a stepping stone, [N] bool."""
     return (np.linalg.norm(points[:, None, :2] - np.array(STONES), axis=-1) < radius).any(1)
 
 

@@ -2,7 +2,7 @@
 
 World frame, metres, ground at z = 0. The yard is 6 m wide: a hedge in the east (+x), a wooden fence in the north
 (+y), a brick wall in the west and a shed in the south. Robots stay within a metre of the middle along x
-and y, and what they can touch there stands in the same place for every seed; only the trees move with it. What
+and y, and what they can touch there stands in the same place for every seed; only the trees move with the seed. What
 ``clutter`` moves is in ``clutter.py``.
 """
 
@@ -81,7 +81,7 @@ BENCH = (
 
 
 def trees(seed: int) -> tuple[Tree, ...]:
-    """Two trees in the yard's corners, then six beyond it; each stands a little elsewhere with each seed."""
+    """Two trees in the yard's corners, then six beyond it; each seed moves them a little."""
     shift = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, (8, 3))
     yard = [(2.25, 2.2, 0.11, 2.3, 0.95), (-2.3, -2.2, 0.09, 2.1, 0.8)]
     beyond = [
@@ -142,7 +142,7 @@ def backyard_obstacles(
         clutter: likewise.
 
     Returns:
-        Name, lowest and highest corner of the box around each thing, metres, world frame. A thing fills its box but
-        for round ones, which fill the ellipse or ellipsoid in it. The ground and the grass are not in the list.
+        Name, lowest and highest corner of the box around each thing, metres, world frame. Each thing fills its
+        box; a round one fills the ellipse or ellipsoid in it. The ground and the grass are not in the list.
     """
     return [(solid.name, solid.low, solid.high) for solid in solids(seed, clutter)]

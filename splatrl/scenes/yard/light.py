@@ -13,7 +13,7 @@ SUN = np.array([-0.50, -0.47, 0.73])
 SUN_COLOR = np.array([1.0, 0.93, 0.78]) * 1.62
 SKY_COLOR = np.array([0.62, 0.74, 0.95]) * 0.9
 GROUND_COLOR = np.array([0.50, 0.52, 0.34]) * 0.35
-"""Light that the lawn throws back at what faces it."""
+"""Light that the lawn reflects onto what faces it."""
 PENUMBRA = 0.035
 """Spread of the directions to the sun, whose shadows are averaged."""
 RAYS = 5
@@ -23,7 +23,7 @@ CONTACT = 0.16
 
 @dataclass(frozen=True)
 class Occluders:
-    """What throws shadows: boxes that let nothing through and crowns that let a part through.
+    """What casts shadows: boxes, which are opaque, and crowns, which let some light through.
 
     Attributes:
         low: [B, 3] corners of boxes, metres.
@@ -61,7 +61,7 @@ def in_box(points: Array, direction: Array, blockers: Occluders) -> NDArray[np.b
 
 
 def through_crowns(points: Array, direction: Array, blockers: Occluders) -> Array:
-    """Share of light that reaches each point past the crowns, [N]: less, the longer the way through leaves."""
+    """Share of light that reaches each point through the crowns, [N]: less, the longer its path through leaves."""
     share = np.ones(len(points))
     for center, radii in zip(blockers.centers, blockers.radii, strict=True):
         start, way = (points - center) / radii, direction / radii
@@ -84,7 +84,7 @@ def sunlight(points: Array, blockers: Occluders) -> Array:
 
 
 def openness(points: Array, normals: Array, blockers: Occluders) -> Array:
-    """Share of the sky that is left beside contacts, [N]: things' feet and the ground around them are darker."""
+    """Share of the sky that is visible near contacts, [N]: things' feet and the ground around them are darker."""
     height = np.maximum(points[:, 2], 0.0)
     flat = np.maximum(normals[:, 2], 0.0)
     foot = 1 - 0.45 * (1 - flat) * np.exp(-height / CONTACT)

@@ -8,7 +8,7 @@ from splatrl.scenes.yard.surfels import Array, Surfels, frames, join, lathe, pai
 
 
 def leaves(points: Array, outward: Array, depth: Array, size: float, palette: tuple[Color, Color], rng: Rng) -> Surfels:
-    """Leaves that face outward more or less, darker the deeper they sit.
+    """Leaves that face roughly outward, darker the deeper they sit.
 
     Args:
         points: [N, 3] metres.
@@ -92,7 +92,7 @@ def tree(spec: Tree, count: int, palette: tuple[Color, Color], rng: Rng) -> Surf
 
 
 def grass(points: Array, length: float, rng: Rng) -> Surfels:
-    """Blades of grass that stand at places on the lawn, lean and are light at the top.
+    """Blades of grass at points on the lawn, which lean and are lighter at the top.
 
     Args:
         points: [N, 3] feet, metres.
@@ -111,7 +111,7 @@ def grass(points: Array, length: float, rng: Rng) -> Surfels:
 
 
 def lawn_colors(points: Array, rng: Rng) -> Array:
-    """Greens of a lawn at places on it: large patches, drier spots and fine grain, [N, 3] sRGB."""
+    """Greens of a lawn at points on it: large patches, drier spots and fine grain, [N, 3] sRGB."""
     fixed = np.random.default_rng(20)  # blades and the ground beneath them share their patches
     flat = points * np.array([1.0, 1.0, 0.0])
     dry = 0.28 + 0.16 * waves(flat, fixed, 1.6) + 0.12 * waves(flat, fixed, 0.45) + 0.1 * rng.normal(size=len(points))

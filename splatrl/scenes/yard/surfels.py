@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 THICKNESS = 0.004
 """Standard deviation of a surfel along its normal, metres."""
 OVERLAP = 0.68
-"""Standard deviation over spacing: neighbours close every gap and details stay."""
+"""Standard deviation over spacing: neighbours close every gap, and details stay sharp."""
 OPAQUE = 0.96
 
 
@@ -24,8 +24,8 @@ class Surfels:
         axes: [N, 3, 3] rotations; column k is the direction of ``scales[:, k]``, column 2 the thin one.
         scales: [N, 3] standard deviations, metres.
         colors: [N, 3] sRGB in [0, 1]: what the surface reflects, or once lit what is seen.
-        normals: [N, 3] what the light sees as the surface's direction; the shorter than 1, the more light shines
-            through from all sides.
+        normals: [N, 3] the surface's direction for lighting; the shorter it is than 1, the more light shines through
+            from all sides.
         opacities: [N].
     """
 
@@ -110,7 +110,7 @@ class Rectangle:
         return np.stack([s.ravel(), t.ravel()], -1), size
 
     def points(self, st: Array, lift: float | Array = 0.0) -> Array:
-        """World positions [N, 3] of places [N, 2] on the rectangle, ``lift`` metres in front of it."""
+        """World positions [N, 3] of points [N, 2] on the rectangle, ``lift`` metres in front of it."""
         right, up = np.asarray(self.right), np.asarray(self.up)
         lifted = np.asarray(lift)[..., None] * np.cross(right, up)
         return np.asarray(self.corner) + st[:, :1] * right + st[:, 1:] * up + lifted
@@ -154,7 +154,7 @@ def faces(
 def lathe(
     center: tuple[float, float, float], profile: list[tuple[float, float]], step: float, lying: bool = False
 ) -> Surfels:
-    """A surface of revolution about the vertical through ``center``, or about +x where it lies; white, to be painted.
+    """A surface of revolution about the vertical through ``center``, or about +x if ``lying``; white, to be painted.
 
     Args:
         center: foot of the axis, metres, world frame.
