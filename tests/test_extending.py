@@ -1,4 +1,4 @@
-"""A package of one's own: its task, transform, network and scene work from the command line, as docs/extending.md says."""
+"""A package of one's own: its task, transform, network and scene work from the command line, as the docs say."""
 
 import json
 import os

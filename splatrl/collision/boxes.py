@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from splatrl.collision.grid import check_resolution, checked_points
+from splatrl.collision.voxel_grid import check_resolution, checked_points
 
 _FACE_SLACK = 1e-3
 """In voxels: a box must reach farther than this into a voxel to cover it, because 0.3 is rarely exactly 3 · 0.1."""

@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from splatrl.bodies import Body, Box, Capsule, Sphere
-from splatrl.collision.grid import checked_points
 from splatrl.collision.native import check_pairs, check_shape, collider, corner_of, refuse
 from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.voxel_grid import checked_points
 from splatrl.faults import FaultFlag
 from splatrl.native.cuda.kernels import CudaKernels, Load, uploaded
 

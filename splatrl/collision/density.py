@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from splatrl.collision.grid import Bounds, check_resolution, checked_box, grid_shape
+from splatrl.collision.voxel_grid import Bounds, check_resolution, checked_box, grid_shape
 from splatrl.native._core import add_density
 from splatrl.scenes.gaussians import Gaussians
 

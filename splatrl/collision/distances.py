@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from torch import Tensor
 
-from splatrl.collision.grid import checked_points
 from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.voxel_grid import checked_points
 
 
 class DistanceField:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from torch import Tensor
 
-from splatrl.collision.grid import MAX_VOXELS, Bounds, checked_box, checked_points, grid_shape
+from splatrl.collision.voxel_grid import MAX_VOXELS, Bounds, checked_box, checked_points, grid_shape
 
 Region = tuple[NDArray[np.bool_], tuple[int, int, int]]
 """Voxels [X, Y, Z] bool and the key of the first."""

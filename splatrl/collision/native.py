@@ -8,8 +8,8 @@ from torch import Tensor
 from splatrl.bodies import Body, Box, Capsule
 from splatrl.collision.displacement import checked_poses
 from splatrl.collision.distances import DistanceField
-from splatrl.collision.grid import checked_points
 from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.voxel_grid import checked_points
 from splatrl.native import _core
 from splatrl.native.threads import usable_cores
 

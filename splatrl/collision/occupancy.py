@@ -14,8 +14,8 @@ from torch import Tensor
 from splatrl.collision.boxes import box_keys
 from splatrl.collision.density import DEFAULT_DENSITY, DensitySettings, solid_voxels
 from splatrl.collision.fill import unreached_voxels, warn_unfilled
-from splatrl.collision.grid import MAX_VOXELS, Bounds, check_resolution, checked_box, checked_points, grid_shape
 from splatrl.collision.point_clouds import file_digest, read_points
+from splatrl.collision.voxel_grid import MAX_VOXELS, Bounds, check_resolution, checked_box, checked_points, grid_shape
 from splatrl.collision.voxels import Voxels
 from splatrl.scenes.gaussians import Gaussians
 

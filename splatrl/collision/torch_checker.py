@@ -8,8 +8,8 @@ from torch import Tensor
 
 from splatrl.bodies import Body, Box, Capsule
 from splatrl.collision.displacement import Displacement, checked_poses
-from splatrl.collision.grid import checked_points
 from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.voxel_grid import checked_points
 from splatrl.geometry import quats_to_rotations, rotations_to_quats
 
 _SLACK = 1e-9

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from torch import Tensor
 
-from splatrl.collision.grid import check_resolution, checked_points
 from splatrl.collision.report import OccupancyReport
+from splatrl.collision.voxel_grid import check_resolution, checked_points
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -3,10 +3,10 @@
 from splatrl.renderers.base import Renderer, RenderOutput
 from splatrl.renderers.cuda import CudaRenderer
 from splatrl.renderers.gsplat import GsplatRenderer
-from splatrl.renderers.lattice import LatticeRenderer
 from splatrl.renderers.native import Effort, NativeRenderer
 from splatrl.renderers.parts import ABSENT, Parts
 from splatrl.renderers.reference import ReferenceRenderer
+from splatrl.renderers.view_cache import LatticeRenderer
 
 __all__ = [
     "ABSENT",
