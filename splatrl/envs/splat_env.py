@@ -18,6 +18,11 @@ from splatrl.envs.tasks.base import Outcome, Step, Task
 from splatrl.faults import Faulty
 
 
+RESERVED = {"pixels", "state", "step_count", "episode_return", "level", "outcome", "free_fraction", "camera_offset"}
+RESERVED |= {"action", "reward", "done", "terminated", "truncated", "appearance"}
+"""Keys of the env and its transforms, which a task's memory must not take."""
+
+
 class SplatEnv(EnvBase):
     """B robots that see, move and collide in one splat scene: a batch-locked TorchRL env.
 
@@ -52,7 +57,8 @@ class SplatEnv(EnvBase):
         device: of every tensor that it takes and gives.
 
     Raises:
-        ValueError: for a batch size that is not one positive number, or a given state that the motion does not have.
+        ValueError: for a batch size that is not one positive number, a task whose memory takes the env's keys, or a
+            given state that the motion does not have.
     """
 
     batch_locked = True
@@ -113,6 +119,10 @@ class SplatEnv(EnvBase):
             "level": count.clone(),
             **self.task.memory_spec,
         }
+        if taken := set(self.task.memory_spec) & RESERVED:
+            raise ValueError(
+                f"task.memory_spec: expected keys other than the env's own, got {', '.join(sorted(taken))}"
+            )
         shown: dict[str, TensorSpec] = {
             "pixels": Bounded(0, 255, shape=(robot.image_height, robot.image_width, 3), dtype=torch.uint8),
             "outcome": Categorical(len(Outcome), shape=(1,), dtype=torch.int64),

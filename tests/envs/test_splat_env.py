@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.collectors import MultiSyncCollector
+from torchrl.data import Unbounded
 from torchrl.envs import ParallelEnv
 
 from splatrl import make_env
@@ -17,7 +18,7 @@ from splatrl.cameras import Cameras
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs import SplatEnv, World
-from splatrl.envs.tasks import Outcome
+from splatrl.envs.tasks import Grid, Outcome
 from splatrl.renderers import Parts
 from tests.curriculum.graph import successors
 from tests.envs.contract import EnvContract
@@ -170,6 +171,15 @@ def test_a_camera_offset_goes_to_its_own_row_on_a_partial_reset() -> None:
 def test_a_batch_that_is_not_one_positive_number_is_refused(batch_size: list[int]) -> None:
     with pytest.raises(ValueError, match="batch_size: expected one number"):
         tiny_env(batch_size)
+
+
+def test_a_memory_that_takes_the_envs_own_keys_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    taken = {"level": Unbounded(shape=(1,)), "mine": Unbounded(shape=(1,)), "pixels": Unbounded(shape=(1,))}
+    monkeypatch.setattr(Grid, "memory_spec", taken)
+    with pytest.raises(
+        ValueError, match=r"task\.memory_spec: expected keys other than the env's own, got level, pixels"
+    ):
+        tiny_env((2,))
 
 
 def test_envs_without_a_seed_differ() -> None:
