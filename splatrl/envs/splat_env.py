@@ -17,7 +17,6 @@ from splatrl.envs.robot import Robot
 from splatrl.envs.tasks.base import Outcome, Step, Task
 from splatrl.faults import Faulty
 
-
 RESERVED = {"pixels", "state", "step_count", "episode_return", "level", "outcome", "free_fraction", "camera_offset"}
 RESERVED |= {"action", "reward", "done", "terminated", "truncated", "appearance"}
 """Keys of the env and its transforms, which a task's memory must not take."""
