@@ -1,6 +1,6 @@
 """splatrl: reinforcement learning for robots that see a captured Gaussian splatting scene.
 
-Names are imported when they are first used, so ``import splatrl`` is quick and brings neither TorchRL nor Hydra.
+Names are imported when they are first used, so ``import splatrl`` is quick and imports neither TorchRL nor Hydra.
 """
 
 from importlib import import_module

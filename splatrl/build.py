@@ -1,4 +1,4 @@
-"""From configs to objects: the one place that knows which node builds what."""
+"""Builds objects from configs: the one place that knows which node builds what."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -28,15 +28,15 @@ from splatrl.training import PPO, Trainer, memory_transforms
 def build_world(cfg: DictConfig) -> World:
     """Build scene, robot, task, collision, drawing and plan from a config, for the device that it names.
 
-    Paths are planned on the CPU, with the checker of the CPU.
+    Paths are planned on the CPU, with the CPU's checker.
 
     Raises:
-        ValueError: for a value that is still to be given, or that one of them refuses.
+        ValueError: for a value that is missing, or that one of them refuses.
     """
     require_values(cfg)
     device = chosen_device(cfg.device)
     cfg = cfg.copy()
-    cfg.device = str(device)  # what nodes mean by ${device}
+    cfg.device = str(device)  # the value of ${device} in nodes
     scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
     occupancy = instantiate(cfg.collision.occupancy)(scene, *_start_region(task, robot.body))
     checker = _constructor(cfg, "collision", device)(occupancy, robot.body)
@@ -59,10 +59,10 @@ def build_world(cfg: DictConfig) -> World:
 
 
 def _constructor(cfg: DictConfig, group: str, device: torch.device) -> Callable[..., Any]:
-    """What a config group builds on a kind of device.
+    """The constructor in a config group for a kind of device.
 
     Raises:
-        ValueError: where the group has nothing for it.
+        ValueError: if the group has none for it.
     """
     node = cfg[group].get(device.type)
     if node is None:
@@ -72,17 +72,17 @@ def _constructor(cfg: DictConfig, group: str, device: torch.device) -> Callable[
 
 
 def _fits(bounds: Bounds, solid: Checker, body_to_world: Tensor) -> Tensor:
-    """Whether robots could begin at poses: within the scene, and in nothing solid; [S, 4, 4] -> [S] bool."""
+    """Whether robots could begin at poses: within the scene and not in anything solid; [S, 4, 4] -> [S] bool."""
     lower, upper = (body_to_world.new_tensor(corner[:2]) for corner in bounds)
     place = body_to_world[:, :2, 3]
     return ((place >= lower) & (place <= upper)).all(1) & ~solid.collides(body_to_world)
 
 
 def _make_transforms(nodes: DictConfig, memory: int) -> list[Transform]:
-    """New transforms for an env, the innermost first.
+    """Make new transforms for an env, the innermost first.
 
     Raises:
-        ValueError: for an order that names none, or leaves one out.
+        ValueError: for an order that names an unknown transform, or leaves one out.
     """
     order, names = list(nodes.order), [str(name) for name in nodes if name != "order"]
     unknown = [name for name in order if name not in names]
@@ -95,9 +95,9 @@ def _make_transforms(nodes: DictConfig, memory: int) -> list[Transform]:
 
 
 def _start_region(task: Task, body: Body) -> tuple[Tensor, tuple[list[float], list[float]]]:
-    """Places that robots reach, positions [N, 3] in metres, and the corners of the box in which their bodies are.
+    """Places that robots can reach, [N, 3] in metres, and the corners of the box that contains their bodies.
 
-    The places are those of the goal, or of all states where a task has none.
+    The places are those of the goal states, or of all states if a task has none.
     """
     states = task.motion.states()
     places = task.motion.body_to_world(states)[:, :3, 3]
@@ -107,17 +107,17 @@ def _start_region(task: Task, body: Body) -> tuple[Tensor, tuple[list[float], li
 
 
 def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
-    """Build the actor and critic for an env; its first weights come from PyTorch's global generator."""
+    """Build the actor and critic for an env; their initial weights come from PyTorch's global generator."""
     image_shape = env.observation_spec["pixels"].shape[1:]
     return instantiate(cfg.network)(image_shape, env.action_spec).to(env.device)
 
 
 def build_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
-    """Build the learner and the loop around it.
+    """Build the learner and the training loop around it.
 
     Args:
         cfg: the whole config.
-        world: what the envs share.
+        world: everything that the envs share.
         folder: the run folder.
     """
     curriculum = instantiate(cfg.curriculum)(world.plan)
@@ -140,7 +140,7 @@ def build_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
 
 
 def _cuda_graph(choice: bool | str) -> bool | None:
-    """Whether to capture steps; None where that is left to what there is.
+    """Whether to capture steps; None for auto.
 
     Raises:
         ValueError: for anything but true, false and auto.
@@ -153,12 +153,12 @@ def _cuda_graph(choice: bool | str) -> bool | None:
 
 
 def make_env(overrides: Sequence[str] = (), batch_size: Sequence[int] | None = None, seed: int = 0) -> EnvBase:
-    """Make an env from names and paths alone, so that a worker process can.
+    """Make an env from names and paths alone, so that a worker process can do so too.
 
     Args:
-        overrides: in Hydra's grammar, such as ``["scene=kitchen", "scene.path=kitchen.spz"]``.
+        overrides: overrides in Hydra's grammar, such as ``["scene=kitchen", "scene.path=kitchen.spz"]``.
         batch_size: [B]; None takes ``env.num_envs``.
-        seed: of the env's generator.
+        seed: seed of the env's generator.
     """
     cfg = load_config(overrides)
     world = build_world(cfg)

@@ -1,4 +1,4 @@
-"""Hydra configs: how they are composed, checked, kept in run folders and read again."""
+"""Hydra configs: composing them, checking them, and keeping them in run folders."""
 
 import difflib
 import sys
@@ -19,18 +19,18 @@ OmegaConf.register_new_resolver("splatrl.run_dir", lambda resume, fresh: resume 
 
 
 def conf_dir() -> Path:
-    """The folder of the configs: inside an installed package, or beside it in a checkout."""
+    """The folder of the configs: inside the package if it is installed, or beside it in a checkout."""
     package = Path(__file__).parent
     return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
 
 
 PATHS = ("scene.path", "collision.occupancy.cloud")
-"""Keys that hold a path, which a run folder keeps absolute."""
+"""Keys that hold a path, which is made absolute in a run folder."""
 
 
 @contextmanager
 def _hydra() -> Iterator[ConfigLoader]:
-    """Hydra with our configs and those of the search path's plugins; a Hydra that runs already is left as it is."""
+    """Hydra with our configs and those of the search path's plugins; an already running Hydra is left untouched."""
     instance = GlobalHydra.instance()
     outer = instance.hydra
     instance.clear()
@@ -38,27 +38,28 @@ def _hydra() -> Iterator[ConfigLoader]:
         with initialize_config_dir(str(conf_dir()), version_base="1.3"):
             yield instance.config_loader()
     finally:
-        GlobalHydra.instance().hydra = outer  # another instance by now
+        GlobalHydra.instance().hydra = outer  # the instance has been replaced meanwhile
 
 
 def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfig:
     """Compose a config as the command line does.
 
     Args:
-        overrides: in Hydra's grammar, such as ``task=fps`` or ``task.max_steps=100``; ``scene=`` also takes a path.
-        name: of the root config.
+        overrides: overrides in Hydra's grammar, such as ``task=fps`` or ``task.max_steps=100``; ``scene=`` also takes a
+            path.
+        name: name of the root config.
     """
     with _hydra():
         return compose(name, with_scene_paths(overrides))
 
 
 def with_scene_paths(overrides: Sequence[str]) -> list[str]:
-    """Overrides in which a path after ``scene=`` has become ``scene=file scene.path=...``.
+    """Overrides in which a path after ``scene=`` is rewritten as ``scene=file scene.path=...``.
 
-    The name of a scene's config goes before a file of the same name in the working folder.
+    The name of a scene's config takes precedence over a file of the same name in the working folder.
 
     Raises:
-        ValueError: for what looks like a path and is none that exists.
+        ValueError: for what looks like a path but does not exist.
     """
     result: list[str] = []
     for override in overrides:
@@ -74,22 +75,22 @@ def with_scene_paths(overrides: Sequence[str]) -> list[str]:
 
 
 def quoted(value: object) -> str:
-    """A value in Hydra's grammar, whatever it holds."""
+    """Quote any value for Hydra's grammar."""
     text = str(value).replace("'", "\\'")
     return f"'{text}'"
 
 
 def command_line(name: str, arguments: Sequence[str]) -> list[str]:
-    """The arguments of a command for Hydra, with paths after ``scene=`` understood and keys checked.
+    """A command's arguments for Hydra, with paths after ``scene=`` rewritten and keys checked.
 
     Hydra itself lists the options of a config group, but not the keys of a node.
 
     Args:
-        name: of the root config.
-        arguments: of the command line.
+        name: name of the root config.
+        arguments: arguments of the command line.
 
     Raises:
-        SystemExit: for a key that does not exist, with its nearest neighbour and all valid ones.
+        SystemExit: for a key that does not exist, with the closest valid key and all valid keys.
     """
     try:
         result = with_scene_paths(arguments)
@@ -101,7 +102,7 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
         groups = [a.split(",")[0] for a, key in zip(plain, keys, strict=True) if is_group(key)]
         known = load_config(groups, name)
     except HydraException:
-        return result  # Hydra itself tells where the grammar breaks and which options a group has
+        return result  # Hydra itself reports errors of grammar and the options of a group
     for key in keys:
         if not is_group(key):
             _check_key(key, known)
@@ -109,12 +110,12 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
 
 
 def is_group(key: str) -> bool:
-    """Whether a key of an override names a config group, of ours or of a plugin's."""
+    """Whether an override's key names a config group, either ours or a plugin's."""
     return bool(options(key.split("@")[0]))
 
 
 def options(group: str) -> list[str]:
-    """What can be chosen in a config group, ours and that of plugins; nothing where there is no such group."""
+    """The options of a config group, including those of plugins; empty if there is no such group."""
     with _hydra() as loader:
         return list(loader.get_group_options(group))
 
@@ -132,7 +133,7 @@ def _check_key(key: str, known: DictConfig) -> None:
 
 
 def save_config(cfg: DictConfig, folder: Path) -> None:
-    """Write ``config.yaml`` into a run folder: all that resuming and evaluating need to know, from wherever."""
+    """Write ``config.yaml`` into a run folder: everything needed to resume and evaluate, from any working folder."""
     cfg = cfg.copy()
     for key in PATHS:
         path = OmegaConf.select(cfg, key)
@@ -143,10 +144,10 @@ def save_config(cfg: DictConfig, folder: Path) -> None:
 
 
 def run_config(folder: Path) -> DictConfig:
-    """The config that a run folder was made with.
+    """The config with which a run folder was made.
 
     Raises:
-        FileNotFoundError: where the folder is not a run folder.
+        FileNotFoundError: if the folder is not a run folder.
     """
     path = folder / "config.yaml"
     if not path.is_file():
@@ -157,14 +158,14 @@ def run_config(folder: Path) -> DictConfig:
 
 
 def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
-    """The config of a run folder with the changes that the command line asks for.
+    """The config of a run folder, with the changes from the command line.
 
     Args:
         folder: the run folder.
-        overrides: of the command line, ``resume`` among them.
+        overrides: overrides of the command line, including ``resume``.
 
     Raises:
-        ValueError: for an override that picks another config group: that would be another run.
+        ValueError: for an override that chooses a config group, which would make it a different run.
     """
     cfg = run_config(folder)
     changes = [o for o in overrides if not o.startswith("resume=")]
@@ -177,10 +178,10 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
 
 
 def require_values(cfg: DictConfig) -> None:
-    """Refuse a config in which a value is still to be given.
+    """Refuse a config with missing values.
 
     Raises:
-        ValueError: names the keys.
+        ValueError: if values are missing, naming their keys.
     """
     missing = sorted(OmegaConf.missing_keys(cfg))
     if missing:

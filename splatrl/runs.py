@@ -1,4 +1,4 @@
-"""Run folders as data: the policy that a training left, and the world it was trained in."""
+"""Loads the policy of a run folder, and the world in which it was trained."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +17,13 @@ from splatrl.training import load_checkpoint
 
 @dataclass(frozen=True)
 class TrainedPolicy:
-    """A policy with all that it was trained with.
+    """A policy, with everything with which it was trained.
 
     Attributes:
-        cfg: of the run.
-        world: built from it.
+        cfg: config of the run.
+        world: world built from it.
         model: actor and critic with the checkpoint's weights.
-        checkpoint: what was saved: ``ppo``, ``history``, ``best`` and ``seconds``.
+        checkpoint: content of the checkpoint: ``ppo``, ``history``, ``best`` and ``seconds``.
     """
 
     cfg: DictConfig
@@ -33,11 +33,11 @@ class TrainedPolicy:
 
     @property
     def policy(self) -> TensorDictModuleBase:
-        """Reads an observation, writes ``action``."""
+        """The policy, which reads an observation and writes ``action``."""
         return self.model.get_policy_operator()
 
     def beginning(self) -> TensorDictBase:
-        """An observation with which an episode of one robot begins, [1]."""
+        """The first observation of an episode of one robot, [1]."""
         return self.world.env(1).reset()
 
 
@@ -54,11 +54,11 @@ def load_policy(
         run: the run folder.
         checkpoint: last or best; None takes the run's own setting.
         device: auto, cpu or cuda; None takes the run's own setting.
-        cfg: of the run, where it was read or changed already.
-        world: built from ``cfg``, where there is one already.
+        cfg: config of the run, if it was read or changed already.
+        world: world built from ``cfg``, if there is one already.
 
     Raises:
-        FileNotFoundError: where the folder holds no run, or no such checkpoint.
+        FileNotFoundError: if the folder holds no run, or no such checkpoint.
         ValueError: for a damaged checkpoint.
     """
     cfg = run_config(run) if cfg is None else cfg

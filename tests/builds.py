@@ -1,4 +1,4 @@
-"""What tests compile, kept in a folder that workers and runs share: made again only when its sources change."""
+"""What tests compile, kept in a folder that workers and runs share, and rebuilt only when its sources change."""
 
 import fcntl
 import os
@@ -8,11 +8,11 @@ from pathlib import Path
 
 
 def built(name: str, build: Callable[[Path], object]) -> Path:
-    """The file of a name, built by the first process that asks while the others wait.
+    """The file of a given name, built by the first process that asks for it while the others wait.
 
     Args:
-        name: of the file; holds a digest of all that it is made from.
-        build: writes the file to the path that it is given.
+        name: name of the file, including a digest of all its sources.
+        build: writes the file to the given path.
     """
     folder = Path(tempfile.gettempdir()) / f"splatrl-tests-{os.getuid()}"
     path = folder / name

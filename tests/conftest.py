@@ -1,6 +1,6 @@
 """Fixtures that several rooms share.
 
-PyTorch and the package are imported where they are used: the process that only hands tests to workers needs neither.
+PyTorch and the package are imported where they are used, because the process that hands tests to workers needs neither.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
     from splatrl.scenes import Gaussians
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # a worker has a core, and so have the programs that tests start
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # each worker has one core, and so has each program that tests start
 
 
 @pytest.fixture(autouse=True)
 def one_thread() -> Iterator[None]:
-    """Give PyTorch one thread again: TorchRL's parallel envs and collectors leave more behind than they found."""
+    """Set PyTorch back to one thread, since TorchRL's parallel envs and collectors leave it with more."""
     import torch
 
     yield
@@ -41,14 +41,14 @@ def shared_scenes() -> Path:
 
 @pytest.fixture(scope="session")
 def kitchen(shared_scenes: Path) -> Gaussians:
-    """A captured kitchen, z up, metres."""
+    """A captured kitchen, z up, in metres."""
     from splatrl.scenes import read_gaussians, similarity
 
     return read_gaussians(shared_scenes / "kitchen" / "kitchen.spz").transformed(similarity(["x", "-z", "y"]))
 
 
 def no_gpu() -> str:
-    """Why nothing can run on a GPU here; empty where it can."""
+    """The reason why nothing can run on a GPU here; empty if it can."""
     import torch
 
     return "" if torch.cuda.is_available() else "no CUDA device"
@@ -56,7 +56,7 @@ def no_gpu() -> str:
 
 @pytest.fixture(scope="session")
 def cuda_device() -> torch.device:
-    """The GPU; tests that need it are marked ``gpu``, and are skipped where there is none."""
+    """The GPU; tests that need it are marked ``gpu``, and are skipped if there is none."""
     import torch
 
     if no_gpu():
@@ -66,7 +66,7 @@ def cuda_device() -> torch.device:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Say where the tests of ``-m gpu`` ran, or that they did not."""
+    """Report on which device the tests of ``-m gpu`` ran, or that they did not run."""
     if "gpu" in (config.option.markexpr or "").replace("not gpu", ""):
         import torch
 

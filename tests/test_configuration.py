@@ -1,4 +1,4 @@
-"""Configs compose, build what they say, and explain what is wrong with them."""
+"""Configs compose, build what they describe, and explain what is wrong with them."""
 
 from pathlib import Path
 
@@ -39,9 +39,9 @@ OPTIONS = sorted(
     if path.relative_to(conf_dir()).parts[0] not in NOT_OF_TRAIN
 )
 TASK_OF = {"transforms/sprite/apple": "apple", "motion/drive": "fps", "motion/forward": "fps", "motion/orbit": "circle"}
-"""A task other than grid for the options that do not go with it."""
+"""A task other than grid, for the options that do not work with grid."""
 PACKAGES = {"motion": "motion@task.motion", "rewards": "rewards@task.rewards"}
-"""How a group is named on the command line where its name alone does not say where it goes."""
+"""How a group is named on the command line if its name alone does not determine its package."""
 
 
 @pytest.mark.parametrize("option", [option for option in OPTIONS if option not in OF_GPUS], ids=str)
@@ -128,7 +128,7 @@ MINE = [
     ("order", "kinds"),
     [
         ("[pose_noise,mine,appearance,stack]", [PoseNoise, RewardScaling, FrameStack]),
-        ("[stack,mine,pose_noise]", [FrameStack, RewardScaling, PoseNoise]),  # what is off needs no place
+        ("[stack,mine,pose_noise]", [FrameStack, RewardScaling, PoseNoise]),  # a transform that is off needs no place
     ],
 )
 def test_a_transform_of_ones_own_takes_the_place_that_it_is_given(
@@ -218,7 +218,7 @@ def test_right_overrides_pass_sweeps_and_hydra_options_among_them(arguments: lis
 
 @pytest.fixture
 def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder with a splat file, a scene's folder, and a file with the name of one of our scenes."""
+    """A working folder with a splat file, a scene folder, and a file with the name of one of our scenes."""
     monkeypatch.chdir(tmp_path)
     tiny_overrides(tmp_path)
     for name in ("it's, a (room).ply", "kitchen"):
@@ -289,7 +289,7 @@ def test_a_hydra_that_runs_already_is_left_as_it_is(tmp_path: Path) -> None:
 
 
 class Wander(TaskModule):
-    """Has no goal: robots are paid for every step that is free."""
+    """A task without a goal, which rewards every free step."""
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         hit = (step.move.free_fraction < 1).unsqueeze(1)

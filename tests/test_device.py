@@ -1,4 +1,4 @@
-"""Where tensors live: what is chosen with and without a GPU."""
+"""The device of tensors: what is chosen with and without a GPU."""
 
 import pytest
 import torch
@@ -8,7 +8,7 @@ from splatrl.device import chosen_device, cuda_extra, device_line
 
 
 def gpu(monkeypatch: pytest.MonkeyPatch, extra: bool) -> None:
-    """Let there be one GPU."""
+    """Pretend that there is one GPU."""
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda device=None: "H200")

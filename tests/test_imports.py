@@ -1,4 +1,4 @@
-"""The order of the rooms: each names only what comes before it, and few know Hydra or choose a device."""
+"""The order of the packages: each names only earlier ones, and only a few use Hydra or choose a device."""
 
 import ast
 import pkgutil
@@ -37,7 +37,7 @@ ORDER = [
     {"experiments"},
     {"commands"},
 ]
-"""Rooms and single modules under splatrl/; a new one finds its place here."""
+"""Packages ("rooms") and single modules under splatrl/, in order; a new one is added here."""
 ONLY = {
     "hydra": {"configuration", "build", "commands"},
     "omegaconf": {"scenes", "configuration", "build", "runs", "experiments", "commands"},
@@ -49,7 +49,7 @@ CONF_LIMITS = {"experiment": "experiments"}
 DEVICE_CHOICES = {"cuda", "mps", "xpu"}
 CHOOSERS = {"device", "build", "commands"}
 CUDA_ALONE = ("native/cuda/", "renderers/cuda.py", "renderers/gsplat.py", "collision/cuda.py")
-"""What runs on a CUDA device and on no other: to name it is no choice."""
+"""What runs only on a CUDA device, so that naming the device there is not a choice."""
 DOTTED = re.compile(r"splatrl(\.\w+)+")
 MODULE = re.compile(r"-m (splatrl[\w.]*\w)")
 
@@ -58,21 +58,21 @@ CONFIGS = sorted(conf_dir().rglob("*.yaml"))
 
 
 def room(path: Path) -> str:
-    """The room under splatrl/ in which a file lies."""
+    """The room under splatrl/ that contains a file."""
     return path.relative_to(PACKAGE).with_suffix("").parts[0]
 
 
 def rank(name: str) -> int:
-    """Place of a room in the order."""
+    """Position of a room in the order."""
     return next(place for place, rooms in enumerate(ORDER) if name in rooms)
 
 
 def rooms_of(name: str) -> set[str]:
-    """The rooms that a dotted name leads through, and that in which its object is made; none outside splatrl.
+    """The rooms that a dotted name leads through, and the one that defines its object; none outside splatrl.
 
     Raises:
-        ImportError: where there is no such module.
-        AttributeError: where there is no such object in it.
+        ImportError: if there is no such module.
+        AttributeError: if there is no such object in it.
     """
     thing = pkgutil.resolve_name(name)
     homes = (name, getattr(thing, "__module__", None) or "")
@@ -81,7 +81,7 @@ def rooms_of(name: str) -> set[str]:
 
 
 def name_faults(name: str, limit: str) -> list[str]:
-    """What is wrong with a dotted name where rooms up to ``limit`` may be named."""
+    """What is wrong with a dotted name, if rooms up to ``limit`` may be named."""
     try:
         rooms = rooms_of(name)
     except (ImportError, AttributeError):
@@ -90,7 +90,7 @@ def name_faults(name: str, limit: str) -> list[str]:
 
 
 def imported(tree: ast.AST) -> Iterator[str]:
-    """Full names of all that a module imports, wherever it does."""
+    """Full names of everything that a module imports, anywhere in it."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -101,7 +101,7 @@ def imported(tree: ast.AST) -> Iterator[str]:
 
 
 def written(tree: ast.AST) -> Iterator[str]:
-    """Dotted names of splatrl that are a string, or stand in one after ``-m``; a resolver of OmegaConf's is none."""
+    """Dotted names of splatrl that are a whole string, or follow ``-m`` in one; OmegaConf resolvers do not count."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield from MODULE.findall(node.value)
@@ -126,7 +126,7 @@ def faults(name: str, source: str) -> list[str]:
 
 
 def conf_names(node: Any) -> Iterator[str]:
-    """Dotted names in a config: the targets, whoever's they are, and all other strings that name something of ours."""
+    """Dotted names in a config: all targets, and all other strings that name something in splatrl."""
     if isinstance(node, list):
         node = dict(enumerate(node))
     if isinstance(node, dict):
@@ -143,7 +143,7 @@ def conf_faults(path: Path, source: str) -> list[str]:
 
 
 def device_choices(source: str) -> list[int]:
-    """Lines that choose a device: a default device, or a name of one that is not everywhere.
+    """Lines that choose a device: a default device, or the name of one that not every machine has.
 
     Asking what device a tensor has is free: ``x.is_cuda``, ``device.type == "cuda"``.
     """

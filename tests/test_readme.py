@@ -49,7 +49,7 @@ def test_it_shows_every_command() -> None:
 def test_a_command_that_it_shows_is_understood(
     words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Keys exist, and what is chosen is there; nothing is run."""
+    """Check that keys and chosen options exist, without running anything."""
     monkeypatch.chdir(tmp_path)
     for name in ("garden.ply", "kitchen.spz"):
         (tmp_path / name).touch()

@@ -13,7 +13,7 @@ from tests.experiments.trained import BEST, config, save_run
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of a recurrent policy that goes back."""
+    """A run of a recurrent policy that prefers to go back."""
     folder = tmp_path_factory.mktemp("run")
     return save_run(folder / "run", config(folder, "memory=gru"), 1)
 

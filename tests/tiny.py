@@ -1,7 +1,7 @@
 """The tiny world that tests share: a coloured room of a few hundred Gaussians, and envs in it.
 
-The room is 3 × 4 m with a wall of its own colour on each side, a white block in the middle and a red thing on the east
-wall. The lattice has 5 × 7 positions (no square) and 8 headings; the goal pose looks at the red thing from nearby.
+The room is 3 × 4 m, with a differently coloured wall on each side, a white block in the middle and a red thing on the
+east wall. The lattice has 5 × 7 positions (not square) and 8 headings; the goal pose sees the red thing from nearby.
 """
 
 from collections.abc import Sequence
@@ -26,12 +26,12 @@ from splatrl.spherical_harmonics import C0
 
 HEIGHT = 0.5
 BLOCK = 0.2
-"""Half the side of the block in the middle, metres."""
+"""Half the side of the block in the middle of the room, metres."""
 BODY = Box((0.3, 0.3, 0.2))
 
 
 def tiny_gaussians() -> Gaussians:
-    """The room: about 280 Gaussians of degree 0, thin along the normal of what they cover."""
+    """The room: about 280 Gaussians of degree 0 that are thin along the normal of what they cover."""
     span = BLOCK - 0.08  # what a Gaussian covers beyond its mean
     patches = [
         _patch((0, 0, 0), (1.5, 0, 0), (0, 2, 0), (7, 9), (0.4, 0.3, 0.2)),
@@ -49,7 +49,7 @@ def tiny_gaussians() -> Gaussians:
     count = len(means)
     jitter = 0.003 * torch.randn(count, 3, generator=torch.Generator().manual_seed(0))
     return Gaussians(
-        means=means + jitter,  # so that no two lie at the same depth, where each renderer may order them at will
+        means=means + jitter,  # no two lie at the same depth, where a renderer may sort them either way
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
         scales=scales,
         opacities=torch.full((count,), 0.9),
@@ -66,7 +66,7 @@ def _patch(
     color: Sequence[float],
     scale: float = 0.2,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """A rectangle of Gaussians, center ± u ± v, its colour waving along it: means, scales, colours, [N, 3] each."""
+    """A rectangle of Gaussians, center ± u ± v, whose colour varies along it: means, scales, colours, [N, 3] each."""
     steps = torch.cartesian_prod(*(torch.linspace(-1, 1, n) for n in counts))
     sides = torch.tensor([u, v], dtype=torch.float32)
     means = torch.tensor(center) + steps @ sides
@@ -76,7 +76,7 @@ def _patch(
 
 
 class BlockChecker:
-    """Finds touches of the block by hand: body and block as one square, ``reach`` from its centre to a side."""
+    """Checks collision with the block by hand: body and block are one square, ``reach`` from its centre to a side."""
 
     def __init__(self, body: Body = BODY, reach: float = BLOCK + 0.15):
         self.body, self.reach = body, reach
@@ -85,7 +85,7 @@ class BlockChecker:
         return (body_to_world[:, :2, 3].abs() < self.reach).all(1)
 
     def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
-        """Where the line enters the square: the later of its entries into the two slabs."""
+        """Fraction at which the line enters the square: the later of its entries into the two slabs."""
         begin, way = start[:, :2, 3], (end - start)[:, :2, 3]
         sides = torch.stack([-self.reach - begin, self.reach - begin]) / way
         inside = begin.abs() < self.reach
@@ -121,7 +121,7 @@ class CountingRenderer:
 
 
 class RememberingRenderer:
-    """Renders each pose once; so simple that it can vouch for quick tests."""
+    """Renders each pose once; simple enough to trust in fast tests."""
 
     def __init__(self, renderer: Renderer):
         self.renderer = renderer
@@ -146,23 +146,23 @@ class RememberingRenderer:
 
 
 def tiny_motion() -> LatticeMotion:
-    """5 × 7 positions, 0.5 m apart, × 8 headings."""
+    """A lattice of 5 × 7 positions, 0.5 m apart, and 8 headings."""
     return LatticeMotion(HEIGHT, step=0.5, angle_step_deg=45.0, lower=(-1.0, -1.5), upper=(1.0, 1.5))
 
 
 def tiny_task(max_steps: int = 20) -> Grid:
-    """The goal pose looks east at the red thing; 27 poses count as there, and all are free."""
+    """The grid task: its goal pose looks east at the red thing; 27 poses count as reached, and all are free."""
     return Grid(tiny_motion(), goal=(0.5, 1.0, 0.0), max_steps=max_steps)
 
 
 def tiny_robot() -> Robot:
-    """Sees 16 × 12 pixels."""
+    """A robot that sees 16 × 12 pixels."""
     return Robot(BODY, HEIGHT, image_width=16, image_height=12)
 
 
 @cache
 def tiny_renderer() -> RememberingRenderer:
-    """The reference renderer behind a memory that one process shares."""
+    """The reference renderer behind a cache that the whole process shares."""
     return RememberingRenderer(ReferenceRenderer(tiny_gaussians()))
 
 
@@ -189,7 +189,7 @@ def tiny_env(
 
 
 def tiny_overrides(folder: Path, task: str = "grid") -> list[str]:
-    """Write the room into a folder and say it in Hydra's grammar: what ``splatrl.make_env`` needs to build it."""
+    """Write the room into a folder, and return the overrides from which ``splatrl.make_env`` builds it."""
     path = folder / "tiny.ply"
     write_gaussians(path, tiny_gaussians())
     overrides = [

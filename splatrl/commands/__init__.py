@@ -1,1 +1,1 @@
-"""The commands, each thin: it reads a config or arguments, calls the library and prints."""
+"""The commands; each one only reads a config or arguments, calls the library and prints."""

@@ -1,4 +1,4 @@
-"""``splatrl-clips``: compare what trained policies do in labelled clips with the labels, and record such clips."""
+"""``splatrl-clips``: compare the actions of trained policies with the labels of clips, and record such clips."""
 
 import sys
 from pathlib import Path
@@ -16,11 +16,11 @@ from splatrl.experiments.clip_scores import altered, record_clips, score_run
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="clips")
 def run(cfg: DictConfig) -> None:
-    """Record clips, score the runs of ``cfg.run`` on clips, or first the one and then the other."""
+    """Record clips, score the runs of ``cfg.run`` on clips, or do both in that order."""
     require_values(cfg)
     runs = [str(one) for one in cfg.run] if isinstance(cfg.run, ListConfig) else [str(cfg.run)]
     if cfg.record is None and cfg.clips is None:
-        raise ValueError("clips: expected a folder of clips, or record: one to record some into, got neither")
+        raise ValueError("clips: expected a folder of clips, or record: a folder to record into, got neither")
     if len(set(runs)) < len(runs) or not runs:
         raise ValueError(f"run: expected different run folders, got {', '.join(runs) or 'none'}")
     if cfg.record is not None:

@@ -15,12 +15,12 @@ from splatrl.runs import load_policy
 
 
 def evaluate_run(cfg: DictConfig, folder: Path, world: World | None = None) -> dict[str, Any]:
-    """Evaluate a run folder with a config and print what came out.
+    """Evaluate a run folder with a config, and print the results.
 
     Args:
-        cfg: of the run, with the settings of the evaluation.
+        cfg: config of the run, with the settings of the evaluation.
         folder: the run folder.
-        world: built from ``cfg``, where there is one already.
+        world: world built from ``cfg``, if there is one already.
     """
     trained = load_policy(folder, cfg=cfg, world=world)
     settings = EvaluationSettings(**cfg.evaluation)

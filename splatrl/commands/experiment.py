@@ -1,4 +1,4 @@
-"""``splatrl-experiment``: train everything that an experiment of the paper asks for, and report what came out."""
+"""``splatrl-experiment``: run all trainings of an experiment of the paper, and report the results."""
 
 import signal
 import sys
@@ -28,19 +28,19 @@ def run(cfg: DictConfig) -> None:
     except ValueError as error:
         sys.exit(f"splatrl-experiment: {error}")
     except KeyboardInterrupt:
-        print("\nstopped; the same command goes on", file=sys.stderr)
+        print("\nstopped; run the same command again to continue", file=sys.stderr)
         sys.exit(130)
 
 
 def experiment(cfg: DictConfig) -> None:
-    """Do what a config asks for.
+    """Train, score and report what a config asks for.
 
     Args:
-        cfg: of ``conf/experiment.yaml``.
+        cfg: the config of ``conf/experiment.yaml``.
 
     Raises:
-        ValueError: for a name, scene or setting that is refused.
-        SystemExit: names the trainings that failed, once all others are done.
+        ValueError: for an invalid name, scene or setting.
+        SystemExit: if trainings failed, naming them, once all others are done.
     """
     names = _names(cfg)
     scenes = _scenes(cfg)
@@ -76,7 +76,7 @@ def _names(cfg: DictConfig) -> list[str]:
 
 
 def _scenes(cfg: DictConfig) -> dict[str, list[str]]:
-    """Overrides of the scenes that can be trained in: those whose files are given."""
+    """Overrides of the scenes in which to train: those whose files are given."""
     known = [str(scene) for scene in cfg.scene_overrides]
     for scene in cfg.scenes or []:
         if scene not in known:
@@ -87,8 +87,8 @@ def _scenes(cfg: DictConfig) -> dict[str, list[str]]:
             result[scene] = [str(override) for override in cfg.scene_overrides[scene]]
         except InterpolationToMissingValueError as error:
             if cfg.scenes is not None:
-                raise ValueError(f"scenes={scene}: expected {scene}=<its file> beside it, got none") from error
-            print(f"{scene} is left out; to have it, give {scene}=<its file>", file=sys.stderr)
+                raise ValueError(f"scenes={scene}: expected {scene}=<its file> as well, got none") from error
+            print(f"{scene} is left out; to include it, give {scene}=<its file>", file=sys.stderr)
     return result
 
 

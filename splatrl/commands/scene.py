@@ -1,4 +1,4 @@
-"""``splatrl-scene``: look at a captured scene, guess how it stands, and write a ``scene.yaml`` to edit."""
+"""``splatrl-scene``: inspect a captured scene, guess its orientation, and write a ``scene.yaml`` to edit."""
 
 import argparse
 import sys
@@ -21,23 +21,23 @@ from splatrl.scenes.survey import survey
 from splatrl.scenes.upright import Upright, guess_upright
 
 WORDS = {"--axes": 3, "--translation": 3, "--matrix": 16, "--distance": 7}
-"""Options of several words, some of which begin with a minus, and how many."""
+"""Options that take several words, some of which may begin with a minus, and their number of words."""
 FRAME_OPTIONS = ("axes", "scale", "translation", "matrix", "nerfstudio", "distance")
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """The parser of the command line."""
     result = argparse.ArgumentParser(prog="splatrl-scene", description=__doc__)
-    result.add_argument("file", type=Path, help="a splat file, or a folder with scene.yaml to look at again")
-    result.add_argument("--axes", metavar="X Y Z", help="signed file axes that become world x, y, z: x -z y")
+    result.add_argument("file", type=Path, help="a splat file, or a folder with scene.yaml to inspect again")
+    result.add_argument("--axes", metavar="X Y Z", help="signed file axes that become world x, y and z: x -z y")
     result.add_argument("--scale", type=float, help="metres per unit of the file")
     result.add_argument("--translation", metavar="X Y Z", help="metres, added last")
-    result.add_argument("--matrix", metavar="M", help="16 numbers, row by row: file to world metres")
-    result.add_argument("--nerfstudio", type=Path, metavar="JSON", help="dataparser_transforms.json: undo it")
+    result.add_argument("--matrix", metavar="M", help="16 numbers, row by row: from the file to world metres")
+    result.add_argument("--nerfstudio", type=Path, metavar="JSON", help="dataparser_transforms.json to undo")
     result.add_argument("--distance", metavar="P Q D", help="two points of the file and the metres between: 7 numbers")
-    result.add_argument("--out", type=Path, help="folder for scene.yaml and pictures; by default the file's own")
-    result.add_argument("--force", action="store_true", help="replace a scene.yaml that is there")
-    result.add_argument("--height", type=float, default=0.4, help="of the robot, metres: where free space is drawn")
+    result.add_argument("--out", type=Path, help="folder for scene.yaml and pictures; by default the file's folder")
+    result.add_argument("--force", action="store_true", help="replace an existing scene.yaml")
+    result.add_argument("--height", type=float, default=0.4, help="of the robot, metres, where free space is drawn")
     result.add_argument("--resolution", type=float, help="of the occupancy, metres; by default 0.05, or what fits")
     return result
 
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def look(options: argparse.Namespace) -> None:
-    """Print what a scene seems to be, write its ``scene.yaml`` and draw its pictures."""
+    """Print a summary of a scene, write its ``scene.yaml`` and draw its pictures."""
     for name in ("height", "resolution", "scale"):
         value = getattr(options, name)
         if value is not None and not 0.0 < value < float("inf"):
@@ -65,7 +65,7 @@ def look(options: argparse.Namespace) -> None:
     if path.is_dir():
         if any(getattr(options, name) is not None for name in FRAME_OPTIONS):
             raise ValueError(
-                f"{path}: expected no frame beside a folder's; edit its scene.yaml, or name the splat file"
+                f"{path}: expected no frame options for a folder; edit its scene.yaml, or name the splat file"
             )
         scene = read_scene(path)
         draw(scene, print_guess(scene.gaussians, [0.0, 0.0, 1.0]).floor, options, out)
@@ -84,7 +84,7 @@ def look(options: argparse.Namespace) -> None:
 
 
 def print_guess(gaussians: Gaussians, up: list[float] | None) -> Upright:
-    """Print what is in a scene and how it seems to stand; ``up`` is its direction where it is known."""
+    """Print what is in a scene and its guessed orientation; ``up`` is the up direction if it is known."""
     print(survey(gaussians))
     upright = guess_upright(gaussians, up)
     print(upright)
@@ -100,14 +100,14 @@ def draw(scene: Scene, floor: float, options: argparse.Namespace, out: Path) -> 
 
 
 def stated_frame(options: argparse.Namespace) -> StatedFrame:
-    """What the options say of the file's frame."""
+    """What the options say about the file's frame."""
     given = [name for name in ("axes", "matrix", "nerfstudio") if getattr(options, name) is not None]
     if len(given) > 1:
         raise ValueError(f"expected one of --axes, --matrix and --nerfstudio, got --{' and --'.join(given)}")
     if options.scale is not None and options.distance is not None:
         raise ValueError("expected --scale or --distance, got both")
     if options.translation is not None and given and given != ["axes"]:
-        raise ValueError(f"--translation: expected beside --axes or alone, got it beside --{given[0]}")
+        raise ValueError(f"--translation: expected alone or with --axes, got it with --{given[0]}")
     scale, transform = options.scale, None
     if options.distance is not None:
         values = _numbers("distance", options.distance)
@@ -125,7 +125,7 @@ def stated_frame(options: argparse.Namespace) -> StatedFrame:
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:
-    """The arguments with the words of ``--axes x -z y`` and its like made one, ``--axes=x -z y``."""
+    """The arguments, with options of several words such as ``--axes x -z y`` joined into ``--axes=x -z y``."""
     result, rest = [], list(arguments)
     while rest:
         argument = rest.pop(0)

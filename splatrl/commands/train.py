@@ -16,13 +16,13 @@ from splatrl.device import device_line
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="train")
 def run(cfg: DictConfig) -> None:
-    """Train and evaluate what a config describes, or go on with what a run folder holds."""
+    """Train and evaluate what a config describes, or resume a run folder."""
     resume = cfg.resume
     folder = Path(resume or HydraConfig.get().runtime.output_dir)
     if resume:
         cfg = resumed_config(folder, HydraConfig.get().overrides.task)
     elif any(folder.glob("checkpoints/*.pt")):
-        raise ValueError(f"hydra.run.dir: expected a new folder, got a run; go on with it by resume={folder}")
+        raise ValueError(f"hydra.run.dir: expected a new folder, got a run; continue it with resume={folder}")
     require_values(cfg)
     save_config(cfg, folder)
     torch.set_num_threads(cfg.threads)

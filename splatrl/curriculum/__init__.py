@@ -1,4 +1,4 @@
-"""An automatic curriculum: shortest paths, levels and start poses."""
+"""The automatic curriculum: shortest paths, levels and start poses."""
 
 from splatrl.curriculum.planner import UNREACHABLE, Plan, plan
 from splatrl.curriculum.schedule import Schedule

@@ -10,11 +10,11 @@ from splatrl.collision.base import Checker
 from splatrl.motions.base import PlannedMotion, Taps
 
 FAR = 1e6
-"""Steps to the goal from where there is no way to it."""
+"""Stands for the steps to the goal where there is no path to it."""
 Reached = Callable[[Tensor], Tensor | None]
 """Whether states [N, ...] are at a goal, [N] bool; None where there are no goal states."""
 SETTLED = 1e-3
-"""Steps: the field is done when no node changes by more in an iteration."""
+"""Value iteration stops when no node changes by more than this, steps."""
 
 
 @dataclass(frozen=True)
@@ -22,20 +22,20 @@ class Field:
     """Steps to the goal, at the nodes of a motion and between them.
 
     Attributes:
-        motion: whose nodes they are.
-        cost_to_go: [C] float32, steps from each node; FAR where there is no way or the body does not fit.
+        motion: the motion that defines the nodes.
+        cost_to_go: [C] float32, steps from each node; FAR where there is no path or the body does not fit.
     """
 
     motion: PlannedMotion
     cost_to_go: Tensor
 
     def __call__(self, state: Tensor) -> Tensor:
-        """Steps to the goal from states, interpolated among the nodes from which there is a way: [N, ...] -> [N]."""
+        """Steps to the goal from states, interpolated among the nodes that have a path: [N, ...] -> [N]."""
         return _mean(self.cost_to_go, _among(self.motion.taps(state), self.cost_to_go < FAR))
 
 
 def _among(taps: Taps, allowed: Tensor) -> Taps:
-    """Taps whose weight is all on allowed nodes; without one among them, unchanged."""
+    """Taps with all their weight on allowed nodes; taps without an allowed node are unchanged."""
     weight = taps.weight * allowed[taps.node]
     total = weight.sum(1, keepdim=True)
     return Taps(taps.node, torch.where(total > 1e-3, weight / total, taps.weight))
@@ -46,7 +46,7 @@ def _mean(values: Tensor, taps: Taps) -> Tensor:
 
 
 def _slim(taps: Taps) -> Taps:
-    """Taps without columns in which no state has weight: a turn on the spot needs one, a step four."""
+    """Taps without the columns in which no state has weight: a turn on the spot needs one column, a step four."""
     used = (taps.weight > 0).any(0)
     return Taps(taps.node[:, used], taps.weight[:, used])
 
@@ -56,8 +56,7 @@ def cost_field(motion: PlannedMotion, checker: Checker, reached: Reached) -> Fie
 
     Where every action leads from node to node, as with finitely many states, the field is exact and equals a
     breadth-first search. Otherwise costs are interpolated among the free nodes (semi-Lagrangian), so the field is
-    smooth, paths that follow it downhill do not circle, and it can tell which of two actions is better by less than a
-    step.
+    smooth, paths that descend it do not circle, and it resolves differences between actions of less than a step.
 
     Args:
         motion: the actions, and where they lead.
@@ -65,7 +64,7 @@ def cost_field(motion: PlannedMotion, checker: Checker, reached: Reached) -> Fie
         reached: tells which states are at the goal.
 
     Raises:
-        ValueError: when no pose is free, or none at the goal.
+        ValueError: if no pose is free, or no pose at the goal.
     """
     nodes = motion.nodes()
     free = motion.inside(nodes) & ~checker.collides(motion.body_to_world(nodes))
@@ -78,7 +77,7 @@ def cost_field(motion: PlannedMotion, checker: Checker, reached: Reached) -> Fie
     rows = (free & ~goals).nonzero().squeeze(1)
     taps = [_open(motion, checker, nodes[rows], action) for action in motion.actions()]
     costs = _settle(torch.where(goals, 0.0, FAR), rows, [_slim(_among(tap, free)) for tap in taps])
-    joined = costs < 0.5 * FAR  # a free node from which there is no way must not count among its neighbours either
+    joined = costs < 0.5 * FAR  # free nodes without a path must not be interpolated either
     if not torch.equal(joined, free):
         taps = [Taps(tap.node[joined[rows]], tap.weight[joined[rows]]) for tap in taps]
         rows = rows[joined[rows]]
@@ -97,7 +96,7 @@ def _settle(costs: Tensor, rows: Tensor, taps: list[Taps]) -> Tensor:
 
 
 def _open(motion: PlannedMotion, checker: Checker, state: Tensor, action: Tensor) -> Taps:
-    """Where an action leads from states; blocked moves lead to themselves, which helps nobody."""
+    """Where an action leads from states; a blocked move leads back to its own state, which never shortens a path."""
     ahead = motion.advance(state, action.expand(len(state), *action.shape))
     blocked = ~motion.inside(ahead) | checker.sweeps(motion.body_to_world(state), motion.body_to_world(ahead))
     return motion.taps(torch.where(blocked.view(-1, *[1] * (state.ndim - 1)), state, ahead))

@@ -12,8 +12,8 @@ from splatrl.motions.base import PlannedMotion
 
 UNREACHABLE = -1
 ALIKE = 0.1
-"""Steps: two actions are equally good where what is left after them differs by no more."""
-NO_GOAL = "task: expected one with goal states, to which there are shortest paths"
+"""Two actions count as equally good where the steps left after them differ by no more than this."""
+NO_GOAL = "task: expected one with goal states, to which shortest paths can be planned"
 
 
 @dataclass(frozen=True)
@@ -21,15 +21,15 @@ class Plan:
     """The states in which episodes may begin, and how far the goal is from any state.
 
     Attributes:
-        states: [S, D], all states from which one could start.
+        states: [S, D], all candidate start states.
         free: [S] bool, where an episode could begin: the body touches nothing.
-        distance: [S] int64, fewest steps to the goal; 0 at it, UNREACHABLE where there is no way. Without a goal it is
+        distance: [S] int64, fewest steps to the goal; 0 at it, UNREACHABLE where there is no path. Without a goal it is
             0 where the body fits.
-        actions: [A, ...], the actions that paths are made of.
+        actions: [A, ...], the actions from which paths are made.
         motion: moves between the states.
         checker: tells which moves are free.
-        start_rows: [N] int64, rows of the start set: free states from which a goal state can be reached, goal states
-            left out; without a goal all free states.
+        start_rows: [N] int64, rows of the start set: the free states, other than goal states, from which a goal state
+            can be reached; without a goal all free states.
         reached: tells which states are at the goal.
         field: steps to the goal from any state inside the bounds; None without a goal.
     """
@@ -50,13 +50,13 @@ class Plan:
         return self.states[self.start_rows]
 
     def cost_to_go(self, state: Tensor) -> Tensor:
-        """Fewest steps to the goal, whole numbers for finitely many states.
+        """Fewest steps to the goal; whole numbers if the motion has finitely many states.
 
         Args:
             state: [N, D], anywhere inside the bounds.
 
         Returns:
-            [N] float32, FAR where there is no way.
+            [N] float32, FAR where there is no path.
 
         Raises:
             ValueError: for a plan without a goal.
@@ -66,7 +66,7 @@ class Plan:
         return self.field(state)
 
     def at_goal(self, state: Tensor) -> Tensor:
-        """Whether states are at the goal, which is nowhere without one: [N, D] -> [N] bool."""
+        """Whether states are at the goal; all false without one: [N, D] -> [N] bool."""
         reached = self.reached(state)
         return torch.zeros(len(state), dtype=torch.bool, device=state.device) if reached is None else reached
 
@@ -77,7 +77,7 @@ class Plan:
             state: [N, D], anywhere inside the bounds.
 
         Returns:
-            [N, A] bool; no action at the goal, or where no free move leads to it.
+            [N, A] bool; no action at the goal, or where no path leads to it.
 
         Raises:
             ValueError: for a plan without a goal.
@@ -87,7 +87,7 @@ class Plan:
         return (after <= best + ALIKE) & (best < FAR) & ~self.at_goal(state).unsqueeze(1)
 
     def _after(self, state: Tensor, action: Tensor) -> Tensor:
-        """Steps that are left after an action, 0 where it reaches the goal, FAR where it is blocked: [N] float32."""
+        """Steps left after an action: 0 where it reaches the goal, FAR where it is blocked; [N] float32."""
         ahead = self.motion.advance(state, action.expand(len(state), *action.shape))
         start, end = self.motion.body_to_world(state), self.motion.body_to_world(ahead)
         left = torch.full((len(state),), FAR, device=state.device)
@@ -105,20 +105,20 @@ def plan(
 ) -> Plan:
     """Find the shortest path from every state to the goal.
 
-    A move counts as open when the swept body touches nothing, by the same checker that moves the robots. For finitely
-    many states the paths are exact; for poses anywhere on a plane (``cost_field``) distances are rounded.
+    A move counts as open if the swept body touches nothing, according to the checker. With finitely many states the
+    paths are exact; for poses anywhere on a plane (``cost_field``) distances are rounded.
 
     Args:
         motion: lists the states and moves between them.
         checker: tells which poses and moves are free.
         reached: tells which states are at the goal. Where there are no goal states, there are no paths, and every free
             state is a start.
-        farthest: longest path of a start, steps; None for any.
-        fits: body_to_world [S, 4, 4] -> [S] bool, where an episode may begin; None takes what the checker finds free. A
-            robot that can go through things should not begin inside one.
+        farthest: longest path of a start, steps; None for any length.
+        fits: body_to_world [S, 4, 4] -> [S] bool, where an episode may begin; None takes what the checker finds free.
+            It keeps a robot that can pass through things from beginning inside one.
 
     Raises:
-        ValueError: when no pose is free, the goal is not free, or no start reaches it.
+        ValueError: if no pose is free, the goal is not free, or no start reaches it.
     """
     states, actions = motion.states(), motion.actions()
     poses = motion.body_to_world(states)
@@ -136,5 +136,5 @@ def plan(
     distance = torch.where(free & at_goal, 0, distance)
     starts = (distance > 0) & (distance <= (distance.max() if farthest is None else farthest))
     if not starts.any():
-        raise ValueError(f"task.goal: expected a way to it from some free pose, got none from {int(free.sum())}")
+        raise ValueError(f"task.goal: expected a path to it from some free pose, got none from {int(free.sum())}")
     return Plan(states, free, distance, actions, motion, checker, starts.nonzero().squeeze(1), reached, field)

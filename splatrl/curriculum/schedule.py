@@ -1,4 +1,4 @@
-"""Success → level: a pure state machine."""
+"""The curriculum's level as a function of success: a pure state machine."""
 
 from dataclasses import dataclass
 
@@ -8,11 +8,11 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Schedule:
-    """Promotes to the next level when enough episodes of the present one succeed.
+    """Promotes to the next level when enough episodes at the current one succeed.
 
-    Progress is a [3] int64 tensor: level, episodes and successes counted at that level. Episodes are counted in
-    blocks: when ``window`` of them have ended, a success rate of at least ``threshold`` promotes, and either way the
-    count begins anew. Nothing here reads a tensor's value on the host.
+    Progress is a [3] int64 tensor: the level, and the episodes and successes counted at that level. Episodes are
+    counted in blocks: when ``window`` of them have ended, a success rate of at least ``threshold`` promotes, and either
+    way the count starts over. Nothing here reads a tensor's value on the host.
 
     Attributes:
         levels: number of levels.
@@ -41,7 +41,7 @@ class Schedule:
 
         Args:
             progress: [3] int64.
-            level: [B] int64, the level at which each episode had begun; others than the present do not count.
+            level: [B] int64, the level at which each episode began; only episodes of the current level count.
             finished: [B] bool, which episodes ended.
             success: [B] bool.
 
@@ -53,6 +53,6 @@ class Schedule:
         episodes = episodes + counted.sum()
         successes = successes + (counted & success).sum()
         full = episodes >= self.window
-        promoted = full & (successes >= self.threshold * episodes.double() - 1e-9)  # exactly the rate is enough
+        promoted = full & (successes >= self.threshold * episodes.double() - 1e-9)  # reaching the rate is enough
         now = (now + promoted).clamp_max(self.levels - 1)
         return torch.stack([now, episodes * ~full, successes * ~full])

@@ -1,4 +1,4 @@
-"""Level and generator → start states."""
+"""Start states, drawn according to the curriculum's level."""
 
 import math
 from collections.abc import Sequence
@@ -11,10 +11,10 @@ from splatrl.curriculum.schedule import Schedule
 
 
 class Starts(nn.Module):
-    """The start set of a plan, nearest to the goal first.
+    """The start set of a plan, ordered by distance to the goal.
 
-    Level l starts episodes uniformly among the starts whose shortest path has at most ``first + l · stride`` steps; the
-    highest level is the whole set.
+    Level l draws uniformly among the starts whose shortest path has at most ``first + l · stride`` steps; the highest
+    level is the whole set.
 
     Args:
         plan: states and distances.
@@ -48,17 +48,17 @@ class Starts(nn.Module):
         return len(self.counts)
 
     def sample(self, level: Tensor, count: int, generator: torch.Generator) -> Tensor:
-        """Draw start states: level [] int64 -> [count, D]; takes ``count`` draws of the generator."""
+        """Draw start states: level [] int64 -> [count, D]; consumes ``count`` numbers of the generator."""
         uniform = torch.rand(count, generator=generator, device=self.ordered.device, dtype=torch.float64)
-        available = self.counts.index_select(0, level.reshape(1))  # an index without a dimension is read by the host
+        available = self.counts.index_select(0, level.reshape(1))  # indexing with a scalar would synchronise
         return self.ordered[(uniform * available).long().clamp_max(available - 1)]
 
 
 class Curriculum(nn.Module):
-    """Starts that move away from the goal as the success rate holds.
+    """Starts that move away from the goal as long as the success rate holds.
 
-    Its progress is a buffer that is changed in place, so a resumed run goes on at the level it had, and a captured step
-    counts on where the last one stopped.
+    Its progress is a buffer that is changed in place, so a resumed run continues at its level, and a captured step
+    continues the count of the one before.
 
     Args:
         plan: states and distances.
@@ -78,11 +78,11 @@ class Curriculum(nn.Module):
 
     @property
     def level(self) -> Tensor:
-        """The present level: [] int64."""
+        """The current level: [] int64."""
         return self.progress[0]
 
     def sample(self, count: int, generator: torch.Generator) -> Tensor:
-        """Draw start states of the present level: [count, D]."""
+        """Draw start states of the current level: [count, D]."""
         return self.starts.sample(self.level, count, generator)
 
     def anywhere(self, count: int, generator: torch.Generator) -> Tensor:
@@ -91,5 +91,5 @@ class Curriculum(nn.Module):
         return self.starts.sample(highest, count, generator)
 
     def record(self, level: Tensor, finished: Tensor, success: Tensor) -> None:
-        """Take note of ended episodes; see ``Schedule.advance``."""
+        """Record ended episodes; see ``Schedule.advance``."""
         self.progress.copy_(self.schedule.advance(self.progress, level, finished, success))

@@ -30,9 +30,9 @@ class GymnasiumEnv(gymnasium.Env[Pixels, Action]):
     """One robot.
 
     Observation: [H, W, 3] uint8, the ego view.
-    Action: the task's, ``Discrete``; or with continuous control a ``Box`` of float32 in [-1, 1], as Gymnasium's clients
-        like it, from the lowest to the highest that the task allows: ``drive`` stands still at (-1/3, 0), not at 0.
-    Info: ``outcome`` (int, an ``Outcome``), ``success`` (bool) and ``state`` (the task's, an array).
+    Action: the task's, ``Discrete``; with continuous control a ``Box`` of float32 in [-1, 1], as Gymnasium's clients
+        expect, mapped linearly onto the task's limits: ``drive`` stands still at (-1/3, 0), not at 0.
+    Info: ``outcome`` (int, an ``Outcome``), ``success`` (bool) and ``state`` (the task's state, an array).
     Reset: ``reset(seed=...)`` seeds the starts, ``reset(options={"state": ...})`` begins at that state of the task.
 
     Example:
@@ -42,7 +42,7 @@ class GymnasiumEnv(gymnasium.Env[Pixels, Action]):
 
     Args:
         env: a ``SplatEnv``, bare or under transforms, of batch size [1].
-        render_mode: what ``render`` returns: the present view, or nothing.
+        render_mode: what ``render`` returns: the current view, or nothing.
 
     Raises:
         ValueError: for another batch size, an action that is neither discrete nor bounded, or another render mode.
@@ -77,7 +77,7 @@ class GymnasiumEnv(gymnasium.Env[Pixels, Action]):
         return _pixels(after)[0], after["reward"].item(), terminated, truncated, _one(_infos(after))
 
     def render(self) -> Pixels | None:
-        """The present view, [H, W, 3] uint8; None without a render mode."""
+        """The current view, [H, W, 3] uint8; None without a render mode."""
         if self.render_mode is None:
             return None
         if self._present is None:
@@ -90,8 +90,9 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
 
     Observation: [B, H, W, 3] uint8.
     Action: [B] int64, or [B, n] float32 in [-1, 1] with continuous control; see ``GymnasiumEnv``.
-    Info: ``outcome``, ``success`` and ``state`` of what is observed, [B, ...] each; of the robots whose episode ended,
-        ``final_obs`` and ``final_info`` hold the last of it. A mask, [B] bool, stands beside each under ``_<name>``.
+    Info: ``outcome``, ``success`` and ``state`` that belong to the observation, [B, ...] each. For robots whose episode
+        ended, ``final_obs`` and ``final_info`` hold its last observation and info. Each has a mask, [B] bool, under
+        ``_<name>``.
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
@@ -114,7 +115,7 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Pixels, Infos]:
-        """Begin all episodes anew; one seed serves the whole batch."""
+        """Restart all episodes; one seed serves the whole batch."""
         if isinstance(seed, list):
             raise ValueError(f"seed: expected one number for the whole batch, got {seed}")
         super().reset(seed=seed)
@@ -125,7 +126,7 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
     def step(
         self, actions: Actions
     ) -> tuple[Pixels, npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_], Infos]:
-        """Take an action with each robot."""
+        """Take one action with each robot."""
         if self._present is None:
             raise gymnasium.error.ResetNeeded("step: expected reset first")
         acted = _act(self.env, self._present, self.action_space, actions)
@@ -143,19 +144,19 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
         return _pixels(self._present), reward, _column(after, "terminated"), _column(after, "truncated"), infos
 
     def render(self) -> tuple[Pixels, ...]:
-        """The present views, [H, W, 3] uint8 each."""
+        """The current views, [H, W, 3] uint8 each."""
         if self._present is None:
             raise gymnasium.error.ResetNeeded("render: expected reset first")
         return tuple(_pixels(self._present))
 
 
 def _spaces(env: EnvBase) -> tuple[gymnasium.Space[Any], gymnasium.Space[Any]]:
-    """Observation and action of one robot."""
+    """Observation and action space of one robot."""
     return Box(0, 255, tuple(env.observation_spec["pixels"].shape[1:]), np.uint8), _action_space(env.action_spec)
 
 
 def _action_space(spec: TensorSpec) -> gymnasium.Space[Any]:
-    """Action of one robot, from the spec of the batch."""
+    """Action space of one robot, from the spec of the batch."""
     if isinstance(spec, Categorical):
         return Discrete(int(spec.n))
     if isinstance(spec, Bounded) and spec.dtype == torch.float32:
@@ -182,7 +183,7 @@ def _begin(env: EnvBase, seed: int | None, options: dict[str, Any] | None) -> Te
 def _act(env: EnvBase, present: TensorDictBase, space: gymnasium.Space[Any], actions: Any) -> TensorDictBase:
     continuous = isinstance(space, Box)
     if continuous:
-        actions = np.asarray(actions, space.dtype)  # float64 is as good
+        actions = np.asarray(actions, space.dtype)  # clients may pass float64
     if not space.contains(actions):
         raise ValueError(f"action: expected one of {space}, got {actions}")
     spec = env.action_spec
@@ -193,7 +194,7 @@ def _act(env: EnvBase, present: TensorDictBase, space: gymnasium.Space[Any], act
 
 
 def _raise_faults(env: EnvBase) -> None:
-    """Raise what renderer or checker refused on their device: what is observed is read at once here anyway."""
+    """Raise what renderer or checker refused on their device: Gymnasium's arrays force a synchronisation anyway."""
     base = layers(env)[0]
     if isinstance(base, Faulty):
         base.raise_faults()
@@ -213,11 +214,11 @@ def _infos(td: TensorDictBase) -> Infos:
 
 
 def _one(infos: Infos) -> Infos:
-    """The infos of the only robot, numbers as Python's own."""
+    """The infos of the only robot, with scalars as Python numbers."""
     rows = {key: value[0] for key, value in infos.items()}
     return {key: row.item() if row.ndim == 0 else row for key, row in rows.items()}
 
 
 def _masked(infos: Infos, rows: npt.NDArray[np.bool_]) -> Infos:
-    """Infos with the mask of the rows that they speak of beside each, as Gymnasium's vector envs have them."""
+    """Infos, each with a mask of the rows for which it holds, as in Gymnasium's vector envs."""
     return infos | {f"_{key}": rows for key in infos}

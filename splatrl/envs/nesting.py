@@ -1,10 +1,10 @@
-"""Envs around envs: what stands at the bottom, and what around it."""
+"""Nested envs: the base env and the transformed envs around it."""
 
 from torchrl.envs import EnvBase, TransformedEnv
 
 
 def layers(env: EnvBase) -> tuple[EnvBase, list[TransformedEnv]]:
-    """The env at the bottom, and those around it from the outermost."""
+    """The base env, and the transformed envs around it, the outermost first."""
     around = []
     while isinstance(env, TransformedEnv):
         around.append(env)

@@ -1,4 +1,4 @@
-"""New episodes where the last ones ended, without the host looking where that is."""
+"""Start new episodes where the last ones ended, without synchronising with the host."""
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -7,17 +7,17 @@ from torchrl.envs import EnvBase
 
 
 def restart(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
-    """Reset the robots whose episode ended, whether there are any or not.
+    """Reset the robots whose episode ended, if any.
 
-    It gives what ``env.maybe_reset`` gives, which asks the host whether any is done, and whether all are. The env
-    draws start states for all rows here, and those that go on drop theirs.
+    The result is that of ``env.maybe_reset``, which synchronises with the host to learn whether any robot, or every
+    robot, is done. Here the env draws start states for all rows, and rows whose episode goes on discard theirs.
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
-        after: [B], what a step gave under ``"next"``; it is left as it is.
+        after: [B], what a step returned under ``"next"``; it is not modified.
 
     Returns:
-        [B], what the next step starts from: the keys that a reset gives.
+        [B], what the next step starts from, with the keys of a reset.
     """
     done = after["done"]
     begun = env._reset(TensorDict({"_reset": done}, env.batch_size, device=env.device), set_state=False)

@@ -1,4 +1,4 @@
-"""The robot: its body, and the camera it carries."""
+"""The robot: its body and the camera it carries."""
 
 import math
 from dataclasses import dataclass, field
@@ -16,12 +16,12 @@ class Robot:
     """A body with a camera at its centre, looking along the body's +x.
 
     Attributes:
-        body: shape that collides, in the body frame.
-        height: height of the body's centre, which is the camera's, above z = 0, metres.
-        pitch_deg: the camera looks down by this much, degrees.
+        body: collision shape, in the body frame.
+        height: height of the body's centre, and so of the camera, above z = 0, metres.
+        pitch_deg: angle by which the camera looks down, degrees.
         fov_deg: horizontal field of view, degrees in (0, 180).
-        image_width: pixels.
-        image_height: pixels.
+        image_width: width of the image, pixels.
+        image_height: height of the image, pixels.
     """
 
     body: Body
@@ -65,7 +65,7 @@ class Robot:
         return Cameras(camera_to_world, K, self.image_width, self.image_height)
 
     def _camera_on(self, device: torch.device) -> tuple[Tensor, Tensor]:
-        """``camera_to_body`` and ``K`` on a device, copied there once: in every step, the copy would be waited for."""
+        """``camera_to_body`` and ``K`` on a device, copied there only once: each copy would block the host."""
         if device not in self._placed:
             self._placed[device] = self.camera_to_body.to(device), self.K.to(device)
         return self._placed[device]

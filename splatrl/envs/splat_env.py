@@ -28,11 +28,11 @@ class SplatEnv(EnvBase):
     Everything about an episode travels in the TensorDict, so the env itself holds only its random generator and the
     curriculum, both part of ``state_dict()``.
 
-    In a step the task's motion carries out the actions, the drawing shows what the robots then see, and the task
-    judges once. Neither a step nor a reset synchronises with the host on a GPU. A reset of some rows draws start states
-    for all, of which TorchRL takes those that were asked for; only their images are rendered.
+    In a step the task's motion carries out the actions, the drawing renders what the robots then see, and the task
+    judges the step once. Neither a step nor a reset synchronises with the host on a GPU. A reset of some rows draws
+    start states for all rows, of which TorchRL keeps the requested ones; only those images are rendered.
 
-    Observation: ``pixels`` [B, H, W, 3] uint8, and what else the drawing tells. For users, not for the policy:
+    Observation: ``pixels`` [B, H, W, 3] uint8, and whatever else the drawing returns. For users, not for the policy:
         ``state`` (the motion's), ``step_count`` [B, 1] int64, ``episode_return`` [B, 1] float32, ``level`` [B, 1] int64
         at which the episode began, ``outcome`` [B, 1] int64 (an ``Outcome``), ``free_fraction`` [B, 1] float32 (how
         much of the last move was free; 1 when nothing was touched), and the task's memory, such as ``target`` [B, 3]
@@ -47,17 +47,17 @@ class SplatEnv(EnvBase):
 
     Args:
         drawing: makes the pixels.
-        checker: holds the robot's body, finds what it touches.
+        checker: holds the robot's body and finds what it touches.
         robot: body and camera.
         task: motion, goals and rewards.
-        curriculum: where episodes begin.
+        curriculum: decides where episodes begin.
         batch_size: [B], the number of robots.
-        seed: of the env's generator.
-        device: of every tensor that it takes and gives.
+        seed: seed of the env's generator.
+        device: device of every tensor that the env takes and returns.
 
     Raises:
         ValueError: for a batch size that is not one positive number, a task whose memory takes the env's keys, or a
-            given state that the motion does not have.
+            given state outside the motion's spec.
     """
 
     batch_locked = True
@@ -80,20 +80,20 @@ class SplatEnv(EnvBase):
         self.drawing, self.checker, self.robot = drawing, checker, robot
         self.task, self.curriculum = task, curriculum
         self.generator = torch.Generator(self.device)
-        self._make_specs()  # before the task moves: limits are looked at, which on a GPU would be waiting
+        self._make_specs()  # before the task moves: specs read its limits, which would synchronise with a GPU
         self.task = task.to(self.device)
         torch.nn.Module.to(self, self.device)  # EnvBase.to does nothing for the device that it already has
         self.set_seed(seed)
 
     @property
     def capturable(self) -> bool:
-        """Whether a step can be captured in a CUDA graph: what notes its faults on the device asks the host nothing."""
+        """Whether a step can be captured in a CUDA graph: parts that note faults on the device never synchronise."""
         return isinstance(self.drawing.renderer, Faulty) and isinstance(self.checker, (Faulty, NoChecker))
 
     def to(self, device: torch.device | str) -> "SplatEnv":
         """Move task and curriculum to a device; renderer and checker stay where they were made.
 
-        Its generator begins anew there, with the seed that it had.
+        The env's generator starts over there, from the same seed.
         """
         super().to(device)
         self.task = self.task.to(self.device)
@@ -147,7 +147,7 @@ class SplatEnv(EnvBase):
         only = None if mask is None else mask.flatten()
         if set_state:
             state = self._checked_state(given["state"], only)
-            level = torch.full((self.numel(), 1), -1, device=self.device)  # given by hand: of no level
+            level = torch.full((self.numel(), 1), -1, device=self.device)  # given states belong to no level
         else:
             state = self.curriculum.sample(self.numel(), self.generator)
             level = self.curriculum.level.expand(self.numel(), 1).clone()
@@ -172,7 +172,7 @@ class SplatEnv(EnvBase):
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
     def _checked_state(self, state: Tensor, only: Tensor | None) -> Tensor:
-        """States from outside: a wrong one would otherwise wrap around or end far away."""
+        """Given states, if they are inside the spec: a wrong one would otherwise wrap around or end up far away."""
         spec = self.task.motion.state_spec.to(state.device)
         asked = state if only is None else state[only]
         if not spec.expand(len(asked), *spec.shape).is_in(asked):
@@ -222,7 +222,7 @@ class SplatEnv(EnvBase):
         camera_offset: Tensor | None,
         only: Tensor | None = None,
     ) -> View:
-        """What robots in some states see; ``only`` as for ``Renderer``."""
+        """What robots in given states see; ``only`` as for ``Renderer``."""
         cameras = self.robot.cameras(body_to_world, camera_offset)
         return self.drawing.draw(cameras, memory, self.task.parts(state, memory), only)
 
@@ -241,5 +241,5 @@ class SplatEnv(EnvBase):
         return self.generator.get_state()
 
     def set_extra_state(self, state: Tensor) -> None:
-        """Put the random generator back, from ``load_state_dict()``."""
+        """Restore the random generator, from ``load_state_dict()``."""
         self.generator.set_state(state.cpu())

@@ -1,4 +1,4 @@
-"""What the envs of one place and task share."""
+"""What all envs of one scene and task share."""
 
 from collections.abc import Callable
 from copy import deepcopy
@@ -25,12 +25,12 @@ class World:
         scene: Gaussians in the world frame.
         occupancy: what is solid.
         checker: tests the robot's body against it.
-        drawing: makes the pixels; its renderer may remember them.
+        drawing: makes the pixels; its renderer may cache them.
         robot: body and camera.
         task: motion, goals and rewards.
         plan: free poses and shortest paths.
         make_transforms: makes new transforms for an env, the innermost first.
-        device: of its envs, unless they are given another.
+        device: default device of its envs.
     """
 
     scene: Scene
@@ -54,15 +54,15 @@ class World:
 
         Args:
             num_envs: number of robots.
-            curriculum: where episodes begin; None lets them begin anywhere in the start set.
-            seed: of the env's generator.
-            device: of its tensors; None takes the world's.
+            curriculum: decides where episodes begin; None lets them begin anywhere in the start set.
+            seed: seed of the env's generator.
+            device: device of its tensors; None takes the world's.
         """
         env = SplatEnv(
             self.drawing,
             self.checker,
             self.robot,
-            deepcopy(self.task),  # an env takes its task along to its device; the plan stays
+            deepcopy(self.task),  # an env moves its task to its device; the plan's stays where it is
             curriculum or Curriculum(self.plan, first=None),
             [num_envs],
             seed,

@@ -1,4 +1,4 @@
-"""The map of a video: drawn once, and the robot on it again for every picture."""
+"""The map in a video: it is drawn once, and the robot is drawn on it for every frame."""
 
 import math
 from pathlib import Path
@@ -15,7 +15,7 @@ from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView
 
 FINE = 2
-"""The map is drawn this much larger and then reduced, which smooths its lines."""
+"""Factor by which the map is drawn larger and then reduced, which smooths its lines."""
 COLORS = {
     Outcome.RUNNING: BLUE,
     Outcome.GOAL: REACHED,
@@ -26,7 +26,7 @@ COLORS = {
 
 
 def font(size: int) -> ImageFont.FreeTypeFont:
-    """The font that matplotlib brings, so that every machine has it."""
+    """The font that comes with matplotlib, so that every machine has it."""
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)
 
 
@@ -34,8 +34,8 @@ class Chart:
     """The map of one scene and task.
 
     Args:
-        view: what it is drawn over.
-        body: of the robot.
+        view: what the map is drawn over.
+        body: the robot's body.
         box: largest width and height, pixels.
 
     Attributes:
@@ -47,7 +47,7 @@ class Chart:
         height, width = ground.image.shape[:2]
         zoom = min(box[0] / width, box[1] / height)
         self.size = (round(zoom * width), round(zoom * height))
-        self.scale = FINE * self.size[0] / width * ground.pixels_per_metre  # pixels a metre
+        self.scale = FINE * self.size[0] / width * ground.pixels_per_metre  # pixels per metre
         self.corner = np.array([ground.extent[0], ground.extent[3]])
         self.body = _outline(body)
         image = 0.3 * 255 + 0.7 * np.asarray(ground.image, dtype=np.float64)
@@ -61,7 +61,7 @@ class Chart:
         self._ruler(pen)
 
     def draw(self, recording: Recording, step: int) -> Image.Image:
-        """The map after some steps of an episode."""
+        """Draw the map after some steps of an episode."""
         image = self.static.copy()
         pen = ImageDraw.Draw(image)
         for mark in recording.marks[step] if recording.marks else ():
@@ -82,7 +82,7 @@ class Chart:
         return image.reduce(FINE)
 
     def _pixels(self, positions: NDArray[np.float64]) -> list[tuple[float, float]]:
-        """World x and y -> fine pixels: [N, 2]."""
+        """Convert world x and y to fine pixels: [N, 2]."""
         columns, rows = ((positions - self.corner) * (self.scale, -self.scale)).T
         return list(zip(columns.tolist(), rows.tolist(), strict=True))
 
@@ -92,7 +92,7 @@ class Chart:
         return self._pixels(shape @ np.array([[cos, sin], [-sin, cos]]) + planar[:2])
 
     def _mark(self, pen: ImageDraw.ImageDraw, mark: Mark) -> None:
-        """A dot, with an arrow where the mark has a direction."""
+        """Draw a dot, with an arrow if the mark has a direction."""
         pose = np.asarray(mark.planar.cpu(), dtype=np.float64)
         if not math.isnan(pose[2]):
             length = 26 / self.scale * FINE  # metres
@@ -104,7 +104,7 @@ class Chart:
         pen.circle(center, radius * FINE, fill=color, outline=INK, width=FINE)
 
     def _ruler(self, pen: ImageDraw.ImageDraw) -> None:
-        """A bar of a round number of metres."""
+        """Draw a scale bar of a round number of metres."""
         width, height = FINE * self.size[0], FINE * self.size[1]
         metres = 10.0 ** math.floor(math.log10(0.4 * width / self.scale))
         metres *= max(factor for factor in (1, 2, 5) if factor * metres * self.scale <= 0.4 * width)
@@ -117,7 +117,7 @@ class Chart:
 
 
 def _outline(body: Body) -> NDArray[np.float64]:
-    """A body seen from above: [K, 2] metres, body frame."""
+    """The outline of a body seen from above: [K, 2] metres, body frame."""
     if isinstance(body, Box):
         return 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * body.size[:2]
     radius = body.radius if isinstance(body, Sphere) else body.cap_radius

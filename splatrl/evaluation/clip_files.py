@@ -1,9 +1,9 @@
-"""Labelled clips on disk: a person's own or recorded ones, read as data from strangers and written whole.
+"""Labelled clips on disk, filmed or recorded; they are read as untrusted data and written atomically.
 
 A folder of clips holds, for each clip, a sub-folder of images (PNG or JPEG, in the order of the numbers in their names)
 with ``actions.csv``, or a video (``name.mp4`` or ``name.mov``) with ``name.csv`` beside it. The CSV has the columns
-``frame,action``: frames count from 0, actions are names, several joined by ``|`` where any of them is right. Frames
-that are not listed are shown to the policy and not scored.
+``frame,action``: frames count from 0, and actions are names, joined by ``|`` where any of several is right. Frames
+that are not listed are shown to the policy but not scored.
 """
 
 import csv
@@ -26,20 +26,20 @@ IMAGES, VIDEOS = (".png", ".jpg", ".jpeg"), (".mp4", ".mov")
 ACTIONS = "actions.csv"
 HEADER = ["frame", "action"]
 MAX_PIXELS = 64 * 2**20
-"""Of one image: more than any phone takes."""
+"""Most pixels in one image, which is more than any phone takes."""
 MAX_CSV_BYTES = 4 * 2**20
 
 
 @dataclass(frozen=True)
 class Clip:
-    """Frames in order, and what one should have done in some of them.
+    """Frames in order, with labels for some of them.
 
     Attributes:
-        name: of its folder or file.
+        name: name of its folder or file.
         source: the folder of images or the video.
         table: the CSV.
-        labels: by the number of a frame, the numbers of the actions any of which is right.
-        lines: of the CSV, by the number of a frame.
+        labels: the indices of the right actions, by frame number.
+        lines: the line of the CSV that holds the label, by frame number.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Clip:
     lines: Mapping[int, int]
 
     def images(self) -> Iterator[Image.Image]:
-        """The frames one after the other, RGB, upright.
+        """Yield the frames in order, RGB and upright.
 
         Raises:
             ValueError: for a frame that cannot be read or is too large, or a label beyond the last frame.
@@ -68,14 +68,14 @@ def read_clips(folder: Path, action_names: Sequence[str]) -> list[Clip]:
     """Find the clips of a folder and read their labels; frames are read when they are needed.
 
     Args:
-        folder: of clips.
-        action_names: of the task, in the order of its actions.
+        folder: folder of clips.
+        action_names: names of the task's actions, in their order.
 
     Returns:
-        In the order of their names.
+        The clips, ordered by name.
 
     Raises:
-        ValueError: where there is no clip, a clip has no labels or images, or a label makes no sense.
+        ValueError: if there is no clip, a clip has no labels or images, or a label is invalid.
     """
     if not folder.is_dir():
         raise ValueError(f"{folder}: expected a folder of clips, found none")
@@ -100,14 +100,14 @@ def read_labels(path: Path, action_names: Sequence[str]) -> tuple[dict[int, froz
     """Read a table of frames and actions.
 
     Args:
-        path: of the CSV.
-        action_names: of the task, in the order of its actions.
+        path: the CSV.
+        action_names: names of the task's actions, in their order.
 
     Returns:
-        Labels and lines, as a ``Clip`` holds them.
+        Labels and lines, as in ``Clip``.
 
     Raises:
-        ValueError: names file and line.
+        ValueError: for anything invalid, naming file and line.
     """
     if not path.is_file():
         raise ValueError(f"{path}: expected a table with the columns frame,action, found none")
@@ -152,7 +152,7 @@ def _actions(cell: str, action_names: Sequence[str], place: str) -> frozenset[in
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """A key by which 9.png comes before 10.png."""
+    """A sort key that puts 9.png before 10.png."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", path.name)]
 
 
@@ -168,7 +168,7 @@ def _too_large(path: Path, width: int, height: int) -> str:
 def _pictures(folder: Path) -> Iterator[Image.Image]:
     for path in _listed(folder):
         try:
-            with Image.open(path, formats=("PNG", "JPEG")) as image:  # reads the header only
+            with Image.open(path, formats=("PNG", "JPEG")) as image:  # reads only the header
                 width, height = image.size
                 upright = ImageOps.exif_transpose(image).convert("RGB") if width * height <= MAX_PIXELS else None
         except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
@@ -187,7 +187,7 @@ def _video(path: Path) -> Iterator[Image.Image]:
             if stream.width * stream.height > MAX_PIXELS:
                 raise ValueError(_too_large(path, stream.width, stream.height))
             for frame in container.decode(stream):
-                if frame.width * frame.height > MAX_PIXELS:  # it may change on the way
+                if frame.width * frame.height > MAX_PIXELS:  # the size may change within a stream
                     raise ValueError(_too_large(path, frame.width, frame.height))
                 yield frame.to_image().rotate(frame.rotation, expand=True)
     except (av.FFmpegError, OSError) as error:
@@ -195,16 +195,16 @@ def _video(path: Path) -> Iterator[Image.Image]:
 
 
 def write_clip(folder: Path, images: Tensor, allowed: Tensor, action_names: Sequence[str]) -> None:
-    """Write a clip as a folder of PNGs with ``actions.csv``; it appears whole or not at all.
+    """Write a clip atomically, as a folder of PNGs with ``actions.csv``.
 
     Args:
-        folder: of the clip; its parent exists.
+        folder: the clip's folder, whose parent exists.
         images: [T, H, W, 3] uint8.
         allowed: [T, A] bool, the actions that are right; frames without any get no label.
-        action_names: A of them.
+        action_names: names of the A actions.
 
     Raises:
-        ValueError: where something of that name exists.
+        ValueError: if something of that name exists.
     """
     assert len(images) == len(allowed), (images.shape, allowed.shape)
     table = io.StringIO(newline="")
@@ -223,10 +223,10 @@ def write_clip(folder: Path, images: Tensor, allowed: Tensor, action_names: Sequ
 
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """A folder to fill, which gets its name once the block ends well; a block that raises leaves nothing.
+    """Make a folder that gets its name only when the block succeeds; a block that raises leaves nothing behind.
 
     Raises:
-        ValueError: where something of that name exists.
+        ValueError: if something of that name exists.
     """
     if path.exists():
         raise ValueError(f"{path}: expected a new folder, found one")

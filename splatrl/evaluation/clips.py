@@ -1,4 +1,4 @@
-"""How often a policy would do in a clip what a person, or a planner, would have done: Experiment IV of the paper."""
+"""How often a policy would act in a clip as a person or a planner would have: Experiment IV of the paper."""
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +21,7 @@ from splatrl.files import replacing
 REPORT = "clips"
 HEADLINE = (
     "Share of labelled frames in which the policy's most probable action is one of the label's; "
-    "in brackets the mean probability that it gives to the label's actions together."
+    "in brackets, the mean probability that it gives to all of the label's actions together."
 )
 
 
@@ -30,10 +30,10 @@ class ClipResult:
     """How a policy did on the labelled frames of a clip.
 
     Attributes:
-        name: of the clip.
-        frames: labelled ones.
-        matches: those in which the most probable action is one of the label's.
-        mass: mean over them of the probability that the policy gives to the label's actions together.
+        name: name of the clip.
+        frames: number of labelled frames.
+        matches: number of those in which the most probable action is one of the label's.
+        mass: mean over labelled frames of the probability that the policy gives to the label's actions together.
     """
 
     name: str
@@ -48,7 +48,7 @@ class ClipResult:
 
 
 def total(results: Sequence[ClipResult]) -> ClipResult:
-    """All clips as one: every labelled frame counts the same."""
+    """Combine all clips into one result, in which every labelled frame counts the same."""
     frames = sum(one.frames for one in results)
     mass = sum(one.frames * one.mass for one in results) / frames
     return ClipResult("total", frames, sum(one.matches for one in results), mass)
@@ -62,23 +62,23 @@ def match(
     start: TensorDictBase | None = None,
     progress: Callable[[int], object] = lambda frames: None,
 ) -> list[ClipResult]:
-    """Show clips to a policy, frame by frame in their order, and compare its most probable action with the labels.
+    """Show clips to a policy frame by frame, and compare its most probable action with the labels.
 
     A frame is cropped about its centre to the shape of the policy's image and shrunk by averaging areas. A policy that
-    sees several frames sees those before it in the clip, oldest first, the clip's first one repeated at its start; a
-    recurrent state begins anew with each clip and is carried through it. The policy's generator is left as it was.
+    sees several frames also sees the preceding ones, oldest first, with the clip's first frame repeated at its start. A
+    recurrent state is reset for each clip and carried through it. The policy's generator is left as it was.
 
     Args:
-        policy: reads ``pixels`` and what else its ``in_keys`` name, writes ``logits``.
-        action_names: of the task, in the order of its actions.
-        clips: read with the same names.
-        image_shape: (H, W, C) of ``pixels``, C being 3 for each frame that is stacked in them.
-        start: [1] all but ``pixels`` that the policy reads where an episode begins, such as a recurrent state of
-            zeros; None where it reads nothing else.
+        policy: reads ``pixels`` and whatever else its ``in_keys`` name, writes ``logits``.
+        action_names: names of the task's actions, in their order.
+        clips: clips that were read with the same names.
+        image_shape: (H, W, C) of ``pixels``, where C is 3 for each stacked frame.
+        start: [1] everything but ``pixels`` that the policy reads at the start of an episode, such as a recurrent state
+            of zeros; None if it reads nothing else.
         progress: called with the number of frames that were just shown.
 
     Raises:
-        ValueError: for a clip that cannot be read, or a policy that reads more than it is given.
+        ValueError: for a clip that cannot be read, or a policy that reads keys that it is not given.
     """
     begun = TensorDict({}, [1]) if start is None else start
     extra = [key for key in policy.in_keys if key != "pixels"]
@@ -141,7 +141,7 @@ def fitted(image: Image.Image, height: int, width: int) -> Tensor:
     scale = min(image.width / width, image.height / height)
     across, down = _shares(image.width, width, scale), _shares(image.height, height, scale)
     pixels, lines = np.asarray(image), []
-    for shares in down:  # a line of the result at a time, so that a large image is never held in floats
+    for shares in down:  # one line of the result at a time, so that a large image is never held in floats
         first, last = np.flatnonzero(shares)[[0, -1]]
         lines.append(np.tensordot(shares[first : last + 1], pixels[first : last + 1], 1))
     means = np.einsum("ow,hwc->hoc", across, np.stack(lines))
@@ -149,10 +149,10 @@ def fitted(image: Image.Image, height: int, width: int) -> Tensor:
 
 
 def _shares(length: int, count: int, scale: float) -> NDArray[np.float64]:
-    """How much each of ``length`` pixels has in each of the ``count`` cells of ``scale`` pixels in their middle.
+    """The share of each of ``length`` pixels in each of ``count`` cells, which are ``scale`` pixels wide and centred.
 
     Returns:
-        [count, length], rows of sum 1.
+        [count, length], with rows of sum 1.
     """
     edges = 0.5 * length + scale * (np.arange(count + 1) - 0.5 * count)
     pixels = np.arange(length)
@@ -163,10 +163,12 @@ def _shares(length: int, count: int, scale: float) -> NDArray[np.float64]:
 
 
 def table(results: Mapping[str, Sequence[ClipResult]]) -> str:
-    """Match rates as a Markdown table: a row a clip and one for all, a column a run, the mean probability in brackets.
+    """Match rates as a Markdown table, one row per clip and one for all, one column per run.
+
+    The mean probability of the label's actions is in brackets.
 
     Args:
-        results: of each run, on the same clips.
+        results: results of each run on the same clips.
     """
     runs = list(results)
     rows = [["clip", "frames", *runs], ["---", "---:", *["---:"] * len(runs)]]
@@ -178,11 +180,11 @@ def table(results: Mapping[str, Sequence[ClipResult]]) -> str:
 
 
 def write_report(results: Mapping[str, Sequence[ClipResult]], folder: Path) -> str:
-    """Write ``clips.md`` and ``clips.json``; returns the former.
+    """Write ``clips.md`` and ``clips.json``; returns the content of the former.
 
     Args:
-        results: of each run, on the same clips.
-        folder: where to.
+        results: results of each run on the same clips.
+        folder: folder to write to.
     """
     page = f"{HEADLINE}\n\n{table(results)}"
     folder.mkdir(parents=True, exist_ok=True)

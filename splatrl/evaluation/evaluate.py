@@ -1,4 +1,4 @@
-"""A finished training, tested from its whole start set: numbers and pictures in the run folder."""
+"""Tests a finished training from its whole start set, and writes numbers and pictures into the run folder."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,10 +21,10 @@ class EvaluationSettings:
 
     Attributes:
         checkpoint: last or best.
-        starts: at most; evenly spaced over the start set.
+        starts: largest number of starts, evenly spaced over the start set.
         repeats: sampled episodes from each start.
-        batch_size: robots side by side.
-        seed: of the sampling.
+        batch_size: number of robots in parallel.
+        seed: seed of the sampling.
     """
 
     checkpoint: str
@@ -43,19 +43,19 @@ def evaluate(
     seed: int,
     video: bool = True,
 ) -> tuple[dict[str, Any], list[Path]]:
-    """Test a policy, write ``evaluation.json`` and the pictures.
+    """Test a policy, and write ``evaluation.json`` and the pictures.
 
     Args:
-        world: in which it is tested.
+        world: world in which the policy is tested.
         policy: reads an observation, writes ``action``.
-        checkpoint: the policy's, for what it tells of the training.
+        checkpoint: the policy's checkpoint, which holds facts about the training.
         folder: the run folder.
-        settings: how.
-        seed: of the training, for the report.
-        video: whether to record one.
+        settings: how the policy is tested.
+        seed: seed of the training, for the report.
+        video: whether to record a video.
 
     Returns:
-        What is in ``evaluation.json``, and the pictures' files.
+        The content of ``evaluation.json``, and the pictures' files.
     """
     plan = world.plan
     rows = spread(plan.start_rows, settings.starts)
@@ -87,7 +87,7 @@ def evaluate(
 
 
 def summary_lines(summary: dict[str, Any]) -> list[str]:
-    """What came out of an evaluation, in words."""
+    """The results of an evaluation, in words."""
     rates = [f"success {summary['success_rate']:.3f} (argmax {summary['success_rate_argmax']:.3f})"]
     rates.append(f"SPL {summary['spl']:.3f}" if "spl" in summary else f"return {summary['mean_return']:.1f}")
     rates.append(f"collisions {summary['collision_rate']:.3f}")

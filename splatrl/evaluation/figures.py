@@ -1,4 +1,4 @@
-"""The pictures of a finished training: how it learned, and from where it succeeds."""
+"""The figures of a finished training: how it learned, and from which starts it succeeds."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -21,24 +21,24 @@ from splatrl.envs.tasks.base import Mark
 from splatrl.evaluation.topdown import MapView, TopDown
 from splatrl.files import replacing
 
-REACHED, PARTLY, MISSED = "#009e73", "#e69f00", "#d55e00"  # told apart with any colour vision
+REACHED, PARTLY, MISSED = "#009e73", "#e69f00", "#d55e00"  # distinguishable with any colour vision
 GOAL, TEST, BLUE, PURPLE, INK = "#e0409f", "#f0e442", "#0072b2", "#8a5a99", "#222222"
 DPI = 160
 MAP_SIZE = 5.8
-"""Inches: the longer side of a map."""
+"""Longer side of a map, inches."""
 FOOT = 1.1
-"""Inches below a map for its axis and legend."""
+"""Space below a map for its axis and legend, inches."""
 ARROW = np.array([[0.2, 0.22], [0.68, 0.42], [0.68, 1.0], [1.0, 0.0], [0.68, -1.0], [0.68, -0.42], [0.2, -0.22]])
-"""[7, 2]: an arrow along +x, thin at its foot; x in lengths, y in half widths of the head."""
+"""An arrow along +x that is thin at its tail, [7, 2]: x in lengths, y in half widths of the head."""
 
 
 def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
     """Draw success, curriculum level and return over the frames of a training.
 
     Args:
-        history: a row an iteration with ``frames`` and what there is of ``success``, ``test_success``, ``level``
-            (from 0), ``return`` and ``episodes``; absent values and NaN leave a gap.
-        path: of the picture; its suffix is the format.
+        history: one row per iteration with ``frames`` and any of ``success``, ``test_success``, ``level`` (from 0),
+            ``return`` and ``episodes``; missing values and NaN leave a gap.
+        path: the picture's file, whose suffix is the format.
     """
     figure = Figure(figsize=(7.2, 5.4), dpi=DPI, layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -84,14 +84,14 @@ def start_map(
 ) -> None:
     """Draw every start pose as an arrow, coloured by whether the goal was reached from it.
 
-    Headings at one position make a rosette around it.
+    The headings at one position form a rosette around it.
 
     Args:
         planar: [N, 3] x and y in metres and yaw in radians of the starts; a pose can occur more than once.
         success: [N] bool.
         view: what the map is drawn over.
-        path: of the picture; its suffix is the format.
-        blocked: [M, 2] x and y of positions where the body fits in no heading, metres.
+        path: the picture's file, whose suffix is the format.
+        blocked: [M, 2] x and y of positions at which the body does not fit in any heading, metres.
     """
     poses, rate = _mean_by_row(planar, success)
     headings = np.unique(poses[:, :2], axis=0, return_counts=True)[1].max()
@@ -123,15 +123,15 @@ def start_map(
 
 
 def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path) -> None:
-    """Draw the success rate by start position, the mean over headings and repetitions, as coloured cells.
+    """Draw the success rate by start position, averaged over headings and repetitions, as coloured cells.
 
-    Positions on a lattice get a cell each; positions that are no lattice are pooled in 20 cells across the picture.
+    Positions on a lattice get a cell each; other positions are pooled in 20 cells across the picture.
 
     Args:
         planar: [N, 3] x and y in metres and yaw in radians of the starts.
         success: [N] bool.
         view: what the map is drawn over.
-        path: of the picture; its suffix is the format.
+        path: the picture's file, whose suffix is the format.
     """
     positions = np.asarray(planar, dtype=np.float64)[:, :2]
     cell, corner = _spacing(positions, view.ground), positions.min(0)
@@ -159,7 +159,7 @@ def column(history: Sequence[Mapping[str, float]], key: str) -> NDArray[np.float
 def _curve(
     axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], weights: NDArray[np.float64], color: str
 ) -> None:
-    """The raw values, faint, and their weighted mean over the last twelfth of the rows."""
+    """Draw the raw values faintly, and their weighted running mean over a twelfth of the rows."""
     known = ~np.isnan(y)
     x, y, weights = x[known], y[known], weights[known]
     axes.plot(x, y, ".-", color=color, linewidth=0.8, markersize=4, alpha=0.35)
@@ -169,14 +169,14 @@ def _curve(
 
 
 def _mean_by_row(rows: Tensor | NDArray[np.float64], values: Tensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The distinct rows, and the mean of the values of each."""
+    """The distinct rows, and the mean value of each."""
     distinct, row = np.unique(np.asarray(rows, dtype=np.float64).round(6), axis=0, return_inverse=True)
     row = row.reshape(-1)
     return distinct, np.bincount(row, np.asarray(values, dtype=np.float64)) / np.bincount(row)
 
 
 def _spacing(positions: NDArray[np.float64], ground: TopDown) -> float:
-    """Distance between neighbouring positions of a lattice, or a size that reads well where there is no lattice."""
+    """Distance between neighbouring positions of a lattice, or a size that reads well if there is no lattice."""
     left, right, bottom, top = ground.extent
     side = max(right - left, top - bottom)
     gaps = np.concatenate([np.diff(np.unique(positions[:, axis].round(6))) for axis in (0, 1)])
@@ -192,7 +192,7 @@ def _arrows(planar: NDArray[np.float64], length: float, half_width: float) -> ND
 
 
 def _map(view: MapView, colourful: bool) -> tuple[Figure, Axes]:
-    """Axes in metres over a picture of the ground that is pale enough to draw on."""
+    """Make axes in metres over a picture of the ground, which is pale enough to draw on."""
     ground, solid = view.ground, view.solid
     left, right, bottom, top = ground.extent
     inches = MAP_SIZE / max(right - left, top - bottom)

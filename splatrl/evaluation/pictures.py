@@ -24,13 +24,13 @@ HEADROOM = 0.4
 
 
 class Pictures:
-    """Draws what came of a training over the scene seen from above.
+    """Draws the results of a training, over the scene seen from above.
 
     Args:
-        gaussians: of the scene.
+        gaussians: the scene's Gaussians.
         occupancy: what is solid.
         plan: free poses and shortest paths.
-        env: any env of the task; its robots are not touched.
+        env: any env of the task; its state is not changed.
         folder: the run folder.
     """
 
@@ -44,27 +44,27 @@ class Pictures:
         self.view = MapView(ground, solid, env.task.marks())
 
     def learning_curve(self, history: Sequence[Mapping[str, float]]) -> Path:
-        """Success, curriculum level and return over frames."""
+        """Draw success, curriculum level and return over frames."""
         path = self.folder / "learning_curve.png"
         learning_curve(history, path)
         return path
 
     def starts(self, episodes: Episodes) -> Path:
-        """Start poses and headings coloured by success."""
+        """Draw start positions and headings, coloured by success."""
         path = self.folder / "starts.png"
         planar = self._planar(episodes.start)
         start_map(planar, episodes.success, self.view, path, self._blocked())
         return path
 
     def success_map(self, episodes: Episodes) -> Path:
-        """Success rate by start position."""
+        """Draw the success rate by start position."""
         path = self.folder / "success_map.png"
         planar = self._planar(episodes.start)
         success_map(planar, episodes.success, self.view, path)
         return path
 
     def video(self, env: EnvBase, policy: Callable[[TensorDictBase], TensorDictBase], seed: int) -> Path:
-        """A rollout of each robot of ``env``, from starts spread over the distances to the goal, farthest last."""
+        """Record a rollout of each robot of ``env``, from starts spread over distances to the goal, nearest first."""
         path = self.folder / "rollouts.mp4"
         rows = self.plan.start_rows
         ordered = rows[self.plan.distance[rows].argsort(stable=True)]
@@ -80,7 +80,7 @@ class Pictures:
         return self.env.task.motion.planar(states.to(self.env.device)).cpu()
 
     def _blocked(self) -> Tensor:
-        """Positions where the body fits in no heading: [M, 2] metres."""
+        """Positions at which the body does not fit in any heading: [M, 2] metres."""
         places = self._planar(self.plan.states)[:, :2]
         distinct, row = places.unique(dim=0, return_inverse=True)
         fits = torch.zeros(len(distinct)).index_add(0, row, self.plan.free.float())

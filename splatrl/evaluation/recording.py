@@ -1,4 +1,4 @@
-"""Episodes step by step, to be looked at."""
+"""Recordings of episodes step by step, for viewing."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -15,18 +15,18 @@ from splatrl.renderers.parts import Parts
 
 @dataclass(frozen=True)
 class Recording:
-    """One finished episode of T steps, its start included.
+    """One finished episode of T steps, including its start.
 
     Attributes:
         planar: [T + 1, 3] x and y in metres and yaw in radians.
-        body_to_world: [T + 1, 4, 4].
-        pixels: [T + 1, H, W, 3] uint8, what the policy saw; of several views at once, the last.
-        action: [T, ...].
-        episode_return: [T + 1] float32, so far.
-        outcome: how it ended.
+        body_to_world: [T + 1, 4, 4] poses, metres.
+        pixels: [T + 1, H, W, 3] uint8, what the policy saw; the last view of a stack.
+        action: [T, ...] actions.
+        episode_return: [T + 1] float32, return so far.
+        outcome: how the episode ended.
         memory: what the task remembered, [T + 1, ...] by key.
-        parts: what the task placed in the picture, of T + 1 rows; None is the scene alone.
-        marks: what the task shows on a map, for each of the T + 1; empty for a task that remembers nothing.
+        parts: what the task placed in the picture, with T + 1 rows; None is the scene alone.
+        marks: what the task shows on a map, for each of the T + 1 states; empty for a task that remembers nothing.
     """
 
     planar: Tensor
@@ -50,14 +50,14 @@ def record_episodes(
     """Record one episode from each start, side by side; PyTorch's global generator is left as it was.
 
     Args:
-        env: has as many robots as there are starts.
+        env: env with as many robots as there are starts.
         policy: reads ``pixels``, writes ``action``.
         starts: [N, D] states.
-        sampled: sample from the policy's distribution, or take its mode.
-        seed: of the sampling.
+        sampled: whether to sample from the policy's distribution or take its mode.
+        seed: seed of the sampling.
 
     Raises:
-        ValueError: for an env of another size.
+        ValueError: for an env of any other size.
     """
     if env.numel() != len(starts):
         raise ValueError(f"env: expected as many robots as starts, {len(starts)}, got {env.numel()}")
@@ -66,7 +66,7 @@ def record_episodes(
         given = TensorDict({"state": starts}, batch_size=env.batch_size, device=env.device)
         now = env.reset(given, set_state=True)
         running = torch.ones(len(starts), dtype=torch.bool)
-        while running.any():  # a robot that has finished goes on unrecorded until all have
+        while running.any():  # robots that have finished go on unrecorded
             step = env.step(policy(now))
             steps.append(step.cpu())
             running &= ~steps[-1]["next", "done"].squeeze(1)

@@ -1,4 +1,4 @@
-"""The figures of a finished training, as numbers in ``evaluation.json``."""
+"""The results of a finished training, as numbers in ``evaluation.json``."""
 
 import json
 from pathlib import Path
@@ -12,15 +12,15 @@ from splatrl.files import replacing
 
 
 def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> dict[str, float]:
-    """What two sets of episodes over a start set add up to.
+    """Summarise two sets of episodes over a start set.
 
     Args:
-        sampled: of the policy as a distribution, each start repeated in a row; the headline.
-        argmax: of its most likely actions, once from each start.
-        shortest: [N] int64, steps of the shortest path from each start; None where the task has no goal states.
+        sampled: episodes with actions sampled from the policy, repetitions of a start in a row; the headline.
+        argmax: episodes with the policy's most likely actions, one from each start.
+        shortest: [N] int64, steps of the shortest path from each start; None if the task has no goal states.
 
     Returns:
-        Rates in [0, 1], mean returns and mean lengths; where there are shortest paths also SPL and their mean length.
+        Rates in [0, 1], mean returns and mean lengths; if there are shortest paths, also SPL and their mean length.
         Keys of the second set end in ``_argmax``.
     """
     summary: dict[str, float] = {}
@@ -43,6 +43,6 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> d
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write JSON, whole or not at all."""
+    """Write JSON atomically."""
     with replacing(path) as stream:
         stream.write(f"{json.dumps(content, indent=2)}\n".encode())

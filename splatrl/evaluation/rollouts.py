@@ -1,4 +1,4 @@
-"""Episodes from given starts, and what they add up to."""
+"""Episodes from given starts, and their statistics."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,7 +19,7 @@ class Episodes:
 
     Attributes:
         start: [N, D] states.
-        outcome: [N] int64, an ``Outcome`` each.
+        outcome: [N] int64, each an ``Outcome``.
         length: [N] int64, steps.
         episode_return: [N] float32.
     """
@@ -31,11 +31,11 @@ class Episodes:
 
     @property
     def success(self) -> Tensor:
-        """Which reached the goal: [N] bool."""
+        """Which episodes reached the goal: [N] bool."""
         return self.outcome == Outcome.GOAL
 
     def rate(self, outcome: Outcome) -> float:
-        """Share of episodes that ended so."""
+        """Share of the episodes that ended with an outcome."""
         return (self.outcome == outcome).double().mean().item()
 
     def spl(self, shortest: Tensor) -> float:
@@ -49,16 +49,16 @@ class Episodes:
 
 
 def spread(rows: Tensor, most: int) -> Tensor:
-    """Some of the rows of a start set, evenly spaced: [N] -> [min(N, most)]."""
+    """An evenly spaced subset of the rows of a start set: [N] -> [min(N, most)]."""
     count = min(most, len(rows))
     return rows[torch.linspace(0, len(rows) - 1, count, dtype=torch.float64).round().long()]
 
 
 @contextmanager
 def acting(sampled: bool, seed: int, device: torch.device | None = None) -> Iterator[None]:
-    """A block in which policies act, sampled from ``seed`` or by their mode.
+    """A block in which policies act, either by sampling from ``seed`` or by their mode.
 
-    It tracks no gradients, and PyTorch's global generators, of the CPU and of this device, are afterwards as they were.
+    It tracks no gradients and restores PyTorch's global generators, of the CPU and of this device, at its end.
     """
     devices = [device] if device is not None and device.type == "cuda" else []
     kind = ExplorationType.RANDOM if sampled else ExplorationType.DETERMINISTIC
@@ -77,19 +77,19 @@ def run_episodes(
 ) -> Episodes:
     """Run one episode from each start; PyTorch's global generator is left as it was.
 
-    A robot whose episode ends takes the next start that waits, so the batch stays full.
+    A robot whose episode ends takes the next waiting start, so the batch stays full.
 
     Args:
-        env: takes ``reset(set_state=True)``; its curriculum hears of no level.
+        env: takes ``reset(set_state=True)``; these episodes do not advance its curriculum.
         policy: reads ``pixels``, writes ``action``.
         starts: [N, D] states.
-        sampled: sample from the policy's distribution, or take its mode.
-        seed: of the sampling.
+        sampled: whether to sample from the policy's distribution or take its mode.
+        seed: seed of the sampling.
         progress: called with the number of episodes that just ended.
     """
     count, rows = len(starts), env.numel()
     result = Episodes(starts, *(torch.zeros(count, dtype=t) for t in (torch.int64, torch.int64, torch.float32)))
-    episode = torch.arange(rows)  # which episode each robot is in; from count on it is idle
+    episode = torch.arange(rows)  # the episode of each robot; from count on the robot is idle
     waiting = rows
     with acting(sampled, seed, env.device):
         state = starts[episode.clamp_max(count - 1)]

@@ -1,4 +1,4 @@
-"""Pictures by which a person judges a captured scene: what is free, what is solid, and a view from inside."""
+"""Pictures by which a person can judge a captured scene: what is free, what is solid, and a view from inside."""
 
 from pathlib import Path
 
@@ -13,19 +13,19 @@ from splatrl.files import replacing
 from splatrl.scenes.scene import Scene
 
 EYE = 1.6
-"""Metres: height of a person's eye."""
+"""Height of a person's eye, metres."""
 FLAT = 0.15
-"""Of its width: a scene that is lower is looked at from above."""
+"""A scene that is lower than this share of its width is viewed from above."""
 _SMALLEST_PIECE = 64
-"""Voxels: a piece with fewer is a floater, whatever the scene's units are."""
+"""A connected piece of fewer voxels is a floater, whatever the scene's units are."""
 
 
 def survey_occupancy(scene: Scene, resolution: float | None = None) -> Occupancy:
-    """What is solid in a scene whose units may still be wrong, without a cache.
+    """Find what is solid in a scene whose units may still be wrong, without using the cache.
 
     Args:
-        scene: in the world frame.
-        resolution: edge of a voxel, metres; None takes 0.05 within a 256th to a 50th of the scene's diagonal.
+        scene: the scene, in the world frame.
+        resolution: edge of a voxel, metres; None takes 0.05, clamped to a 256th to a 50th of the scene's diagonal.
 
     Raises:
         ValueError: for a scene at a single point, or a grid that becomes too large.
@@ -44,11 +44,11 @@ def draw_scene(scene: Scene, occupancy: Occupancy, floor: float, height: float, 
     """Draw free space at a robot's height, the occupancy, and a view from eye height.
 
     Args:
-        scene: in the world frame.
+        scene: the scene, in the world frame.
         occupancy: what is solid in it.
-        floor: its height, metres.
-        height: of the robot, metres; at most half of the scene's is used, for scenes whose units are unknown.
-        folder: for the pictures; is made where there is none.
+        floor: height of the floor, metres.
+        height: height of the robot, metres; at most half the scene's height is used, since its units may be wrong.
+        folder: folder for the pictures, created if it does not exist.
 
     Returns:
         The files: ``<name>-free.png``, ``<name>-occupancy.png`` and ``<name>-view.png``.
@@ -58,7 +58,7 @@ def draw_scene(scene: Scene, occupancy: Occupancy, floor: float, height: float, 
     body = min(height, 0.5 * room)
     eye = min(EYE, 0.65 * room)
     across = float(np.hypot(*(upper - lower)[:2]))
-    if room < FLAT * across:  # seen from the air: from its own height there would be only ground
+    if room < FLAT * across:  # an aerial capture: a view from its own height would show only ground
         eye = 0.4 * across
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{scene.name}-{kind}.png" for kind in ("free", "occupancy", "view")]

@@ -1,4 +1,4 @@
-"""The ground that figures and videos are drawn on: a scene seen from above, and what is solid there."""
+"""The background of figures and videos: a scene seen from above, and what is solid in it."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -17,17 +17,17 @@ from splatrl.renderers.base import Renderer
 from splatrl.scenes.gaussians import Gaussians
 
 DISTANCE = 500.0
-"""Height of the camera in lengths of the window: a metre of height moves a point by at most a millimetre and a half."""
+"""Camera height in lengths of the window: a metre of height then shifts a point by at most 1.5 millimetres."""
 DEPTH = 10.0
-"""Metres below the cut at which the ground ends and the lower half of a sky dome may begin."""
+"""Anything more than this many metres below the cut is left out, such as the lower half of a sky dome."""
 
 
 class TopDown(NamedTuple):
-    """A picture of a window of the world, +x right and +y up.
+    """A picture of a window of the world, with +x to the right and +y up.
 
     Attributes:
         image: [H, W, 3] uint8, row 0 at the largest y.
-        extent: left, right, bottom and top edge of the image, metres, in the order of matplotlib's ``extent``.
+        extent: left, right, bottom and top edges of the image, metres, in the order of matplotlib's ``extent``.
     """
 
     image: Tensor
@@ -35,7 +35,7 @@ class TopDown(NamedTuple):
 
     @property
     def pixels_per_metre(self) -> float:
-        """Resolution of the picture, the same along x and y."""
+        """Resolution of the picture, which is the same along x and y."""
         return self.image.shape[1] / (self.extent[1] - self.extent[0])
 
 
@@ -45,7 +45,7 @@ class MapView:
 
     Attributes:
         ground: the scene seen from above.
-        solid: [H, W] bool over the ground's picture, what is solid at the height of the body (``footprint``).
+        solid: [H, W] bool for the ground's pixels, what is solid at the height of the body (``footprint``).
         marks: what the task shows in every episode.
     """
 
@@ -62,22 +62,22 @@ def top_down(
     size: int = 720,
     make_renderer: Callable[[Gaussians], Renderer] = NativeRenderer,
 ) -> TopDown:
-    """Render a window of a scene from straight above, as good as orthographically.
+    """Render a window of a scene from straight above, in a nearly orthographic view.
 
-    Only what lies lower than ``below`` is shown, so ceilings, tree crowns and the sky do not hide the floor. What can
-    only be sky is left out as well: Gaussians wider than the window, or farther from it than the window is wide.
+    Only what lies below ``below`` is shown, so that ceilings, tree crowns and the sky do not hide the floor. Gaussians
+    that can only be sky are left out as well: those wider than the window, or farther from it than the window is wide.
 
     Args:
-        gaussians: of the scene, world frame.
+        gaussians: the scene's Gaussians, world frame.
         lower: smallest x and y of the window, metres.
         upper: largest x and y of the window, metres.
         below: height of the cut, metres.
-        size: of the longer side of the picture, pixels. The shorter side is rounded up to a whole number of pixels and
-            the window grows with it, about its centre.
+        size: longer side of the picture, pixels. The shorter side is rounded up to a whole number of pixels, and the
+            window grows with it, about its centre.
         make_renderer: the renderer's class, or anything that turns Gaussians into a renderer.
 
     Raises:
-        ValueError: for a window without area, or one with nothing in it.
+        ValueError: for a window without area or with nothing in it.
     """
     (left, bottom), (right, top) = lower, upper
     side = max(right - left, top - bottom)
@@ -108,16 +108,16 @@ def _floor(
 
 
 def footprint(occupancy: Occupancy, low: float, high: float, ground: TopDown) -> Tensor:
-    """What is solid between two heights, as a mask that lies over a top-down picture.
+    """What is solid between two heights, as a mask over a top-down picture.
 
     Args:
-        occupancy: of the scene.
-        low: lower end of the heights that count, metres.
-        high: upper end.
+        occupancy: the scene's occupancy.
+        low: lower of the two heights, metres.
+        high: upper of the two heights, metres.
         ground: the picture.
 
     Returns:
-        [H, W] bool, true where the pixel's centre is in a solid voxel seen from above.
+        [H, W] bool, true where the pixel's centre lies over a solid voxel.
     """
     left, _, _, top = ground.extent
     height, width = ground.image.shape[:2]
@@ -126,7 +126,7 @@ def footprint(occupancy: Occupancy, low: float, high: float, ground: TopDown) ->
     origin = np.array(occupancy.origin_key)
     bottom, ceiling = (round_(z / occupancy.resolution) for round_, z in ((math.floor, low), (math.ceil, high)))
     layers = occupancy.occupied[:, :, max(bottom - origin[2], 0) : max(ceiling - origin[2], 0)].any(2)
-    padded = np.pad(layers, 1)  # whatever is outside the grid is free, and so is its padding
+    padded = np.pad(layers, 1)  # everything outside the grid is free, hence the empty padding
     column, row = (
         (np.floor(at / occupancy.resolution).astype(int) - key + 1).clip(0, count - 1)
         for at, key, count in zip((x, y), origin, padded.shape, strict=False)

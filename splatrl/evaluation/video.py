@@ -1,4 +1,4 @@
-"""Clips of episodes: what the robot sees beside where it is."""
+"""Videos of episodes: what the robot sees, beside a map of where it is."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -20,11 +20,11 @@ from splatrl.evaluation.topdown import MapView
 from splatrl.files import replacing
 
 PANEL, WIDEST, GAP, STRIP = 384, 512, 8, 60
-"""Pixels: height of both panels, largest width of the map, space around them, height of the text."""
+"""Height of both panels, largest width of the map, space around them and height of the text, pixels."""
 HOLD = 0.7
-"""Seconds for which the last picture of an episode stays."""
+"""Time for which the last frame of an episode stays, seconds."""
 BATCH = 8
-"""Large views rendered at once; bounds the memory."""
+"""Number of large views rendered at once, which bounds the memory."""
 
 
 def rollout_video(
@@ -36,20 +36,19 @@ def rollout_video(
     action_names: Sequence[str] = (),
     fps: int = 6,
 ) -> None:
-    """Write episodes one after the other as an mp4: the ego view beside a map with the robot and its trail.
+    """Write episodes to an mp4, one after another: the ego view beside a map with the robot and its trail.
 
     Args:
         recordings: the episodes.
         robot: body and camera.
         view: what the map is drawn over.
-        path: of the video.
-        drawing: draws the ego view large, with the policy's own pixels in its corner; without one those pixels are
-            enlarged.
-        action_names: by the number of an action.
-        fps: steps in a second of video.
+        path: the video file.
+        drawing: draws the ego view large, with the policy's own pixels in its corner; None enlarges those pixels.
+        action_names: names of the actions, by index; empty where actions are continuous.
+        fps: steps per second of video.
 
     Raises:
-        ValueError: without a recording.
+        ValueError: if there are no recordings.
     """
     if not recordings:
         raise ValueError("recordings: expected at least one episode, got none")
@@ -84,7 +83,7 @@ def _frames(
 
 
 def _views(recording: Recording, robot: Robot, drawing: Drawing | None) -> Iterator[Image.Image]:
-    """The ego view at each step, PANEL pixels high."""
+    """Yield the ego view at each step, PANEL pixels high."""
     large = replace(robot, image_height=PANEL, image_width=round(PANEL * robot.image_width / robot.image_height))
     size = (large.image_width, PANEL)
     for rows in torch.arange(len(recording.pixels)).split(BATCH):
@@ -110,7 +109,7 @@ def _action(action: Tensor, names: Sequence[str]) -> str:
 
 
 def _caption(page: Image.Image, facts: list[tuple[str, str]], outcome: Outcome) -> None:
-    """Write facts below the panels, and the outcome as a badge."""
+    """Write the facts below the panels, and the outcome as a badge."""
     pen = ImageDraw.Draw(page)
     column, top = page.width / (len(facts) + 1), page.height - STRIP + 4
     for number, (name, value) in enumerate([*facts, ("outcome", "")]):

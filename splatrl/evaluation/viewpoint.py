@@ -1,4 +1,4 @@
-"""What a person sees who stands in a scene."""
+"""The view of a person who stands in a scene."""
 
 import math
 
@@ -15,7 +15,7 @@ from splatrl.scenes.scene import Bounds
 
 FOV = math.radians(80.0)
 _STEPS = 24
-"""Places along the longer side at which one could stand."""
+"""Number of candidate places along the longer side."""
 
 
 def eye_view(
@@ -27,16 +27,16 @@ def eye_view(
     width: int = 960,
     rows: int = 640,
 ) -> Tensor:
-    """Draw a scene from a free place at eye height, across its middle.
+    """Draw a scene from a free place at eye height, looking across its middle.
 
     Args:
-        gaussians: world frame.
-        occupancy: what is solid, to stand free of it.
-        bounds: lower and upper corner of where to stand, metres.
-        floor: its height, world, metres; the view does not end below it.
-        height: of the eye, world, metres.
-        width: of the image, pixels.
-        rows: of the image, pixels.
+        gaussians: the scene, world frame.
+        occupancy: what is solid; the place is clear of it.
+        bounds: lower and upper corner of the region in which to stand, metres.
+        floor: height of the floor, world, metres; the view does not aim below it.
+        height: height of the eye, world, metres.
+        width: width of the image, pixels.
+        rows: height of the image, pixels.
 
     Returns:
         [rows, width, 3] uint8.
@@ -51,12 +51,12 @@ def eye_view(
 
 
 def standing_place(occupancy: Occupancy, bounds: Bounds, height: float) -> list[float]:
-    """The place [2] within bounds that is far from what is solid at a height, and far from the middle.
+    """The place [2] within bounds that is far from anything solid at a height, and far from the middle.
 
     Args:
         occupancy: what is solid.
         bounds: lower and upper corner, metres.
-        height: world, metres.
+        height: height at which to look for solid things, world, metres.
     """
     lower, upper = np.array(bounds)
     side = float((upper - lower)[:2].max()) or 1.0
@@ -78,7 +78,7 @@ def standing_place(occupancy: Occupancy, bounds: Bounds, height: float) -> list[
 
 
 def open_corner(occupancy: Occupancy) -> int:
-    """The corner from which the least stands in the way of a look at the rest, as quarter turns of ``draw_blocks``.
+    """The corner that hides the least of the rest from view, as quarter turns of ``draw_blocks``.
 
     Args:
         occupancy: what is solid.

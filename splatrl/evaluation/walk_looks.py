@@ -1,4 +1,4 @@
-"""What a camera makes of what it sees: exposure, tint, blur and noise, another of each in every clip."""
+"""How a real camera changes an image: exposure, tint, blur and noise, drawn anew for every clip."""
 
 from dataclasses import dataclass
 
@@ -7,18 +7,18 @@ from scipy import ndimage
 from torch import Tensor
 
 GAMMA = 2.2
-"""Between stored and linear light, near enough for a change of exposure."""
+"""Exponent between stored and linear light, accurate enough for a change of exposure."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """How far cameras may be off; each clip draws its own, uniformly.
+    """How much cameras vary; each clip draws its own camera uniformly.
 
     Attributes:
-        exposure: most that an image may be lighter or darker, stops.
-        tint: most that a colour channel may be stronger or weaker, share.
-        blur: largest standard deviation of the blur, shares of the image's height.
-        noise: largest standard deviation of the noise of each value, grey levels.
+        exposure: largest change of exposure in either direction, stops.
+        tint: largest change of a colour channel in either direction, as a share.
+        blur: largest standard deviation of the blur, as a share of the image's height.
+        noise: largest standard deviation of the noise in each value, grey levels.
     """
 
     exposure: float = 0.5
@@ -28,12 +28,12 @@ class Lens:
 
 
 def photographed(pixels: Tensor, lens: Lens, generator: torch.Generator) -> Tensor:
-    """The frames of one clip as one camera gives them.
+    """The frames of one clip as a random camera would record them.
 
     Args:
         pixels: [T, H, W, 3] uint8.
-        lens: from which this camera is drawn.
-        generator: draws it, and its noise.
+        lens: how much the camera may vary.
+        generator: draws the camera and its noise.
 
     Returns:
         [T, H, W, 3] uint8.

@@ -1,4 +1,4 @@
-"""Walks with a camera in an unsteady hand, labelled by the planner: clips for those who have no phone at hand."""
+"""Simulated walks with a camera in an unsteady hand, labelled by the planner: clips that need no phone."""
 
 import math
 from collections.abc import Callable
@@ -18,32 +18,32 @@ from splatrl.geometry import axis_rotations, rigid
 from splatrl.renderers.base import Renderer
 
 WAVES = 4
-"""Sinusoids that a hand's sway is made of: it is bounded by √(2 · WAVES) = 2.8 standard deviations."""
+"""Number of sinusoids in a hand's sway, which bounds it by √(2 · WAVES) = 2.8 standard deviations."""
 RANKS = (0.98, 0.35)
-"""Ranks, among the paths from all starts, of the longest and of the shortest that is walked."""
+"""Ranks of the longest and the shortest path that is walked, among the paths from all starts."""
 PATIENCE = 3
-"""A walk ends after this many times the steps that its path should take."""
+"""A walk is cut off after this many times the steps that its path should take."""
 CANDIDATES = 16
 MARGIN = 0.15
-"""Metres that a person keeps away from things."""
+"""Distance that a person keeps from things, metres."""
 GLANCES, GLANCE = 6, 12
-"""Views of a path that are judged for what they show, and their side in pixels."""
+"""Number of views along a path that are checked for emptiness, and their side in pixels."""
 BATCH = 32
 
 
 @dataclass(frozen=True)
 class Hand:
-    """How a hand sways: standard deviations of a smooth stationary process, and how fast it is.
+    """How a hand sways: the standard deviations and periods of a smooth stationary process.
 
     Attributes:
-        place: along x and along y, metres.
-        height: metres.
-        pitch_deg: about the camera's right axis.
-        roll_deg: about its forward axis.
-        yaw_deg: about its down axis.
+        place: standard deviation along x and along y, metres.
+        height: standard deviation of the height, metres.
+        pitch_deg: standard deviation about the camera's right axis, degrees.
+        roll_deg: standard deviation about its forward axis, degrees.
+        yaw_deg: standard deviation about its down axis, degrees.
         slowest: longest period, frames.
         fastest: shortest period, frames.
-        frames: of a step of the walk.
+        frames: frames per step of the walk.
     """
 
     place: float = 0.01
@@ -56,7 +56,7 @@ class Hand:
     frames: int = 3
 
     def sizes(self) -> Tensor:
-        """Standard deviations in the order and the units of ``camera_offset``: [6] float64."""
+        """Standard deviations, in the order and units of ``camera_offset``: [6] float64."""
         angles = [math.radians(value) for value in (self.pitch_deg, self.roll_deg, self.yaw_deg)]
         return torch.tensor([self.place, self.place, self.height, *angles], dtype=torch.float64)
 
@@ -66,8 +66,8 @@ class Walk:
     """T frames of a walk.
 
     Attributes:
-        cameras: T of them.
-        planar: [T, 3] float64, where each camera is and looks: x and y in metres, yaw in radians.
+        cameras: T cameras.
+        planar: [T, 3] float64, position and heading of each camera: x and y in metres, yaw in radians.
         states: [T, D], the states nearest to these.
         allowed: [T, A] bool, the actions that begin a shortest path from there.
     """
@@ -79,7 +79,7 @@ class Walk:
 
 
 def sway(hand: Hand, frames: int, generator: torch.Generator) -> Tensor:
-    """Offsets of the camera of each frame, as ``Robot.cameras`` takes them: [frames, 6] float32."""
+    """Offsets of the camera in each frame, as ``Robot.cameras`` takes them: [frames, 6] float32."""
     draw = torch.rand(2, 6, WAVES, generator=generator, dtype=torch.float64)
     periods = hand.fastest * (hand.slowest / hand.fastest) ** draw[0]
     time = torch.arange(frames, dtype=torch.float64).view(-1, 1, 1)
@@ -88,15 +88,15 @@ def sway(hand: Hand, frames: int, generator: torch.Generator) -> Tensor:
 
 
 def paths(plan: Plan, starts: Tensor, generator: torch.Generator) -> list[Tensor]:
-    """States of a shortest path to the goal from each start, chosen at random among all; who can go on does not turn.
+    """A random shortest path to the goal from each start, which repeats its last action wherever that is optimal.
 
     Args:
-        plan: of a motion with discrete actions.
+        plan: plan of a motion with discrete actions.
         starts: [B, D] states.
-        generator: chooses.
+        generator: chooses among optimal actions.
 
     Returns:
-        B of [N, D], the start included, and the goal, but where the plan goes to and fro on the way.
+        B paths of [N, D] states, from the start to the goal; a path that would step back and forth ends there.
     """
     states, lengths = [starts], torch.ones(len(starts), dtype=torch.int64)
     last = torch.full((len(starts), 1), -1)
@@ -118,15 +118,15 @@ def paths(plan: Plan, starts: Tensor, generator: torch.Generator) -> list[Tensor
 
 
 def awkwardness(plan: Plan, states: Tensor) -> float:
-    """How little a path is one that a person would take with a camera in hand, 0 at best.
+    """How unlike a path is to one that a person would walk with a camera in hand, 0 at best.
 
     Args:
-        plan: of the path.
-        states: [N, D] of the path.
+        plan: plan from which the path comes.
+        states: [N, D] states of the path.
 
     Returns:
-        Share of the steps that go backwards, and share of the states nearer to something than ``MARGIN``; and 1 more
-        where the path ends before the goal.
+        The share of steps that go backwards, plus the share of states nearer to something than ``MARGIN``, plus 1 if
+        the path ends before the goal.
     """
     poses = plan.motion.body_to_world(states)
     way, ahead = poses[:, :3, 3].diff(dim=0), poses[:-1, :3, 0]
@@ -137,7 +137,7 @@ def awkwardness(plan: Plan, states: Tensor) -> float:
 
 
 def emptiness(plan: Plan, states: Tensor, robot: Robot, renderer: Renderer) -> float:
-    """How much of the views along a path shows nothing, as where a capture ends: share of the pixels."""
+    """Share of the pixels in views along a path that show nothing, as where a capture ends."""
     some = states[torch.linspace(0, len(states) - 1, GLANCES).round().long()]
     small = replace(robot, image_height=GLANCE, image_width=GLANCE)
     alpha = renderer.render(small.cameras(plan.motion.body_to_world(some).cpu())).alpha
@@ -145,7 +145,7 @@ def emptiness(plan: Plan, states: Tensor, robot: Robot, renderer: Renderer) -> f
 
 
 def eased(planar: Tensor, frames: int) -> Tensor:
-    """Poses between poses, that set off and stop gently: [N, 3] x, y and yaw -> [(N − 1) · frames + 1, 3]."""
+    """Interpolate poses, easing in and out of each: [N, 3] x, y and yaw -> [(N − 1) · frames + 1, 3]."""
     steps = planar.diff(dim=0)
     steps[:, 2] = (steps[:, 2] + math.pi) % math.tau - math.pi
     part = torch.arange(frames, dtype=planar.dtype) / frames
@@ -158,11 +158,11 @@ def walk(plan: Plan, robot: Robot, states: Tensor, hand: Hand, generator: torch.
     """Walk a path with an unsteady camera, until the camera is at the goal.
 
     Args:
-        plan: of a motion at one height, with discrete actions.
-        robot: its camera and the camera's height.
-        states: [N, D] of the path.
+        plan: plan of a motion at one height, with discrete actions.
+        robot: gives the camera and its height.
+        states: [N, D] states of the path.
         hand: how the camera sways.
-        generator: sways.
+        generator: draws the sway.
     """
     motion = plan.motion
     assert motion.height is not None
@@ -179,18 +179,18 @@ def walk(plan: Plan, robot: Robot, states: Tensor, hand: Hand, generator: torch.
 
 
 def far_paths(plan: Plan, count: int, generator: torch.Generator, against: Callable[[Tensor], float]) -> list[Tensor]:
-    """Paths whose lengths are spread evenly over the ranks of all from ``RANKS``, the longest first.
+    """Paths whose lengths are spread evenly over the ranks in ``RANKS``, the longest first.
 
-    For each length the one is taken that has least to be said against it, of those from ``CANDIDATES`` random starts.
+    For each length, the path with the lowest penalty is taken among those from ``CANDIDATES`` random starts.
 
     Args:
-        plan: of a motion with discrete actions.
-        count: of paths.
+        plan: plan of a motion with discrete actions.
+        count: number of paths.
         generator: draws starts and chooses among paths.
-        against: what is to be said against a path, [N, D] states -> a number, 0 at best.
+        against: penalty of a path, [N, D] states -> a number, 0 at best.
 
     Returns:
-        ``count`` of [N, D] states.
+        ``count`` paths of [N, D] states.
     """
     rows = plan.start_rows
     steps = plan.distance[rows].double().cpu()
@@ -216,28 +216,28 @@ def record_walks(
     lens: Lens | None = None,
     progress: Callable[[int], object] = lambda clips: None,
 ) -> list[Path]:
-    """Write walks as clips; see ``clip_files``. The same arguments give the same bytes.
+    """Write walks as clips (see ``clip_files``); the same arguments give the same bytes.
 
     Args:
-        folder: of the clips, made where there is none.
-        world: in which walks are recorded.
-        count: of clips.
-        seed: of starts, paths, sway and looks.
-        height: of the images, pixels; their shape is that of the robot's.
+        folder: folder of the clips, created if it does not exist.
+        world: world in which walks are recorded.
+        count: number of clips.
+        seed: seed of starts, paths, sway and looks.
+        height: height of the images, pixels; their aspect ratio is that of the robot's.
         hand: how the camera sways.
-        lens: what the cameras are like.
+        lens: how much the cameras vary.
         progress: called with the number of clips that were just written.
 
     Returns:
         The clips' folders.
 
     Raises:
-        ValueError: for a motion whose poses or actions cannot be walked, or where a clip of that name exists.
+        ValueError: for a motion whose poses or actions cannot be walked, or if a clip of that name exists.
     """
     plan, robot = world.plan, world.robot
     if plan.motion.height is None or not plan.motion.action_names:
         name = type(plan.motion).__name__
-        raise ValueError(f"task: expected named steps on the ground, as of ForwardMotion or LatticeMotion, got {name}")
+        raise ValueError(f"task: expected named steps on the ground, as in ForwardMotion or LatticeMotion, got {name}")
     if count < 1 or height < 1:
         raise ValueError(f"count, height: expected at least 1 clip and 1 pixel, got {count} and {height}")
     camera = replace(robot, image_height=height, image_width=round(height * robot.image_width / robot.image_height))
@@ -261,7 +261,7 @@ def record_walks(
 def seen(walked: Walk, world: World) -> Tensor:
     """What the camera of a walk sees, with what the task places in the picture: [T, H, W, 3] uint8."""
     start = world.plan.starts[:1]
-    begun = world.task.begin(start, lambda: start)  # an object stands where it does in an episode from the first start
+    begun = world.task.begin(start, lambda: start)  # objects stand where they do in an episode from the first start
     images = []
     for rows in torch.arange(len(walked.cameras)).split(BATCH):
         memory = {key: value.cpu().expand(len(rows), *value.shape[1:]) for key, value in begun.items()}

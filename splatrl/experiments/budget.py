@@ -1,4 +1,4 @@
-"""What is still to be trained, and how long that takes."""
+"""How much is still to be trained, and how long that will take."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,15 +12,15 @@ class Budget:
     """The trainings of one experiment.
 
     Attributes:
-        name: of the experiment.
-        trainings: all of them.
-        finished: those that are done.
-        seeds: that are trained.
-        frames: of all of them.
-        frames_left: still to be trained.
-        speed: frames a second of one training.
-        measured: finished trainings that the speed comes from; 0 for a figure of the experiment's YAML.
-        seconds_left: of one training after the other.
+        name: name of the experiment.
+        trainings: number of trainings.
+        finished: number of finished trainings.
+        seeds: seeds that are trained.
+        frames: frames of all trainings.
+        frames_left: frames still to be trained.
+        speed: frames per second of one training.
+        measured: number of finished trainings on which the speed is based; 0 if it comes from the experiment's YAML.
+        seconds_left: time left if trainings ran one after another, seconds.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Budget:
 
 
 def budget(experiment: Experiment) -> Budget:
-    """Count what is trained and what is left, at the speed of what is finished or else at the expected one."""
+    """Count what is trained and what is left, at the speed of the finished trainings, or else at the expected speed."""
     finished = [run for run in experiment.runs if status(run) == "finished"]
     left = [run for run in experiment.runs if run not in finished]
     figures = [evaluation(run) for run in finished]
@@ -64,11 +64,11 @@ def budget(experiment: Experiment) -> Budget:
 
 
 def statement(budgets: Sequence[Budget], jobs: int) -> str:
-    """All budgets and their sum, a line each.
+    """All budgets and their sum, one per line.
 
     Args:
-        budgets: of the experiments.
-        jobs: trainings at a time.
+        budgets: budgets of the experiments.
+        jobs: number of trainings at a time.
     """
     trainings, left = (sum(values) for values in zip(*((b.trainings, b.frames_left) for b in budgets), strict=True))
     minutes = sum(each.seconds_left for each in budgets) / jobs / 60

@@ -1,4 +1,4 @@
-"""What trained policies do in labelled clips, and clips of a world that training never saw."""
+"""Scores of trained policies on labelled clips, and the recording of clips in a world that training never saw."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -21,14 +21,14 @@ from splatrl.runs import load_policy
 
 
 def altered(cfg: DictConfig, seed: int) -> DictConfig:
-    """The config of a run in a scene that training never saw so.
+    """The config of a run, altered so that training never saw the scene like this.
 
-    A generated scene gets other leaves and grass, and its small things stand elsewhere; any scene is drawn in the
-    classic way, and every Gaussian of it.
+    A generated scene gets different leaves and grass, and its small objects are moved. Any scene is rendered as classic
+    3DGS, and with every Gaussian.
 
     Args:
-        cfg: of the run.
-        seed: from 0; each gives another generated scene.
+        cfg: config of the run.
+        seed: counts from 0; each seed gives a different generated scene.
     """
     cfg = cfg.copy()
     for node, changes in (
@@ -59,10 +59,10 @@ def score_run(folder: Path, clips: Path, checkpoint: str | None = None, device: 
     """Show clips to the policy of a run folder.
 
     Args:
-        folder: of the run.
+        folder: the run folder.
         clips: folder of clips.
         checkpoint: last or best; None takes the run's own setting.
-        device: of the policy; None takes the run's own setting.
+        device: device of the policy; None takes the run's own setting.
 
     Raises:
         ValueError: for a task whose actions have no names.
@@ -80,14 +80,14 @@ def score_run(folder: Path, clips: Path, checkpoint: str | None = None, device: 
 
 
 def score_experiment(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
-    """Score finished runs on recorded clips of their scenes, which are recorded where there are none yet.
+    """Score finished runs on recorded clips of their scenes, which are recorded first if there are none.
 
     Args:
         runs: trained in one or several scenes, with the same task.
-        folder: of the experiment; clips are in ``clips/<scene>``.
+        folder: folder of the experiment; clips are in ``clips/<scene>``.
 
     Returns:
-        A row a run and clip: ``run`` (name of its folder), ``clip``, ``frames``, ``matches`` and ``mass``.
+        One row per run and clip: ``run`` (name of its folder), ``clip``, ``frames``, ``matches`` and ``mass``.
     """
     rows = []
     for run in runs:

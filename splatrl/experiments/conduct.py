@@ -1,4 +1,4 @@
-"""Experiments from beginning to end: what is trained, scored and reported, and what goes on after a stop."""
+"""Conducts experiments: training, scoring and reporting, resumable after an interruption."""
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -16,18 +16,18 @@ from splatrl.experiments.report import MACHINE, SCORES, write_joint_report, writ
 from splatrl.experiments.running import train
 
 Score = Callable[[Sequence[Run], Path], list[dict[str, Any]]]
-"""From finished runs and the folder of their experiment to rows of ``run``, ``clip``, ``frames`` and ``matches``."""
+"""Maps finished runs and their experiment's folder to rows of ``run``, ``clip``, ``frames`` and ``matches``."""
 
 
 def check_settings(runs: Sequence[Run], fresh: bool) -> None:
-    """Refuse to mix settings: a folder that was trained with others is an error, or is deleted when that is asked for.
+    """Refuse to mix settings: a folder that was trained with other settings is an error, or is deleted on request.
 
     Args:
-        runs: that are to be trained or gone on with.
-        fresh: whether to delete folders of other settings.
+        runs: runs that are to be trained or resumed.
+        fresh: whether to delete folders with other settings.
 
     Raises:
-        ValueError: names the folder, and what it was trained with beside what is asked for.
+        ValueError: if settings differ, naming the folder, its settings and the requested ones.
     """
     for run in runs:
         if status(run) == "new":
@@ -37,19 +37,19 @@ def check_settings(runs: Sequence[Run], fresh: bool) -> None:
         changed = differences(run.config, {str(key): value for key, value in found.items()})
         if changed and not fresh:
             lines = [f"{run.folder} was trained with other settings:", *(f"  {line}" for line in changed)]
-            raise ValueError("\n".join([*lines, "give folder=<another>, or fresh=true to delete it and begin anew"]))
+            raise ValueError("\n".join([*lines, "give folder=<another>, or fresh=true to delete it and start over"]))
         if changed:
             shutil.rmtree(run.folder)
 
 
 def train_all(experiments: Sequence[Experiment], jobs: int, threads: int, program: Sequence[str]) -> list[Run]:
-    """Train what is not finished, all experiments in one queue, and note on what machine.
+    """Train what is not finished, with all experiments in one queue, and record the machine.
 
     Args:
-        experiments: whose trainings they are.
-        jobs: at a time.
-        threads: of the renderer of each.
-        program: what trains; see ``running.command``.
+        experiments: the experiments to train.
+        jobs: number of trainings at a time.
+        threads: renderer threads of each training.
+        program: the command that trains; see ``running.command``.
 
     Returns:
         The runs that failed.
@@ -63,11 +63,11 @@ def train_all(experiments: Sequence[Experiment], jobs: int, threads: int, progra
 
 
 def score(experiment: Experiment, scored_by: Score) -> bool:
-    """Score an experiment all of whose runs are finished, once; tells whether there are new scores.
+    """Score an experiment once, when all of its runs are finished; returns whether there are new scores.
 
     Args:
-        experiment: to be scored.
-        scored_by: gives the scores.
+        experiment: the experiment to score.
+        scored_by: computes the scores.
     """
     path = experiment.folder / SCORES
     if path.exists() or any(status(run) != "finished" for run in experiment.runs):
@@ -77,12 +77,12 @@ def score(experiment: Experiment, scored_by: Score) -> bool:
 
 
 def report_all(experiments: Sequence[Experiment], folder: Path, computer: str) -> list[Path]:
-    """Write the report of each experiment, and one of all where there are several; returns the files.
+    """Write a report of each experiment, and a joint one if there are several; returns the files.
 
     Args:
-        experiments: to be reported.
-        folder: of the joint report.
-        computer: what they ran on, in words.
+        experiments: the experiments to report.
+        folder: folder of the joint report.
+        computer: description of the machine, in words.
     """
     reports = [write_report(experiment, computer) for experiment in experiments]
     return [*reports, write_joint_report(experiments, folder, computer)] if len(experiments) > 1 else reports

@@ -1,4 +1,4 @@
-"""Learning curves of the arms of a comparison, over their seeds."""
+"""Learning curves of the arms in a comparison, over their seeds."""
 
 import math
 from collections.abc import Sequence
@@ -16,15 +16,15 @@ from splatrl.experiments.results import Entry
 
 COLORS = (BLUE, MISSED, REACHED, PARTLY, GOAL)
 MARKERS = "osD^v"
-"""Beside the colours, so that curves that lie on each other are told apart."""
+"""Markers in addition to the colours, so that overlapping curves can be told apart."""
 
 
 def learning_curves(group: Sequence[Entry], path: Path) -> None:
-    """Draw success in tests and in training episodes and the curriculum level over frames, mean and range of seeds.
+    """Draw success in tests and in training, and the curriculum level, over frames: mean and range of the seeds.
 
     Args:
         group: arms with finished runs.
-        path: of the picture; its suffix is the format.
+        path: the picture's file, whose suffix is the format.
     """
     staged = [entry.has_curriculum for entry in group]
     rows = 3 if any(staged) else 2
@@ -60,7 +60,7 @@ def learning_curves(group: Sequence[Entry], path: Path) -> None:
 
 
 def _band(axes: Axes, entry: Entry, key: str, color: str, marker: str = "") -> None:
-    """The mean of the seeds as a line, and from the lowest to the highest as a band."""
+    """Draw the mean of the seeds as a line, and their range as a band."""
     histories = [rows for rows in entry.histories if rows]
     if not histories:
         return
@@ -74,7 +74,7 @@ def _band(axes: Axes, entry: Entry, key: str, color: str, marker: str = "") -> N
 
 
 def _values(rows: Sequence[dict[str, float]], key: str) -> NDArray[np.float64]:
-    """A column as it is drawn: success in training as its mean over the last twelfth, levels from 1."""
+    """A column as it is drawn: training success as a running mean over a twelfth of the rows, levels from 1."""
     values = column(rows, key)
     if key == "level":
         return values + 1

@@ -1,4 +1,4 @@
-"""An experiment as data: what is asked, and the trainings that answer it."""
+"""An experiment as data: a question, and the trainings that answer it."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -6,18 +6,18 @@ from pathlib import Path
 from typing import Any
 
 Compose = Callable[[Sequence[str]], dict[str, Any]]
-"""From overrides to the whole config of a training."""
+"""Maps overrides to the whole config of a training."""
 
 
 @dataclass(frozen=True)
 class Arm:
-    """One of the things that an experiment compares.
+    """One of the alternatives that an experiment compares.
 
     Attributes:
         label: its name in tables and figures.
-        overrides: of ``splatrl-train``, ``collector.total_frames`` among them.
-        scenes: names of where it is trained.
-        seeds: one training each.
+        overrides: overrides for ``splatrl-train``, including ``collector.total_frames``.
+        scenes: names of the scenes in which it is trained.
+        seeds: seeds, with one training each.
     """
 
     label: str
@@ -28,16 +28,16 @@ class Arm:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A training.
+    """One training.
 
     Attributes:
-        scene: name of where.
-        arm: key of what it is of.
-        label: of the arm.
-        seed: of the training.
+        scene: name of the scene.
+        arm: key of the arm.
+        label: label of the arm.
+        seed: seed of the training.
         folder: the run folder.
-        overrides: of ``splatrl-train``, the seed's among them and the folder's not.
-        config: what these overrides compose.
+        overrides: overrides for ``splatrl-train``, including the seed but not the folder.
+        config: the config that these overrides compose.
     """
 
     scene: str
@@ -50,18 +50,18 @@ class Run:
 
     @property
     def budget(self) -> int:
-        """Frames that it is given."""
+        """Frames that the training is given."""
         return int(self.config["collector"]["total_frames"])
 
     @property
     def frames(self) -> int:
-        """Frames that it trains: whole batches within its budget."""
+        """Frames that the training uses: whole batches within its budget."""
         batch = int(self.config["collector"]["frames_per_batch"])
         return self.budget // batch * batch
 
     @property
     def has_curriculum(self) -> bool:
-        """Whether it begins with a part of the start set."""
+        """Whether the training begins with only part of the start set."""
         return self.config["curriculum"].get("first") is not None
 
 
@@ -70,16 +70,16 @@ class Experiment:
     """A question and the trainings that answer it.
 
     Attributes:
-        name: as on the command line, and its folder's.
+        name: its name on the command line and of its folder.
         title: headline of the report.
-        question: what is asked.
-        paper: what the paper got.
-        frames_per_second: expected of a training.
-        overhead: seconds of a training beside its frames.
-        marks: frames at which the report tells the success in tests.
-        threshold: success in tests whose frames the report tells.
-        folder: of the report; the run folders are in it.
-        runs: seed by seed, so that early reports show every arm.
+        question: the question that the experiment answers.
+        paper: what the paper found.
+        frames_per_second: expected speed of a training.
+        overhead: expected time of a training besides its frames, seconds.
+        marks: numbers of frames at which the report gives the success in tests.
+        threshold: success in tests for which the report gives the frames needed.
+        folder: folder of the report and of the run folders.
+        runs: all trainings, ordered by seed so that early reports show every arm.
     """
 
     name: str
@@ -96,12 +96,12 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Selection:
-    """What of an experiment is trained, and how long; None takes all of it.
+    """Which part of an experiment is trained, and for how long; None keeps what the experiment says.
 
     Attributes:
-        seeds: those that are trained.
-        frames: of each training.
-        scenes: those that are trained in.
+        seeds: seeds to train.
+        frames: frames of each training.
+        scenes: scenes in which to train.
     """
 
     seeds: Sequence[int] | None = None
@@ -120,15 +120,15 @@ def planned(
     """Turn the node of an experiment into its trainings.
 
     Args:
-        name: of the experiment.
-        node: what its YAML says; ``arms`` has an ``Arm`` a key.
-        scenes: overrides by the name of a scene; scenes that are not there are left out.
-        folder: of all experiments.
-        compose: makes the config of a training.
-        selection: what of it is trained.
+        name: name of the experiment.
+        node: content of its YAML; ``arms`` has one ``Arm`` per key.
+        scenes: overrides by scene name; arms skip scenes that are not in it.
+        folder: folder of all experiments.
+        compose: composes the config of a training.
+        selection: which part of the experiment is trained.
 
     Raises:
-        ValueError: names a key that is missing or unknown in the node, or overrides that do not compose.
+        ValueError: for a missing or unknown key in the node, or overrides that do not compose.
     """
     selection = selection or Selection()
     home = folder / name

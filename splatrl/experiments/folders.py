@@ -1,4 +1,4 @@
-"""What the folder of a training tells: how far it is, with which settings, and what came out."""
+"""What a run folder records: how far the training is, its settings and its results."""
 
 import csv
 import json
@@ -12,13 +12,13 @@ from splatrl.experiments.experiment import Run
 
 Status = Literal["finished", "begun", "new"]
 SPEED_ONLY = {"threads", "renderer.threads", "resume", "collector.cuda_graph", "optim.compile"}
-"""Keys of a config that change no result."""
+"""Keys of a config that do not change the results."""
 VIDEO = "rollouts.mp4"
 """The last file that a run writes."""
 
 
 def status(run: Run) -> Status:
-    """Whether a training is finished, can be gone on with, or is to be begun."""
+    """Whether a training is finished, can be resumed, or has not begun."""
     filmed = (run.folder / VIDEO).exists() or not run.config["logger"]["video"]
     if (run.folder / "evaluation.json").exists() and filmed:
         return "finished"
@@ -26,13 +26,13 @@ def status(run: Run) -> Status:
 
 
 def evaluation(run: Run) -> dict[str, Any]:
-    """What ``evaluation.json`` says."""
+    """The content of ``evaluation.json``."""
     result: dict[str, Any] = json.loads((run.folder / "evaluation.json").read_text())
     return result
 
 
 def history(run: Run) -> list[dict[str, float]]:
-    """The rows of ``progress.csv``, NaN where a cell is empty; no rows where there is no file."""
+    """The rows of ``progress.csv``, with NaN for empty cells; no rows if there is no file."""
     path = run.folder / "progress.csv"
     if not path.exists():
         return []
@@ -42,13 +42,13 @@ def history(run: Run) -> list[dict[str, float]]:
 
 
 def frames_done(run: Run) -> int:
-    """Frames that a training has behind it and on disk."""
+    """Number of frames that a training has completed, according to its ``progress.csv``."""
     rows = history(run)
     return int(rows[-1]["frames"]) if rows else 0
 
 
 def differences(asked: Mapping[str, Any], found: Mapping[str, Any]) -> list[str]:
-    """Keys in which two configs differ, with what is asked and what was found; what only changes speed is left out."""
+    """Keys in which two configs differ, with both values; keys that only change speed are left out."""
     wanted, there = dict(_flat(asked)), dict(_flat(found))
     return [
         f"{key}: asked for {wanted.get(key, 'nothing')}, found {there.get(key, 'nothing')}"

@@ -1,4 +1,4 @@
-"""On what, and with what, an experiment was run: a sentence for its report."""
+"""A description of the machine and the versions on which an experiment was run, for its report."""
 
 import platform
 import subprocess
@@ -13,10 +13,10 @@ CPU_INFO = Path("/proc/cpuinfo")
 
 
 def machine(jobs: int) -> str:
-    """Name processor, cores, versions and, in a checkout, the commit.
+    """Describe processor, cores, versions and, in a checkout, the commit.
 
     Args:
-        jobs: trainings at a time.
+        jobs: number of trainings at a time.
     """
     cores = usable_cores()
     parts = [
@@ -37,7 +37,7 @@ def _processor() -> str:
 
 
 def _commit() -> str:
-    """The commit of the checkout that this file lies in, and whether it was changed; nothing outside of one."""
+    """The commit of the checkout that contains this file, and whether it has changes; empty outside a checkout."""
     here = Path(__file__).parent
     try:
         commit = _git(here, "rev-parse", "--short=12", "HEAD")

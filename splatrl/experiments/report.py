@@ -1,4 +1,4 @@
-"""The report of an experiment: ``report.md``, ``report.json`` and its figures, from what is finished."""
+"""The report of an experiment: ``report.md``, ``report.json`` and its figures, from the finished runs."""
 
 import json
 import os
@@ -17,10 +17,10 @@ from splatrl.files import replacing
 
 SCORES, MACHINE = "scores.json", "machine.json"
 MAPS = {"starts.png": "start poses by success", "success_map.png": "success by start position"}
-"""Pictures of a run that stand side by side."""
+"""Pictures of a run that are shown side by side."""
 EXPLANATION = (
-    "Success is over the start set (of more than `evaluation.starts` poses, over that many, evenly spaced), actions "
-    "sampled from the policy; argmax takes its most likely action. "
+    "Success is measured over the start set (if it has more than `evaluation.starts` poses, over that many, evenly "
+    "spaced) with actions sampled from the policy; argmax takes the most likely action instead. "
     "SPL weighs success by the shortest path over the path taken. "
     "Values are means over seeds ± their standard deviation."
 )
@@ -32,7 +32,7 @@ class Curve:
 
     Attributes:
         title: what it compares.
-        path: of the picture.
+        path: the picture's file.
     """
 
     title: str
@@ -44,7 +44,7 @@ def write_report(experiment: Experiment, machine: str) -> Path:
 
     Args:
         experiment: what was run.
-        machine: a sentence on what it was run on, for where none was noted when it was.
+        machine: description of the machine, used if none was recorded when the experiment ran.
 
     Returns:
         ``report.md``.
@@ -59,11 +59,11 @@ def write_report(experiment: Experiment, machine: str) -> Path:
 
 
 def write_joint_report(experiments: Sequence[Experiment], folder: Path, machine: str) -> Path:
-    """Write one report of several experiments, whose own reports and figures are there.
+    """Write one report of several experiments, whose own reports and figures exist already.
 
     Args:
         experiments: what was run.
-        folder: of all experiments.
+        folder: folder of all experiments.
         machine: as in ``write_report``.
 
     Returns:
@@ -83,12 +83,12 @@ def _section(
 ) -> list[str]:
     finished = sum(len(entry.runs) for entry in found)
     lines = [f"{heading} {experiment.title}", ""]
-    lines += [f"**Asked.** {experiment.question}", "", f"**The paper.** {experiment.paper}", ""]
+    lines += [f"**Question.** {experiment.question}", "", f"**Paper.** {experiment.paper}", ""]
     if not finished:
-        return [*lines, f"**Here.** None of {len(experiment.runs)} trainings is finished."]
+        return [*lines, f"**Results.** None of {len(experiment.runs)} trainings is finished."]
     scores = _scores(experiment)
     sentences = scores_sentences(scores, experiment) if scores else []
-    lines += ["**Here.**", "", *sentences, *verdicts(found), ""]
+    lines += ["**Results.**", "", *sentences, *verdicts(found), ""]
     if finished < len(experiment.runs):
         lines += [f"*{finished} of {len(experiment.runs)} trainings are finished; the rest is left out.*", ""]
     lines += [*main_table(found), ""]
@@ -112,7 +112,7 @@ def _section(
 
 
 def _pictures(entry: Entry, base: Path) -> list[str]:
-    """The pictures of the median seed that are there, linked."""
+    """Links to those pictures of the median seed that exist."""
     if not entry.runs:
         return []
     run = entry.median()

@@ -1,4 +1,4 @@
-"""What the seeds of an arm add up to."""
+"""Results of an arm over its seeds."""
 
 import math
 import statistics
@@ -16,19 +16,19 @@ class Spread:
     """Values of several seeds.
 
     Attributes:
-        values: one a seed.
+        values: one per seed.
     """
 
     values: tuple[float, ...]
 
     @property
     def mean(self) -> float:
-        """Over seeds."""
+        """Mean over seeds."""
         return statistics.fmean(self.values)
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of a sample; NaN for a single seed."""
+        """Sample standard deviation over seeds; NaN for a single seed."""
         return statistics.stdev(self.values) if len(self.values) > 1 else math.nan
 
     def text(self, digits: int = 0, factor: float = 1.0) -> str:
@@ -39,19 +39,19 @@ class Spread:
         return mean if len(self.values) == 1 else f"{mean} ± {factor * self.deviation:,.{digits}f}"
 
     def percent(self) -> str:
-        """The same in percent."""
+        """Mean ± standard deviation in percent."""
         return f"{self.text(1, 100.0)} %" if self.values else "–"
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """An arm in one scene: its finished runs.
+    """The finished runs of an arm in one scene.
 
     Attributes:
-        label: of the arm.
+        label: label of the arm.
         scene: name of the scene.
         budget: frames that each run was given.
-        runs: finished ones.
+        runs: the finished runs.
     """
 
     label: str
@@ -71,7 +71,7 @@ class Entry:
 
     @property
     def has_curriculum(self) -> bool:
-        """Whether its runs begin with a part of the start set."""
+        """Whether its runs begin with only part of the start set."""
         return any(run.has_curriculum for run in self.runs)
 
     def spread(self, key: str) -> Spread:
@@ -79,30 +79,30 @@ class Entry:
         return Spread(tuple(float(values[key]) for values in self.evaluations if key in values))
 
     def speed(self) -> Spread:
-        """Frames a second of training."""
+        """Frames per second of training."""
         return Spread(
             tuple(values["frames"] / values["wall_seconds"] for values in self.evaluations if values["wall_seconds"])
         )
 
     def tested_at(self, frames: int) -> Spread:
-        """Success in the test that was taken at a number of frames, within one batch."""
+        """Success in the test at a number of frames, to within one batch."""
         return Spread(tuple(value for rows in self.histories if (value := success_near(rows, frames)) is not None))
 
     def frames_to(self, success: float) -> Spread:
-        """Frames of the first test with a success of at least this, of the seeds that got there."""
+        """Frames until the first test with at least this success, for the seeds that reached it."""
         first = (
             next((at for at, value in success_in_tests(rows) if value >= success), None) for rows in self.histories
         )
         return Spread(tuple(float(at) for at in first if at is not None))
 
     def median(self) -> Run:
-        """The run whose success is the median, the lower of two."""
+        """The run with the median success; of two in the middle, the lower one."""
         order = sorted(range(len(self.runs)), key=lambda number: self.evaluations[number]["success_rate"])
         return self.runs[order[(len(order) - 1) // 2]]
 
 
 def entries(experiment: Experiment) -> list[Entry]:
-    """Every arm in every scene of an experiment, scene by scene, with its finished runs."""
+    """Every arm in every scene of an experiment with its finished runs, ordered by scene."""
     groups: dict[tuple[str, str], list[Run]] = {}
     for run in experiment.runs:
         groups.setdefault((run.scene, run.arm), []).append(run)
@@ -115,7 +115,7 @@ def entries(experiment: Experiment) -> list[Entry]:
 
 
 def comparable(found: Iterable[Entry]) -> list[list[Entry]]:
-    """Entries with finished runs, those of the same scene and number of frames together."""
+    """Entries with finished runs, grouped by scene and number of frames."""
     groups: dict[tuple[str, int], list[Entry]] = {}
     for entry in found:
         if entry.runs:
@@ -131,7 +131,7 @@ def success_in_tests(rows: Sequence[Mapping[str, float]]) -> list[tuple[int, flo
 
 
 def success_near(rows: Sequence[Mapping[str, float]], frames: int) -> float | None:
-    """Success in the test nearest to a number of frames, None where none is within one batch of it."""
+    """Success in the test nearest to a number of frames; None if no test is within one batch of it."""
     taken = success_in_tests(rows)
     if not taken:
         return None

@@ -1,4 +1,4 @@
-"""Trainings as processes, a few at a time."""
+"""Runs trainings as processes, a few at a time."""
 
 import fcntl
 import os
@@ -17,22 +17,22 @@ from splatrl.experiments.folders import frames_done, status
 
 LOG = "log.txt"
 POLL = 0.5
-"""Seconds between looks at the trainings."""
+"""Interval at which the trainings are polled, seconds."""
 PATIENCE = 15.0
-"""Seconds that a training has to end when it is asked to."""
+"""Time that an interrupted training has to end, seconds."""
 
 
 class BusyError(RuntimeError):
-    """Another process trains in a run folder."""
+    """Another process is training in the run folder."""
 
 
 def command(run: Run, threads: int, program: Sequence[str]) -> list[str]:
-    """The command that begins a training, or goes on with it.
+    """The command that starts or resumes a training.
 
     Args:
         run: the training.
-        threads: of the renderer.
-        program: what trains, with Hydra's overrides as its arguments: ``splatrl-train``.
+        threads: renderer threads.
+        program: the command that trains and takes Hydra's overrides as arguments, such as ``splatrl-train``.
     """
     line = list(program)
     if status(run) == "new":
@@ -43,15 +43,15 @@ def command(run: Run, threads: int, program: Sequence[str]) -> list[str]:
 
 
 def start(run: Run, threads: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
-    """Start a training that writes what it says to its log, and holds its folder until it ends.
+    """Start a training that writes its output to a log and locks its folder until it ends.
 
     Args:
         run: the training.
-        threads: of the renderer.
-        program: what trains.
+        threads: renderer threads.
+        program: the command that trains.
 
     Raises:
-        BusyError: where another process trains in its folder, such as one that outlived its command.
+        BusyError: if another process is training in the folder, such as one that outlived its command.
     """
     run.folder.mkdir(parents=True, exist_ok=True)
     settings = os.environ | {"OMP_NUM_THREADS": "1", "TQDM_DISABLE": "1"}
@@ -63,16 +63,16 @@ def start(run: Run, threads: int, program: Sequence[str]) -> subprocess.Popen[by
             stdout=log,
             stderr=subprocess.STDOUT,
             env=settings,
-            start_new_session=True,  # an interrupt at the terminal goes to the command alone, which ends its trainings
+            start_new_session=True,  # a terminal's interrupt reaches only the command, which then ends its trainings
         )
 
 
 def _hold(run: Run, log: BinaryIO) -> None:
-    """Lock an open log: the process that inherits it holds the lock for as long as it lives."""
+    """Lock an open log: the process that inherits it holds the lock until it ends."""
     try:
         fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
-        raise BusyError(f"{run.folder}: expected to be alone, but another process trains there") from error
+        raise BusyError(f"{run.folder}: expected an unused folder, but another process trains there") from error
 
 
 def train(
@@ -83,21 +83,21 @@ def train(
     begin: Callable[[Run, int, Sequence[str]], subprocess.Popen[bytes]] = start,
     poll: float = POLL,
 ) -> list[Run]:
-    """Train all that is not finished, with a progress bar over all frames; a run that fails leaves the others going.
+    """Train everything that is not finished, with one progress bar; a run that fails does not stop the others.
 
     Args:
         runs: the trainings.
-        jobs: at a time.
-        threads: of the renderer of each.
-        program: what trains.
+        jobs: number of trainings at a time.
+        threads: renderer threads of each training.
+        program: the command that trains.
         begin: starts a training.
-        poll: seconds between looks.
+        poll: seconds between polls.
 
     Returns:
         The runs that failed.
 
     Raises:
-        KeyboardInterrupt: once the trainings have ended.
+        KeyboardInterrupt: on an interrupt, after the trainings have ended.
     """
     waiting = deque(run for run in runs if status(run) != "finished")
     running: dict[Run, subprocess.Popen[bytes]] = {}
@@ -135,7 +135,7 @@ def train(
 
 
 def stop(processes: Iterable[subprocess.Popen[bytes]]) -> None:
-    """End trainings: they are interrupted, so that they leave no half file, and killed where that takes too long."""
+    """End trainings: interrupt them, so that they leave no partial files, and kill those that take too long."""
     alive = [process for process in processes if process.poll() is None]
     for process in alive:
         process.send_signal(signal.SIGINT)

@@ -1,4 +1,4 @@
-"""Tables and sentences of a report, in markdown."""
+"""Tables and sentences of a report, in Markdown."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,19 +12,19 @@ TOTAL = "**all**"
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> list[str]:
-    """A markdown table: the first columns hold words, the rest numbers.
+    """A Markdown table: the first columns hold words, the others numbers.
 
     Args:
-        header: of the columns.
-        rows: as long as the header.
-        words: columns aligned to the left.
+        header: titles of the columns.
+        rows: rows, each as long as the header.
+        words: number of columns of words, which are aligned to the left.
     """
     rule = ["---"] * words + ["---:"] * (len(header) - words)
     return [f"| {' | '.join(cells)} |" for cells in (header, rule, *rows)]
 
 
 def main_table(found: Sequence[Entry]) -> list[str]:
-    """What the policies reach from every start, and what that took."""
+    """The table of what the policies reach from the start set, and what that took."""
     header = ["scene", "arm", "seeds", "success", "argmax", "SPL", "level", "frames", "training, s", "frames/s"]
     rows = [
         [
@@ -45,7 +45,7 @@ def main_table(found: Sequence[Entry]) -> list[str]:
 
 
 def marks_table(found: Sequence[Entry], experiment: Experiment) -> list[str]:
-    """Success in the tests along the way, and when a test first got to the threshold."""
+    """The table of success in tests during training, and of when a test first reached the threshold."""
     marks = [f"at {mark:,}" for mark in experiment.marks]
     header = ["scene", "arm", *marks, f"frames to {experiment.threshold:.0%}", "seeds that got there"]
     rows = []
@@ -57,7 +57,7 @@ def marks_table(found: Sequence[Entry], experiment: Experiment) -> list[str]:
 
 
 def verdicts(found: Sequence[Entry]) -> list[str]:
-    """A sentence a scene and number of frames: who won, and whether the seeds bear it out."""
+    """One sentence per scene and number of frames: which arm won, and whether the seeds support it."""
     return [f"- {_verdict(group)}" for group in comparable(found)]
 
 
@@ -88,11 +88,11 @@ def _deviation(spread: Spread) -> float:
 
 
 def scores_table(scores: Sequence[Mapping[str, Any]], experiment: Experiment) -> list[str]:
-    """Share of frames of labelled clips in which the policy's action is among the right ones, arms side by side.
+    """The share of frames of labelled clips in which the policy's action is among the right ones, one column per arm.
 
     Args:
-        scores: a row a run and clip: ``run`` (name of its folder), ``clip``, ``frames`` and ``matches``.
-        experiment: whose runs they are.
+        scores: one row per run and clip: ``run`` (name of its folder), ``clip``, ``frames`` and ``matches``.
+        experiment: the experiment to which the runs belong.
     """
     found = _match_rates(scores, experiment)
     labels = list(dict.fromkeys(run.label for run in experiment.runs))
@@ -104,24 +104,24 @@ def scores_table(scores: Sequence[Mapping[str, Any]], experiment: Experiment) ->
 
 
 def scores_sentences(scores: Sequence[Mapping[str, Any]], experiment: Experiment) -> list[str]:
-    """A sentence a scene: the match rate of each arm over all clips.
+    """One sentence per scene: the match rate of each arm over all clips.
 
     Args:
         scores: as for ``scores_table``.
-        experiment: whose runs they are.
+        experiment: the experiment to which the runs belong.
     """
     lines = []
     for (scene, clip), (frames, rates) in _match_rates(scores, experiment).items():
         if clip == TOTAL:
             each = ", ".join(f"{label} {rate.percent()}" for label, rate in rates.items())
-            lines.append(f"- **{scene}, labelled clips**: actions match in {each} of {frames:,} frames.")
+            lines.append(f"- **{scene}, labelled clips**: share of {frames:,} frames in which actions match: {each}.")
     return lines
 
 
 def _match_rates(
     scores: Sequence[Mapping[str, Any]], experiment: Experiment
 ) -> dict[tuple[str, str], tuple[int, dict[str, Spread]]]:
-    """Frames, and the match rates of the seeds of each arm, by scene and clip; all clips of a scene come last."""
+    """Frames and the seeds' match rates of each arm, by scene and clip; the total of a scene comes last."""
     runs = {run.folder.name: run for run in experiment.runs}
     counts: dict[tuple[str, str], dict[str, tuple[int, int]]] = {}
     for score in scores:

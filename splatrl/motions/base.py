@@ -1,4 +1,4 @@
-"""What every motion promises: how actions change a robot's state."""
+"""The interface of every motion: how actions change a robot's state."""
 
 from abc import ABC, abstractmethod
 from typing import NamedTuple, Protocol
@@ -11,12 +11,12 @@ from splatrl.collision.base import Checker
 
 
 class Move(NamedTuple):
-    """One action of each robot, carried out.
+    """The result of carrying out one action of each robot.
 
     Attributes:
-        state: [B, ...] after it.
+        state: [B, ...] states after it.
         body_to_world: [B, 4, 4] float32, poses of ``state``, metres.
-        free_fraction: [B] float32 in [0, 1], how much of the action was done before the body touched something; 1 where
+        free_fraction: [B] float32 in [0, 1], how much of the action was free before the body touched something; 1 where
             it touched nothing.
         inside: [B] bool, whether the action stayed within the motion's bounds.
     """
@@ -28,11 +28,11 @@ class Move(NamedTuple):
 
 
 class Taps(NamedTuple):
-    """The nodes that states lie between, by which values at nodes are interpolated.
+    """The nodes between which states lie, and their weights for interpolation.
 
     Attributes:
         node: [N, K] int64, indices of nodes.
-        weight: [N, K] float32, summing to 1.
+        weight: [N, K] float32, rows of sum 1.
     """
 
     node: Tensor
@@ -44,8 +44,8 @@ class Motion(Protocol):
 
     Attributes:
         action_names: a name for each discrete action, in their order; empty where actions are continuous.
-        step: the longest way of an action, metres.
-        angle_step: the largest turn of an action, radians.
+        step: longest distance that an action moves, metres.
+        angle_step: largest angle that an action turns, radians.
     """
 
     action_names: tuple[str, ...]
@@ -54,7 +54,7 @@ class Motion(Protocol):
 
     @property
     def height(self) -> float | None:
-        """z of every pose, metres; None where poses leave one height or lean."""
+        """z of every pose, metres; None where the height varies or poses are tilted."""
         ...
 
     @property
@@ -71,9 +71,9 @@ class Motion(Protocol):
         """Carry out one action of each robot.
 
         Args:
-            state: [B, ...] before it.
-            action: [B, ...].
-            checker: tells what the body touches; a motion with contacts of its own need not ask it.
+            state: [B, ...] states before it.
+            action: [B, ...] actions.
+            checker: tells what the body touches; a motion that resolves contacts itself need not use it.
         """
         ...
 
@@ -87,7 +87,7 @@ class Motion(Protocol):
 
 
 class PlannedMotion(Motion, Protocol):
-    """A motion over which shortest paths can be found: where an action leads does not depend on what it touches.
+    """A motion for which shortest paths can be found: where an action leads does not depend on what it touches.
 
     Costs are kept at nodes and interpolated between them. A motion with finitely many states has a node for each.
     """
@@ -97,11 +97,11 @@ class PlannedMotion(Motion, Protocol):
         ...
 
     def actions(self) -> Tensor:
-        """The actions that paths are made of: [A, ...]."""
+        """The actions from which paths are made: [A, ...]."""
         ...
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unhindered action leads; it can be outside the bounds: [B, ...], [B, ...] -> [B, ...]."""
+        """Where an unobstructed action leads, possibly outside the bounds: [B, ...], [B, ...] -> [B, ...]."""
         ...
 
     def inside(self, state: Tensor) -> Tensor:
@@ -113,23 +113,23 @@ class PlannedMotion(Motion, Protocol):
         ...
 
     def taps(self, state: Tensor) -> Taps:
-        """The nodes that states inside the bounds lie between."""
+        """The nodes between which states inside the bounds lie."""
         ...
 
     def nearest(self, planar: Tensor) -> Tensor:
-        """The states nearest to positions and headings, [N, 3] float64 x, y and yaw -> [N, ...]."""
+        """The states nearest to positions and headings: [N, 3] float64 x, y and yaw -> [N, ...]."""
         ...
 
 
 class SweptMotion(nn.Module, ABC):
-    """A motion whose robots move straight to where the action leads, or stay: no action is carried out in part.
+    """A motion whose robots either move straight to where the action leads or stay where they are.
 
     A robot stays where it was when the swept body touches something, or when the action leads out of the bounds.
     """
 
     @abstractmethod
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unhindered action leads; see ``PlannedMotion``."""
+        """Where an unobstructed action leads; see ``PlannedMotion``."""
 
     @abstractmethod
     def inside(self, state: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""A differential drive: linear and angular velocity, held for a time step."""
+"""A differential drive: a linear and an angular velocity, held for a time step."""
 
 import math
 from collections.abc import Sequence
@@ -10,24 +10,24 @@ from torchrl.data import Bounded
 from splatrl.motions.planar import PlanarMotion, along
 
 CELL = 0.05
-"""Metres between the positions at which paths are computed."""
+"""Distance between the positions at which paths are computed, metres."""
 HEADINGS_A_TURN = 4
-"""How many headings paths are computed at for the largest turn of a time step."""
+"""Number of headings at which paths are computed within the largest turn of a time step."""
 
 
 class DriveMotion(PlanarMotion):
     """Two driven wheels: an action is a linear and an angular velocity, reached at once and held for a time step.
 
-    A state is [..., 3] float32: x and y in metres and yaw in radians. The robot follows the exact arc; what it touches
-    is judged on the straight line between the ends of the step, along which it turns evenly.
+    A state is [..., 3] float32: x and y in metres and yaw in radians. The robot follows the exact arc; collision is
+    checked along the straight line between the ends of the step, with the heading turning at a constant rate.
 
-    Paths are made of full speed ahead, astern, turning, and the arcs between.
+    Paths are made of full speed forwards and backwards, turns on the spot, and the arcs that combine them.
 
     Args:
         height: z of every pose, metres.
-        time_step: seconds.
-        linear: lowest and highest linear velocity, metres a second; forwards is positive.
-        angular_deg: highest angular velocity either way, degrees a second.
+        time_step: duration of an action, seconds.
+        linear: lowest and highest linear velocity, metres per second; forwards is positive.
+        angular_deg: highest angular velocity in either direction, degrees per second.
         lower: smallest x and y, metres.
         upper: largest x and y, metres.
         spacing: distance between neighbouring starts, metres.
@@ -67,7 +67,7 @@ class DriveMotion(PlanarMotion):
 
     @property
     def action_spec(self) -> Bounded:
-        """Linear velocity in metres a second and angular velocity in radians a second, [2]; no batch."""
+        """Linear velocity in metres per second and angular velocity in radians per second, [2]; no batch."""
         return Bounded(low=self.limits[0], high=self.limits[1], shape=(2,), dtype=torch.float32)
 
     def actions(self) -> Tensor:
@@ -77,7 +77,7 @@ class DriveMotion(PlanarMotion):
         return torch.tensor(pairs, device=self.limits.device)
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unhindered action leads; it can be outside the bounds.
+        """Where an unobstructed action leads, possibly outside the bounds.
 
         Args:
             state: [B, 3] float32.

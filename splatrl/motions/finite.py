@@ -1,4 +1,4 @@
-"""Finitely many states that are counted by indices: what the motions on a lattice share."""
+"""A finite set of states, numbered by indices: what the motions on a lattice share."""
 
 import math
 from abc import abstractmethod
@@ -17,12 +17,12 @@ class FiniteMotion(SweptMotion):
     Shortest paths over it are exact: every state is a node.
 
     Args:
-        shape: how many values each index has.
+        shape: number of values of each index.
         moves: [A][D], what each action adds.
         action_names: a name for each action.
-        step: the longest way of an action, metres.
-        angle_step: the largest turn of an action, radians.
-        height: z of every pose, metres; None where poses leave one height.
+        step: longest distance that an action moves, metres.
+        angle_step: largest angle that an action turns, radians.
+        height: z of every pose, metres; None where the height varies.
     """
 
     moves: Tensor  # [A, D] int64
@@ -58,7 +58,7 @@ class FiniteMotion(SweptMotion):
         return torch.cartesian_prod(*(torch.arange(n, device=self.moves.device) for n in self.shape))
 
     def actions(self) -> Tensor:
-        """The actions that paths are made of, which are all: [A] int64."""
+        """The actions from which paths are made, which is all of them: [A] int64."""
         return torch.arange(len(self.moves), device=self.moves.device)
 
     def index(self, state: Tensor) -> Tensor:
@@ -73,12 +73,12 @@ class FiniteMotion(SweptMotion):
         return self.states()
 
     def taps(self, state: Tensor) -> Taps:
-        """The one node that is the state: [N, D] int64, inside the lattice -> taps of [N, 1]."""
+        """The single node that is the state itself: [N, D] int64, inside the lattice -> taps of [N, 1]."""
         node = self.index(state).unsqueeze(1)
         return Taps(node, torch.ones_like(node, dtype=torch.float32))
 
     def nearest(self, planar: Tensor) -> Tensor:
-        """The nearest states, counted in steps and turns: [N, 3] float64 x, y and yaw -> [N, D] int64."""
+        """The nearest states, measured in steps and angle steps: [N, 3] float64 x, y and yaw -> [N, D] int64."""
         states = self.states()
         away = (planar.unsqueeze(1) - self.planar(states).to(planar.device)).abs()
         turn = torch.minimum(away[..., 2], math.tau - away[..., 2]) / self.angle_step

@@ -10,11 +10,11 @@ from torchrl.data import Categorical
 from splatrl.motions.planar import PlanarMotion, along
 
 CELL = 0.05
-"""Least distance between the positions at which paths are computed, metres."""
+"""Smallest distance between the positions at which paths are computed, metres."""
 
 
 class ForwardMotion(PlanarMotion):
-    """Forward and back by a step along the heading, left and right by an angle, off any lattice.
+    """Moves forward and back by a step along the heading, and turns left and right by an angle, off any lattice.
 
     A state is [..., 3] float32: x and y in metres and yaw in radians. The four actions, in the published order, are
     forward, back, left (counter-clockwise) and right.
@@ -25,8 +25,8 @@ class ForwardMotion(PlanarMotion):
         angle_step_deg: angle of a turn, degrees; it divides 360.
         lower: smallest x and y, metres.
         upper: largest x and y, metres.
-        spacing: distance between neighbouring starts, metres; None takes the step. They have every heading that turns
-            lead to from 0.
+        spacing: distance between neighbouring starts, metres; None takes the step. Starts have every heading that is a
+            whole number of turns.
 
     Raises:
         ValueError: for a step that is not positive, an angle that does not divide a turn, or bounds without area.
@@ -67,7 +67,7 @@ class ForwardMotion(PlanarMotion):
         return torch.arange(len(self.lengths), device=self.lengths.device)
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unhindered action leads; it can be outside the bounds.
+        """Where an unobstructed action leads, possibly outside the bounds.
 
         Args:
             state: [B, 3] float32.

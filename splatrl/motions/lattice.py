@@ -13,9 +13,9 @@ from splatrl.motions.finite import FiniteMotion
 class LatticeMotion(FiniteMotion):
     """Steps on a lattice of positions and headings: the motion of the grid task.
 
-    A state is [..., 3] int64: the indices of x, y and heading. Positions stand ``step`` apart from the lower to the
-    upper bound, both included; headings go round from 0 (along +x), counter-clockwise. The six actions, in order, are
-    +x, −x, +y, −y (along the world's axes whatever the heading), +spin and −spin.
+    A state is [..., 3] int64: the indices of x, y and heading. Positions are ``step`` apart from the lower to the upper
+    bound, both included; headings run counter-clockwise from 0 (along +x). The six actions, in order, are +x, −x, +y,
+    −y (along the world's axes, whatever the heading), +spin and −spin.
 
     Args:
         height: z of every pose, metres.
@@ -52,7 +52,7 @@ class LatticeMotion(FiniteMotion):
         self.register_buffer("origin", torch.tensor(tuple(lower), dtype=torch.float64), persistent=False)
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unhindered action leads; it can be outside the lattice.
+        """Where an unobstructed action leads, possibly outside the lattice.
 
         Args:
             state: [B, 3] int64.
@@ -83,10 +83,10 @@ class LatticeMotion(FiniteMotion):
 
 
 def whole_steps(name: str, length: float, step: float) -> int:
-    """How many steps make up a length.
+    """The number of steps in a length.
 
     Raises:
-        ValueError: when they are not a whole number, at least one.
+        ValueError: if that is not a whole number of at least one.
     """
     count = round(length / step) if step > 0 and length > 0 else 0
     if count < 1 or abs(count * step - length) > 1e-6 * length:

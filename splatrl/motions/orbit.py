@@ -1,4 +1,4 @@
-"""Steps around a thing and towards it: the motion of the circle, polar plane and hemisphere tasks."""
+"""Steps around an object and towards it: the motion of the circle, polar plane and hemisphere tasks."""
 
 import math
 from collections.abc import Sequence
@@ -14,19 +14,19 @@ from splatrl.motions.lattice import whole_steps
 class OrbitMotion(FiniteMotion):
     """Looks at an origin from a lattice of azimuths, distances and elevations.
 
-    A state is [..., 3] int64: the indices of azimuth, distance and elevation. Azimuth 0 stands at +x of the origin and
-    goes round counter-clockwise; elevation 0 is level with the origin. The actions, in order, are + and − of each of
-    azimuth, elevation and distance that has more than one value.
+    A state is [..., 3] int64: the indices of azimuth, distance and elevation. Azimuth 0 is on the +x side of the origin
+    and azimuths increase counter-clockwise; elevation 0 is level with the origin. The actions, in order, are + and − of
+    each of azimuth, elevation and distance that has more than one value.
 
     Args:
-        origin: what is looked at, world, metres.
-        angle_step_deg: of azimuth and elevation, degrees; it divides 360.
-        distance_step: metres.
-        distance: smallest and largest, metres, a whole number of steps apart.
-        elevation_deg: smallest and largest, degrees, a whole number of steps apart, both in [−90, 90].
+        origin: point at which the camera looks, world, metres.
+        angle_step_deg: step of azimuth and elevation, degrees; it divides 360.
+        distance_step: step of the distance, metres.
+        distance: smallest and largest distance, metres, a whole number of steps apart.
+        elevation_deg: smallest and largest elevation, degrees, a whole number of steps apart, both in [−90, 90].
 
     Raises:
-        ValueError: for steps that do not divide, or ranges out of order.
+        ValueError: for steps that do not divide their range, or ranges out of order.
     """
 
     smallest: Tensor  # [3] float64: azimuth, distance, elevation
@@ -63,7 +63,7 @@ class OrbitMotion(FiniteMotion):
         self.register_buffer("origin", torch.tensor(tuple(origin), dtype=torch.float64), persistent=False)
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unhindered action leads; it can be outside the lattice: [B, 3] int64, [B] int64 -> [B, 3] int64."""
+        """Where an unobstructed action leads, possibly off the lattice: [B, 3] int64, [B] int64 -> [B, 3] int64."""
         moved = state + self.moves[action]
         return torch.cat([moved[:, :1] % self.shape[0], moved[:, 1:]], 1)
 
@@ -84,7 +84,7 @@ class OrbitMotion(FiniteMotion):
         return torch.stack([x, y, (azimuth + math.pi) % math.tau], 1)
 
     def body_to_world(self, state: Tensor) -> Tensor:
-        """Poses of states, the body's +x towards the origin: [B, 3] int64 -> [B, 4, 4] float32."""
+        """Poses of states, with the body's +x towards the origin: [B, 3] int64 -> [B, 4, 4] float32."""
         azimuth, distance, elevation = self.sphere(state).unbind(1)
         rotation = axis_rotations(2, azimuth + math.pi) @ axis_rotations(1, elevation)
         place = self.origin - distance.unsqueeze(1) * rotation[:, :, 0]
@@ -92,6 +92,6 @@ class OrbitMotion(FiniteMotion):
 
 
 def _count(name: str, limits: Sequence[float], step: float) -> int:
-    """How many values a range has, both ends included."""
+    """The number of values in a range, both ends included."""
     low, high = limits
     return whole_steps(name, high - low, step) + 1 if high > low else 1

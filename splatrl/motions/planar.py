@@ -1,4 +1,4 @@
-"""Poses anywhere on a plane: what the motions share whose state is x, y and yaw."""
+"""Poses anywhere on a plane: what motions with x, y and yaw as their state share."""
 
 import math
 from collections.abc import Sequence
@@ -12,19 +12,19 @@ from splatrl.motions.base import SweptMotion, Taps
 from splatrl.motions.pose_grid import PoseGrid
 
 EDGE = 1e-5
-"""Metres by which rounding may carry a robot over an inclusive bound."""
+"""Tolerance for rounding at the inclusive bounds, metres."""
 
 
 class PlanarMotion(SweptMotion):
     """A state is [..., 3] float32: x and y in metres and yaw in radians in [0, τ).
 
-    Episodes begin on a lattice of positions, ``spacing`` apart within the bounds, and ``headings`` directions; from
-    there robots may come to stand anywhere. Paths are computed at the nodes of a ``PoseGrid`` and interpolated.
+    Episodes begin on a lattice of positions, ``spacing`` apart within the bounds, with ``headings`` directions; from
+    there robots can reach any pose. Paths are computed at the nodes of a ``PoseGrid`` and interpolated.
 
     Args:
         action_names: a name for each discrete action; empty where actions are continuous.
-        step: the longest way of an action, metres.
-        angle_step: the largest turn of an action, radians.
+        step: longest distance that an action moves, metres.
+        angle_step: largest angle that an action turns, radians.
         height: z of every pose, metres.
         lower: smallest x and y, metres.
         upper: largest x and y, metres.
@@ -34,7 +34,7 @@ class PlanarMotion(SweptMotion):
         angle_cell: angle between the headings at which paths are computed, radians; it divides a turn.
 
     Raises:
-        ValueError: for bounds without area, a spacing that is not positive or fewer than one heading.
+        ValueError: for bounds without area, a spacing that is not positive, or fewer than one heading.
     """
 
     lower: Tensor  # [2] float32
@@ -99,7 +99,7 @@ class PlanarMotion(SweptMotion):
         return self.grid.taps(state)
 
     def nearest(self, planar: Tensor) -> Tensor:
-        """Positions and headings as states, which they are: [N, 3] float64 -> [N, 3] float32."""
+        """Positions and headings, which are states already: [N, 3] float64 -> [N, 3] float32."""
         return planar.to(self.lower)
 
     def planar(self, state: Tensor) -> Tensor:
@@ -113,16 +113,16 @@ class PlanarMotion(SweptMotion):
 
 
 def along(state: Tensor, distance: Tensor, turn: Tensor, bend: Tensor) -> Tensor:
-    """Move states by a distance along their heading and turn them.
+    """Move states along their heading, or at an angle to it, and turn them.
 
     Args:
         state: [B, 3] x, y and yaw.
-        distance: [B] metres.
-        turn: [B] radians by which the heading changes.
-        bend: [B] radians between the heading before the move and the way it takes.
+        distance: [B] length of the move, metres.
+        turn: [B] change of the heading, radians.
+        bend: [B] angle from the heading before the move to the direction of the move, radians.
 
     Returns:
-        [B, 3], the yaw in [0, τ).
+        [B, 3], with the yaw in [0, τ).
     """
     way = state[:, 2] + bend
     yaw = (state[:, 2] + turn) % math.tau

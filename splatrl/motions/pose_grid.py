@@ -9,7 +9,7 @@ from torch import Tensor
 from splatrl.motions.base import Taps
 
 PLACES = 1024
-"""A pose within half of this part of a cell from a node lies on it: rounding must not spread it over eight."""
+"""Poses snap to 1 / PLACES of a cell, so that rounding does not spread a pose on a node over eight nodes."""
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,8 @@ class PoseGrid:
     Attributes:
         lower: [2] position of the first node, metres.
         shape: number of columns (x), rows (y) and headings.
-        cell: metres.
-        angle_cell: radians.
+        cell: distance between neighbouring positions, metres.
+        angle_cell: angle between neighbouring headings, radians.
     """
 
     lower: Tensor
@@ -30,7 +30,7 @@ class PoseGrid:
 
     @classmethod
     def over(cls, lower: Tensor, upper: Tensor, cell: float, angle_cell: float) -> "PoseGrid":
-        """The grid over bounds.
+        """Make the grid that covers some bounds.
 
         Args:
             lower: [2] smallest x and y, metres.
@@ -48,7 +48,7 @@ class PoseGrid:
         return torch.cat([self.lower + self.cell * axes[:, :2], self.angle_cell * axes[:, 2:]], 1)
 
     def taps(self, state: Tensor) -> Taps:
-        """The eight nodes around poses, with trilinear weights; beyond the grid those of its edge.
+        """The eight nodes around poses, with trilinear weights; poses beyond the grid are clamped to its edge.
 
         Args:
             state: [N, 3] float32, x and y in metres and yaw in radians.

@@ -1,4 +1,4 @@
-"""Learning: networks, PPO, checkpoints and the loop around them."""
+"""Learning: networks, PPO, checkpoints and the training loop."""
 
 from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
 from splatrl.training.memory import memory_transforms

@@ -1,4 +1,4 @@
-"""Checkpoints that a crash cannot tear."""
+"""Checkpoints that a crash cannot leave half-written."""
 
 import zipfile
 from pathlib import Path
@@ -11,7 +11,7 @@ from splatrl.files import replacing
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
-    """Write a checkpoint so that ``path`` is always whole.
+    """Write a checkpoint atomically, so that ``path`` is never a partial file.
 
     Args:
         path: file to write.
@@ -22,16 +22,16 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
 
 
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
-    """Read a checkpoint as data: tensors and plain values, no code.
+    """Read a checkpoint as data: tensors and plain values, but no code.
 
     Raises:
-        FileNotFoundError: where there is none.
-        ValueError: where the file is not a whole checkpoint.
+        FileNotFoundError: if there is none.
+        ValueError: if the file is not a complete checkpoint.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected a checkpoint, found none")
     try:
-        with zipfile.ZipFile(path) as archive:  # its checksums find damage that PyTorch would take for numbers
+        with zipfile.ZipFile(path) as archive:  # its checksums find damage that PyTorch would read as numbers
             damaged = archive.testzip()
         if damaged is not None:
             raise ValueError(f"the checksum of {damaged} differs")

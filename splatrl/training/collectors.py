@@ -1,4 +1,4 @@
-"""Where frames come from: a rollout that the host drives, and one for which it never waits."""
+"""Collectors of frames: one rollout that the host drives, and one that never synchronises with it."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -15,18 +15,18 @@ from splatrl.training.cuda_graph import CudaGraph
 from splatrl.training.memory import STATE
 
 SEEN = ("pixels", STATE, "is_init")
-"""What the model reads of an observation, where it is there."""
+"""Keys of an observation that the model reads, where present."""
 CHOSEN = ("action", "action_log_prob", "state_value")
-"""What it makes of that."""
+"""Keys that the model writes."""
 ENDS = ("reward", "done", "terminated", "truncated", "outcome", "episode_return", "step_count")
-"""What learning and reports read of what a step gave."""
+"""Keys of a step's result that learning and reports read."""
 
 
 class Collector(Protocol):
-    """Collects batches that begin where the last one stopped.
+    """Collects batches, each of which begins where the last one stopped.
 
     Attributes:
-        carried: what the next batch begins with, and all that a checkpoint needs to know of it.
+        carried: what the next batch begins with; all that a checkpoint has to store.
     """
 
     @property
@@ -43,12 +43,12 @@ class Collector(Protocol):
 
 
 class HostCollector:
-    """TorchRL's rollout, which looks after each step who is done, and stacks what it was given.
+    """TorchRL's rollout, in which the host checks after each step which robots are done, and stacks the steps.
 
     Args:
-        env: batched.
+        env: batched env.
         model: actor and critic.
-        steps: T, of each batch.
+        steps: T, the length of each batch.
     """
 
     def __init__(self, env: EnvBase, model: ActorValueOperator, steps: int):
@@ -65,18 +65,18 @@ class HostCollector:
 
 
 class DeviceCollector:
-    """A rollout that stays on the device: policy, step and automatic reset write in place, and nothing is asked.
+    """A rollout that stays on the device: policy, step and automatic reset write in place and never synchronise.
 
-    Episodes go as in ``HostCollector`` where that resets in every step, whether any episode ended or not. The batch
+    Episodes are those of a ``HostCollector`` that resets in every step, whether any episode ended or not. The batch
     holds what learning and reports read, in tensors that the next batch overwrites: ``SEEN`` (with pixels as uint8),
-    ``CHOSEN``, under ``"next"`` ``ENDS``, and ``next_value``, what the critic says of what was seen after the step,
+    ``CHOSEN``, under ``"next"`` ``ENDS``, and ``next_value``, the critic's value of the observation after the step and
     before the reset.
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
         model: actor and critic.
-        steps: T, of each batch.
-        capture: makes the call that does a step from the function that does it; None takes the function itself.
+        steps: T, the length of each batch.
+        capture: wraps the function that does a step, for instance in a CUDA graph; None calls it directly.
         begin: what the first batch begins with; None resets the env.
     """
 
@@ -106,14 +106,14 @@ class DeviceCollector:
 
     @torch.no_grad()
     def collect(self) -> TensorDictBase:
-        """The next frames, [B, T]; they hold until the next call."""
+        """The next frames, [B, T], valid until the next call."""
         self._column.zero_()
         for _ in range(self.steps):
             self._advance()
         return self._batch.copy()
 
     def _step(self) -> None:
-        """One column of the batch, and what the next begins with."""
+        """Fill one column of the batch, and set what the next one begins with."""
         acted = self.env.step(self.model(self._now.copy()))
         after = acted["next"]
         seen = after.select(*SEEN, strict=False)
@@ -129,23 +129,23 @@ class DeviceCollector:
         self._column.add_(1)
 
     def _note(self, key: str | tuple[str, str], value: Tensor) -> None:
-        """Write values [B, ...] into the present column, whose number the host does not know."""
+        """Write values [B, ...] into the current column, whose index exists only on the device."""
         if self._batch.get(key, None) is None:
             self._batch.set(key, value.new_zeros(*self._batch.batch_size, *value.shape[1:]))
         self._batch.get(key).index_copy_(1, self._column, value.unsqueeze(1))
 
 
 def device_collector(env: EnvBase, model: ActorValueOperator, steps: int, cuda_graph: bool | None) -> DeviceCollector:
-    """A collector on the env's device, whose steps are captured in a CUDA graph.
+    """Make a collector on the env's device, with its steps captured in a CUDA graph where that is possible.
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
         model: actor and critic.
-        steps: T, of each batch.
-        cuda_graph: whether to capture; None does so where renderer and checker can be.
+        steps: T, the length of each batch.
+        cuda_graph: whether to capture; None does so where renderer and checker can be captured.
 
     Raises:
-        ValueError: where a graph is asked for that cannot be.
+        ValueError: for ``cuda_graph=True`` where the steps cannot be captured.
     """
     base = layers(env)[0]
     possible = env.device.type == "cuda" and base.capturable

@@ -1,25 +1,25 @@
-"""A function of tensors that stay where they are, launched as one CUDA graph."""
+"""A function over tensors at fixed addresses, launched as one CUDA graph."""
 
 from collections.abc import Callable, Sequence
 
 import torch
 
 WARM_UP = 3
-"""Calls before the capture, in which libraries choose their kernels and take their memory."""
+"""Number of calls before the capture, in which libraries choose their kernels and allocate their memory."""
 
 
 class CudaGraph:
-    """Calls a function; after a few calls it is captured, and from then on its kernels are launched all at once.
+    """Calls a function; after a few calls it is captured, and from then on all its kernels are launched at once.
 
-    The function has no arguments and returns nothing: it reads and writes tensors in place, on one CUDA device, asks
-    the host nothing, and goes the same way each time. What it does in Python happens only until it is captured.
+    The function has no arguments and returns nothing: it reads and writes tensors in place on one CUDA device, never
+    synchronises with the host, and takes the same path in every call. Its Python code runs only until it is captured.
 
     Args:
-        function: what to call.
-        generators: those from which it draws, but for PyTorch's own.
+        function: the function to call.
+        generators: the generators from which it draws, other than PyTorch's own.
 
     Raises:
-        RuntimeError: at the call that captures, where the function cannot be.
+        RuntimeError: in the call that captures, if the function cannot be captured.
     """
 
     def __init__(self, function: Callable[[], None], generators: Sequence[torch.Generator] = ()):
@@ -28,7 +28,7 @@ class CudaGraph:
         self.graph: torch.cuda.CUDAGraph | None = None
 
     def __call__(self) -> None:
-        """Do once what the function does."""
+        """Run the function once."""
         if self.graph is None and self.calls < WARM_UP:
             self._warm_up()
             self.calls += 1
@@ -40,7 +40,7 @@ class CudaGraph:
     def _warm_up(self) -> None:
         beside = torch.cuda.Stream()
         beside.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(beside):  # as captures are, so that what is set up once is set up for them
+        with torch.cuda.stream(beside):  # as captures run on a side stream: one-off setup must happen there too
             self.function()
         torch.cuda.current_stream().wait_stream(beside)
 
@@ -53,7 +53,7 @@ class CudaGraph:
                 self.function()
         except RuntimeError as error:
             raise RuntimeError(
-                "collector.cuda_graph: expected a step that asks the host nothing, and could not capture it; "
-                "collector.cuda_graph=false goes without"
+                "collector.cuda_graph: expected a step that never synchronises with the host, got one that could not "
+                "be captured; collector.cuda_graph=false trains without a graph"
             ) from error
         return graph

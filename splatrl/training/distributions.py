@@ -1,6 +1,6 @@
-"""Distributions of actions that ask the host nothing: PyTorch's and TorchRL's own check what they are given.
+"""Action distributions that never synchronise with the host, unlike PyTorch's and TorchRL's, which check their inputs.
 
-Both draw the same numbers as those, from the same generator.
+They draw the same numbers as those from the same generator.
 """
 
 from typing import Any
@@ -18,7 +18,7 @@ from torchrl.modules.distributions.continuous import (
 
 
 class Choice(Categorical):
-    """One of N actions. ``torch.multinomial`` waits for the answer whether its probabilities are valid.
+    """A distribution over N actions that avoids ``torch.multinomial``, which synchronises to check its probabilities.
 
     Args:
         logits: [..., N].
@@ -33,14 +33,14 @@ class Choice(Categorical):
         return self.mode
 
     def sample(self, sample_shape: Any = torch.Size()) -> Tensor:  # noqa: B008, an empty size is a constant
-        """Draw from each distribution: the first to arrive in a race of exponential clocks."""
+        """Draw from each distribution, by the first arrival among exponential clocks."""
         if len(sample_shape):
             return super().sample(sample_shape)
         return (self.probs / torch.empty_like(self.probs).exponential_()).argmax(-1)
 
 
 class Squashed(TanhNormal):
-    """A normal distribution squashed by a tanh to limits. TorchRL's waits for the answers to five questions.
+    """A normal distribution squashed to limits by a tanh; TorchRL's own synchronises five times.
 
     Args:
         loc: [..., D], before the tanh.

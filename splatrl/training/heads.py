@@ -1,4 +1,4 @@
-"""What the policy says about actions: the head that an action spec asks for."""
+"""The policy head: a distribution over actions that fits the action spec."""
 
 from tensordict.nn import (
     InteractionType,
@@ -15,15 +15,15 @@ from torchrl.modules import TanhNormal
 from splatrl.training.distributions import Choice, Squashed
 
 FIRST_GAIN = 0.01
-"""Of the last layer's first weights: the first policy hardly looks at the image."""
+"""Orthogonal-initialisation gain of the last layer: small, so that the first policy hardly depends on the image."""
 FIRST_SCALE = 0.6
-"""The first standard deviation, before the tanh: actions spread over most of their range."""
+"""Initial standard deviation before the tanh, which spreads actions over most of their range."""
 LEAST_SCALE = 0.01
-"""Where a deviation stops to shrink, for below it the ratios of PPO jump."""
+"""Lower bound on the standard deviation: below it PPO's ratios become unstable."""
 
 
 def orthogonal(layer: nn.Linear | nn.Conv2d, gain: float) -> nn.Linear | nn.Conv2d:
-    """Give a layer orthogonal weights of this gain and no bias, in place."""
+    """Initialise a layer in place with orthogonal weights of this gain and a bias of zero."""
     assert layer.bias is not None
     nn.init.orthogonal_(layer.weight, gain)
     nn.init.constant_(layer.bias, 0.0)
@@ -31,12 +31,12 @@ def orthogonal(layer: nn.Linear | nn.Conv2d, gain: float) -> nn.Linear | nn.Conv
 
 
 def policy_head(action_spec: TensorSpec, features: int) -> ProbabilisticTensorDictSequential:
-    """From ``hidden`` to ``action`` and ``action_log_prob``.
+    """Make the head that maps ``hidden`` to ``action`` and ``action_log_prob``.
 
     Args:
-        action_spec: of an env, batched or not. ``Categorical``: a categorical distribution. ``Bounded`` floats in the
-            last axis: a normal one, squashed by a tanh to the limits of the spec; mean and deviation depend on
-            ``hidden``.
+        action_spec: spec of an env's action, batched or not. ``Categorical`` gives a categorical distribution.
+            ``Bounded`` floats in the last axis give a normal one, squashed by a tanh to the limits of the spec, whose
+            mean and standard deviation depend on ``hidden``.
         features: size of ``hidden``.
 
     Raises:
@@ -71,7 +71,7 @@ def policy_head(action_spec: TensorSpec, features: int) -> ProbabilisticTensorDi
 
 
 def distribution(head: ProbabilisticTensorDictSequential, hidden: Tensor) -> Distribution:
-    """The distribution of actions, without the detour by TensorDicts: ``hidden`` [..., features] float32."""
+    """The distribution of actions, computed without TensorDicts: ``hidden`` is [..., features] float32."""
     layer, sampler = head.module
     parameters = layer.module(hidden)
     parameters = parameters if isinstance(parameters, tuple) else (parameters,)
@@ -80,7 +80,7 @@ def distribution(head: ProbabilisticTensorDictSequential, hidden: Tensor) -> Dis
 
 
 def entropy(policy: Distribution) -> Tensor:
-    """Entropy of each distribution in a batch; where no formula is known, one sample's estimate with its gradient."""
+    """Entropy of each distribution in a batch; without a closed form, a one-sample estimate with its gradient."""
     if isinstance(policy, TanhNormal):
         return -policy.rsample_and_log_prob()[1]
     return policy.entropy()

@@ -1,4 +1,4 @@
-"""From a batch of frames to better weights: advantages, minibatches, gradient steps."""
+"""Learning from a batch of frames: advantages, minibatches and gradient steps."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -16,10 +16,10 @@ from splatrl.training.settings import LossSettings, OptimSettings
 
 
 class Learner:
-    """Adam on the clipped loss. A policy without memory learns from single frames, one with memory from sequences.
+    """Adam on the clipped loss; a policy without memory learns from single frames, one with memory from sequences.
 
-    The trunk is evaluated once a frame, and both heads read its output. What the first layer pools, and the critic's
-    values, come from collection.
+    The trunk is evaluated once per frame, and both heads read its output. Pooled images and the critic's values come
+    from collection.
 
     Args:
         model: actor and critic over a shared trunk.
@@ -38,7 +38,7 @@ class Learner:
         self._policy, self._value = model.get_policy_head(), model.get_value_head().module
 
     def anneal(self, left: float) -> None:
-        """Set learning rate and entropy bonus to what they are with a share of ``left`` of the training to come."""
+        """Set learning rate and entropy bonus for the point at which a share ``left`` of the training remains."""
         if self.optim.anneal_lr:
             for group in self.optimizer.param_groups:
                 group["lr"] = self.optim.lr * left
@@ -46,7 +46,7 @@ class Learner:
             self.entropy_coeff = self.loss.entropy_coeff * left
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
-        """Go over a batch of collected frames [B, T]; returns the means of ``STATISTICS`` over the gradient steps."""
+        """Learn from a batch of frames [B, T]; returns the means of ``STATISTICS`` over its gradient steps."""
         batch["advantage"], batch["value_target"] = self.advantages(batch)
         steps = [self.step(frames) for _ in range(self.loss.ppo_epochs) for frames in self.minibatches(batch)]
         return dict(zip(STATISTICS, torch.stack(steps).mean(0).tolist(), strict=True))
@@ -55,9 +55,9 @@ class Learner:
     def advantages(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Generalised advantages and value targets, [B, T, 1] each.
 
-        The value of the next observation is the next column's own; only where the rollout ends, or was truncated and
-        so goes on from a new start, the critic is asked again, with what it remembers after that step. A batch that has
-        a ``next_value`` is asked nothing.
+        The value of the next observation is that of the next column. Only where the rollout ends, or an episode was
+        truncated and the next column is a new start, the critic is evaluated again, with its memory after that step. A
+        batch with a ``next_value`` needs no evaluation.
         """
         value, after = batch["state_value"], batch["next"]
         next_value = batch.get("next_value", None)
@@ -74,7 +74,7 @@ class Learner:
         )
 
     def _next_values(self, value: Tensor, after: TensorDictBase) -> Tensor:
-        """What the critic says of the observations after each step, [B, T, 1]."""
+        """The critic's values of the observations after each step, [B, T, 1]."""
         next_value = torch.cat([value[:, 1:], value[:, -1:]], 1)
         asked = after["truncated"].squeeze(-1).clone()
         asked[:, -1] = True
@@ -85,7 +85,7 @@ class Learner:
     def minibatches(self, batch: TensorDictBase) -> Iterator[dict[str, Tensor]]:
         """Every frame once, in random order: [N, ...] each, or with memory whole rows of the batch, [N, T, ...].
 
-        A batch without ``image`` has its pixels pooled here.
+        If a batch has no ``image``, its pixels are pooled here.
         """
         view = "image" if "image" in batch.keys() else "pixels"  # noqa: SIM118, a TensorDict is no dict
         frames: dict[str, Any] = {key: batch[key] for key in (view, "action", "action_log_prob")}
@@ -104,7 +104,7 @@ class Learner:
             yield some
 
     def step(self, frames: dict[str, Tensor]) -> Tensor:
-        """One gradient step on a minibatch; returns ``STATISTICS``."""
+        """Take one gradient step on a minibatch; returns ``STATISTICS``."""
         loss, statistics = self._measured(frames, self._bonus(frames["action"].device))
         self.optimizer.zero_grad()
         loss.backward()
@@ -119,7 +119,7 @@ class Learner:
         return clipped_loss(policy, value, frames, self.loss, entropy_coeff)
 
     def _bonus(self, device: torch.device) -> float | Tensor:
-        """Weight of the entropy bonus: a tensor for compiled code, which would be compiled anew for each number."""
+        """Weight of the entropy bonus: a tensor for compiled code, which would be recompiled for each new number."""
         return torch.full((), self.entropy_coeff, device=device) if self.optim.compile else self.entropy_coeff
 
     def _hidden(self, frames: dict[str, Tensor]) -> Tensor:

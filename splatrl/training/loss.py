@@ -1,4 +1,4 @@
-"""The loss of proximal policy optimisation with clipped ratios (Schulman et al. 2017, eq. 9), in plain tensors."""
+"""The loss of proximal policy optimisation with clipped ratios (Schulman et al. 2017, eq. 9) in plain tensors."""
 
 from collections.abc import Mapping
 
@@ -11,7 +11,7 @@ from splatrl.training.heads import entropy
 from splatrl.training.settings import LossSettings
 
 STATISTICS = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction")
-"""Names of what ``clipped_loss`` measures on the way, as in TorchRL's ``ClipPPOLoss``."""
+"""Names of the statistics that ``clipped_loss`` returns, as in TorchRL's ``ClipPPOLoss``."""
 
 
 def clipped_loss(
@@ -21,14 +21,14 @@ def clipped_loss(
     settings: LossSettings,
     entropy_coeff: float | Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Loss of a minibatch: its value and gradient are those of TorchRL's ``ClipPPOLoss``, at a fraction of the time.
+    """Loss of a minibatch, with the value and gradient of TorchRL's ``ClipPPOLoss`` in a fraction of the time.
 
     Args:
-        policy: of each frame, [...].
-        value: of each frame, [...] float32.
+        policy: distribution of actions in each frame, [...].
+        value: the critic's value of each frame, [...] float32.
         frames: ``action``, ``action_log_prob``, ``advantage`` and ``value_target``, [...] each.
         settings: clip range and weight of the value loss.
-        entropy_coeff: weight of the entropy bonus now.
+        entropy_coeff: current weight of the entropy bonus.
 
     Returns:
         The loss, [] float32, and ``STATISTICS``, [5] float32 without gradient.

@@ -1,4 +1,4 @@
-"""A policy that remembers: a GRU whose state travels in the TensorDict."""
+"""Memory for a policy: a GRU whose state travels in the TensorDict."""
 
 import torch
 from tensordict import TensorDictBase
@@ -11,19 +11,19 @@ STATE = "recurrent_state"
 
 
 class Memory(GRUModule):
-    """TorchRL's ``GRUModule``, which anywhere but on a CPU goes step by step.
+    """TorchRL's ``GRUModule``, evaluated step by step except on a CPU.
 
-    TorchRL's asks the host where episodes begin, and in learning cuts the batch up there. Here the state is cleared
-    where an episode begins, so nothing is asked.
+    TorchRL's version synchronises with the host to find where episodes begin, and in learning splits the batch there.
+    Here the state is cleared where an episode begins, so no synchronisation is needed.
 
     Attributes:
-        stepwise: whether to go step by step; None does so anywhere but on a CPU.
+        stepwise: whether to evaluate step by step; None does so except on a CPU.
     """
 
     stepwise: bool | None = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """From ``features`` [B, F], or in learning [B, T, F], to ``hidden`` and the next state."""
+        """Map ``features`` [B, F], or in learning [B, T, F], to ``hidden`` and the next state."""
         features, is_init = tensordict[self.in_keys[0]], tensordict["is_init"]
         stepwise = features.device.type != "cpu" if self.stepwise is None else self.stepwise
         if not stepwise:
@@ -46,7 +46,7 @@ class Memory(GRUModule):
 
 
 class RecurrentReset(TensorDictPrimer):
-    """TorchRL's primer with zeros, which does not ask the host whether any row is reset."""
+    """TorchRL's primer with zeros, without its synchronisation to find out whether any row is reset."""
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         batch = tensordict_reset.batch_size
@@ -57,7 +57,7 @@ class RecurrentReset(TensorDictPrimer):
 
 
 def gru(features: int, memory: int) -> Memory:
-    """From ``features`` and ``recurrent_state`` to ``hidden`` and the next ``recurrent_state``.
+    """Make a GRU that maps ``features`` and ``recurrent_state`` to ``hidden`` and the next ``recurrent_state``.
 
     Args:
         features: size of the input.
@@ -73,13 +73,13 @@ def gru(features: int, memory: int) -> Memory:
 
 
 def memory_transforms(memory: int) -> list[Transform]:
-    """What an env needs for ``actor_critic(..., memory=memory)``, in this order and after all other transforms.
+    """The transforms that an env needs for ``actor_critic(..., memory=memory)``, to be applied after all others.
 
-    They carry ``recurrent_state`` [B, 1, memory] float32 from step to step, zero it where episodes begin, and say in
+    They carry ``recurrent_state`` [B, 1, memory] float32 from step to step, zero it where episodes begin, and mark in
     ``is_init`` where that is.
 
     Args:
-        memory: size of the state; of 0 nothing is needed.
+        memory: size of the state; 0 needs no transforms.
     """
     if not memory:
         return []

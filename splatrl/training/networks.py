@@ -1,4 +1,4 @@
-"""The actor and critic that see pixels."""
+"""The actor and critic, which see pixels."""
 
 from collections.abc import Sequence
 
@@ -12,11 +12,11 @@ from splatrl.training.heads import orthogonal, policy_head
 from splatrl.training.memory import gru
 
 GAIN = 2**0.5
-"""Of first weights before a ReLU."""
+"""Orthogonal-initialisation gain for layers followed by a ReLU."""
 
 
 class PoolPixels(nn.Module):
-    """Averages uint8 images over square cells: the part of the network that learns nothing, and so runs once a frame.
+    """Averages uint8 images over square cells: the part of the network without weights, which runs once per frame.
 
     Args:
         pool: side of a cell, pixels.
@@ -37,14 +37,14 @@ class Trunk(nn.Module):
     """A small convolutional network over images, batched or not.
 
     Args:
-        height: of the image, pixels.
-        width: of the image, pixels.
-        depth: channels of the image: 3 for each frame that is stacked in it.
-        channels: of the two convolutions.
+        height: height of the image, pixels.
+        width: width of the image, pixels.
+        depth: channels of the image, 3 for each stacked frame.
+        channels: output channels of the two convolutions.
         features: size of the output.
 
     Raises:
-        ValueError: for an image of which the convolutions leave nothing.
+        ValueError: for an image that is too small for the convolutions.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Trunk(nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         """Encode images: [..., H, W, C] float32 -> [..., features] float32."""
-        images = image.reshape(-1, *image.shape[-3:]).permute(0, 3, 1, 2)  # channels stay last in memory: faster
+        images = image.reshape(-1, *image.shape[-3:]).permute(0, 3, 1, 2)  # channels last in memory is faster
         found = self.convolutions(images).permute(0, 2, 3, 1).flatten(1)
         return self.dense(found).reshape(*image.shape[:-3], -1)
 
@@ -81,15 +81,16 @@ def actor_critic(
     """Actor and critic over one trunk: ``pixels`` -> ``image`` -> ``hidden`` -> ``action`` and ``state_value``.
 
     Args:
-        image_shape: (H, W, C), C being 3 for each frame that is stacked in the image.
-        action_spec: of the env, batched or not; see ``policy_head``.
-        pool: see ``Shrink``.
+        image_shape: (H, W, C), where C is 3 for each stacked frame.
+        action_spec: action spec of the env, batched or not; see ``policy_head``.
+        pool: see ``PoolPixels``.
         channels: see ``Trunk``.
         features: see ``Trunk``.
-        memory: size of a GRU's state between trunk and heads, whose env needs ``memory_transforms(memory)``; 0 is none.
+        memory: size of a GRU's state between trunk and heads, for which the env needs ``memory_transforms(memory)``; 0
+            is no GRU.
 
     Returns:
-        Operator whose ``get_policy_operator()`` acts, and whose heads share the ``hidden`` that the trunk computed.
+        Operator whose ``get_policy_operator()`` acts, and whose heads share the trunk's ``hidden``.
     """
     height, width, depth = image_shape
     trunk = Trunk(height // pool, width // pool, depth, channels, features)

@@ -1,4 +1,4 @@
-"""Proximal policy optimisation (Schulman et al. 2017) on one batched env, resumable to the byte."""
+"""Proximal policy optimisation (Schulman et al. 2017) on one batched env, resumable byte for byte."""
 
 from typing import Any
 
@@ -16,22 +16,22 @@ from splatrl.training.settings import LossSettings, OptimSettings
 
 
 class PPO:
-    """Collects a batch of frames, learns from it, and can be stopped and gone on with at any batch.
+    """Collects a batch of frames and learns from it; training can be stopped and resumed after any batch.
 
     Args:
-        env: batched, with ``pixels``, ``outcome`` and ``level``, transformed or not; for a model with memory it has
-            its ``memory_transforms``.
+        env: batched env with ``pixels``, ``outcome`` and ``level``, transformed or not; for a model with memory it
+            needs ``memory_transforms``.
         model: actor and critic over a shared trunk.
         loss: settings of the loss.
         optim: settings of the optimiser.
-        frames_per_batch: frames between updates, a multiple of the env's batch.
-        total_frames: frames that the whole training may use; the last batch ends at or before them.
+        frames_per_batch: frames between updates, a multiple of the env's batch size.
+        total_frames: frames that the whole training may use; the last batch ends at or before this number.
         cuda_graph: whether the steps of a rollout on a GPU are captured in a CUDA graph; None does so where renderer
-            and checker can be.
-        on_device: whether rollouts stay on the device (``DeviceCollector``); None lets them anywhere but on a CPU.
+            and checker can be captured.
+        on_device: whether rollouts stay on the device (``DeviceCollector``); None keeps them there except on a CPU.
 
     Raises:
-        ValueError: for batch sizes that do not divide, a total below one batch, or a graph that cannot be.
+        ValueError: for batch sizes that do not divide, a total below one batch, or a graph that cannot be captured.
     """
 
     def __init__(
@@ -69,15 +69,15 @@ class PPO:
 
     @property
     def finished(self) -> bool:
-        """Whether another batch would go beyond ``total_frames``."""
+        """Whether another batch would exceed ``total_frames``."""
         return self.frames + self.frames_per_batch > self.total_frames
 
     def iterate(self) -> dict[str, float]:
         """Collect one batch and learn from it.
 
         Returns:
-            What happened: frames, episodes, success, collisions, mean return and length of the episodes that ended
-            (NaN when none did), and the losses.
+            Frames so far; the number, success rate, collision rate, mean return and mean length of the episodes that
+            ended (NaN if none did); and the losses.
         """
         self.learner.anneal(1.0 - self.frames / self.total_frames)
         batch = self.collect()
@@ -90,7 +90,7 @@ class PPO:
         """The next frames, [B, T]: what each robot saw, did and met.
 
         Raises:
-            ValueError: what renderer or checker refused on the way and noted on their device.
+            ValueError: for input that renderer or checker refused and noted on their device.
         """
         batch = self.collector.collect()
         base = layers(self.env)[0]
@@ -99,7 +99,7 @@ class PPO:
         return batch
 
     def state_dict(self) -> dict[str, Any]:
-        """All that the rest of the training depends on, as tensors and plain values."""
+        """Everything on which the rest of the training depends, as tensors and plain values."""
         base, transformed = layers(self.env)
         return {
             "device": self.device.type,
@@ -114,15 +114,15 @@ class PPO:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a ``state_dict()`` of the same configuration.
+        """Continue from a ``state_dict()`` of the same configuration.
 
         Raises:
-            ValueError: for one that was made on another kind of device, whose random numbers do not go on here.
+            ValueError: for a state of another kind of device, whose random numbers cannot be continued here.
         """
         base, transformed = layers(self.env)
         made_on = state.get("device", "cpu")
         if made_on != self.device.type:
-            raise ValueError(f"device: expected {made_on}, on which the checkpoint was made, got {self.device.type}")
+            raise ValueError(f"device: expected {made_on}, where the checkpoint was made, got {self.device.type}")
         self.frames = state["frames"]
         self.model.load_state_dict(state["model"])
         self.learner.optimizer.load_state_dict(state["optimizer"])

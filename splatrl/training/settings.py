@@ -1,4 +1,4 @@
-"""What an experimenter sets about the learning, with the keys of TorchRL's examples."""
+"""The settings of learning, under the keys of TorchRL's examples."""
 
 import math
 from dataclasses import dataclass
@@ -17,15 +17,15 @@ class LossSettings:
     """Settings of the loss.
 
     Attributes:
-        gamma: discount.
-        gae_lambda: of generalised advantage estimation.
-        clip_epsilon: how far the probability ratio may go.
+        gamma: discount factor.
+        gae_lambda: λ of generalised advantage estimation.
+        clip_epsilon: how far the probability ratio may depart from 1.
         ppo_epochs: passes over each batch.
         mini_batch_size: frames in a gradient step.
         critic_coeff: weight of the value loss.
         entropy_coeff: weight of the entropy bonus at the start.
         anneal_entropy: whether that weight falls linearly to zero at the end of training.
-        reward_scale: rewards are multiplied by it for learning, and nowhere else.
+        reward_scale: factor on rewards in learning, and nowhere else.
 
     Raises:
         ValueError: names the value that is out of range.
@@ -57,9 +57,9 @@ class OptimSettings:
     Attributes:
         lr: learning rate at the start.
         eps: Adam's epsilon.
-        max_grad_norm: gradients are clipped to it.
+        max_grad_norm: norm to which gradients are clipped.
         anneal_lr: whether the rate falls linearly to zero at the end of training.
-        compile: whether the loss of a minibatch is compiled (``torch.compile``), which takes a minute at first.
+        compile: whether the loss of a minibatch is compiled (``torch.compile``), which takes about a minute at first.
 
     Raises:
         ValueError: names the value that is out of range.

@@ -1,4 +1,4 @@
-"""The loop around PPO: progress, history, tests and checkpoints in a run folder."""
+"""The training loop around PPO: progress, history, tests and checkpoints in a run folder."""
 
 import csv
 import io
@@ -19,21 +19,21 @@ BACKENDS = ("csv", "tensorboard", "wandb")
 
 
 class Trainer:
-    """Runs PPO to its total of frames, and leaves a run folder from which it can go on.
+    """Runs PPO for its total number of frames, and leaves a run folder from which it can be resumed.
 
     Writes ``checkpoints/last.pt``, ``checkpoints/best.pt`` and ``progress.csv``, each under a temporary name first.
 
     Args:
         ppo: the learner.
         folder: the run folder.
-        test: returns the success rate of the present policy; it must not touch PyTorch's generator.
+        test: returns the success rate of the current policy; it must not touch PyTorch's generator.
         test_interval: frames between tests.
         checkpoint_interval: frames between checkpoints.
-        backend: csv, or a logger of TorchRL's (tensorboard, wandb) beside it.
+        backend: csv, or a TorchRL logger (tensorboard, wandb) in addition to it.
         exp_name: name of the run for that logger.
 
     Raises:
-        ValueError: for another backend.
+        ValueError: for any other backend.
     """
 
     def __init__(
@@ -62,13 +62,13 @@ class Trainer:
         return self.ppo.env.curriculum.starts.levels
 
     def resume(self) -> None:
-        """Go on from the last checkpoint of the folder, or begin where the run was stopped before its first."""
+        """Continue from the folder's last checkpoint, or start over if the run was stopped before its first one."""
         path = self.folder / "checkpoints" / "last.pt"
         if path.exists():
             self.load_state_dict(load_checkpoint(path))
 
     def fit(self) -> None:
-        """Train until the frames are used, with a progress bar."""
+        """Train until the frames are used up, with a progress bar."""
         batch = self.ppo.frames_per_batch
         total = self.ppo.total_frames // batch * batch
         began = time.monotonic() - self.seconds
@@ -111,11 +111,11 @@ class Trainer:
             stream.write(table.getvalue().encode())
 
     def state_dict(self) -> dict[str, Any]:
-        """PPO's state with history, best test and seconds spent."""
+        """PPO's state, with the history, the best test and the seconds spent."""
         return {"ppo": self.ppo.state_dict(), "history": self.history, "best": self.best, "seconds": self.seconds}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a ``state_dict()``."""
+        """Continue from a ``state_dict()``."""
         self.ppo.load_state_dict(state["ppo"])
         self.history, self.best, self.seconds = list(state["history"]), state["best"], state["seconds"]
 

@@ -21,7 +21,7 @@ def world() -> Gaussians:
 
 @pytest.fixture
 def splat(tmp_path: Path) -> Path:
-    """A yard in a file that is −y up, with the floor at 0.7 along up."""
+    """A yard in a file with −y up and the floor at 0.7 along up."""
     folder = tmp_path / "yard"
     folder.mkdir()
     write_gaussians(folder / "yard.ply", lying(world(), similarity(UPRIGHT, 1.0, [0.0, 0.0, -0.7])))
@@ -29,7 +29,7 @@ def splat(tmp_path: Path) -> Path:
 
 
 def heights(folder: Path) -> tuple[float, float]:
-    """Of the floor and of the highest box of a scene folder."""
+    """Heights of the floor and of the highest box of a scene folder."""
     z = read_scene(folder).gaussians.means[:, 2]
     return float(z.median()), float(z.max())
 
@@ -129,7 +129,7 @@ def test_nerfstudios_own_frame_is_undone(tmp_path: Path) -> None:
         (["--distance", "0 0 0 1 0 0 far"], "expected 7 numbers"),
         (["--matrix", " ".join("1" * 16)], "last row"),
         (["--matrix", "1 2"], "expected 16 numbers"),
-        (["--translation", "1 2 3", "--matrix", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"], "--translation: expected beside"),
+        (["--translation", "1 2 3", "--matrix", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"], "--translation: expected alone"),
         (["--resolution", "1e-5"], "resolution"),
     ],
 )
@@ -165,4 +165,4 @@ def test_the_kitchen_stands_in_metres_with_its_floor_at_zero(shared_scenes: Path
     (tmp_path / "kitchen.spz").symlink_to((shared_scenes / "kitchen" / "kitchen.spz").resolve())
     scene = read_scene(tmp_path)
     opaque = scene.gaussians.means[scene.gaussians.opacities > 0.5]
-    assert ((opaque[:, 2].abs() < 0.03).float().mean()) > 0.2  # a fifth and more of what is opaque is the floor
+    assert ((opaque[:, 2].abs() < 0.03).float().mean()) > 0.2  # at least a fifth of what is opaque is the floor

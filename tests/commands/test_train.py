@@ -1,4 +1,4 @@
-"""The commands, from the outside: a run folder, a kill, a resume and an evaluation."""
+"""The commands from the outside: a run folder, a kill, a resume and an evaluation."""
 
 import json
 import subprocess

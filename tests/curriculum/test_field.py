@@ -1,4 +1,4 @@
-"""Distances off the lattice, against arithmetic and against a search that knows of no grid."""
+"""Distances off the lattice, against arithmetic and against a search without a grid."""
 
 import math
 from collections.abc import Callable
@@ -21,7 +21,7 @@ SQUARE: dict[str, Any] = {"lower": (-0.75, -0.75), "upper": (0.75, 0.75)}
 
 
 class Fence(BlockChecker):
-    """Lets nobody cross the line x = 0.3, though every pose is free."""
+    """Blocks every crossing of the line x = 0.3, though every pose is free."""
 
     def collides(self, body_to_world: Tensor) -> Tensor:
         return torch.zeros(len(body_to_world), dtype=torch.bool)
@@ -37,7 +37,7 @@ def empty() -> NoChecker:
 def fewest_steps(
     motion: ForwardMotion, checker: Checker, reached: Callable[[Tensor], Tensor], start: Tensor, limit: int = 20
 ) -> int:
-    """Steps to the goal, forwards from one start through every pose that can be walked to, whole frontiers at once."""
+    """Steps to the goal from one start, by a forward search over all reachable poses, a whole frontier at a time."""
     frontier, known, steps = start[None], start.new_zeros(0, dtype=torch.int64), 0
     while len(frontier) and not reached(frontier).any():
         assert steps < limit
@@ -50,7 +50,7 @@ def fewest_steps(
 
 
 def _new(states: Tensor, motion: ForwardMotion, known: Tensor) -> tuple[Tensor, Tensor]:
-    """States that are not known yet, to a millimetre, each once; and all that are known then."""
+    """The distinct states, to a millimetre, that are not known yet; and all that are known afterwards."""
     x, y = ((states[:, :2] + 2) * 1000).round().long().unbind(1)
     heading = (states[:, 2] / motion.angle_step).round().long() % motion.headings
     key, row = ((x * 4096 + y) * 64 + heading).unique(return_inverse=True)
@@ -60,7 +60,7 @@ def _new(states: Tensor, motion: ForwardMotion, known: Tensor) -> tuple[Tensor, 
 
 
 def distance_from(found: Plan, x: float, y: float, yaw: float) -> int:
-    """What the plan says of one start."""
+    """What the plan says about one start."""
     offset = (found.states - torch.tensor([x, y, yaw])).abs().sum(1)
     assert offset.min() < 1e-4
     return int(found.distance[offset.argmin()])
@@ -77,7 +77,7 @@ def test_straight_ahead_in_an_empty_room_is_the_way_over_the_step(step: float, s
 
 
 def test_straight_ahead_a_drive_needs_the_way_over_its_speed() -> None:
-    motion = DriveMotion(HEIGHT, angular_deg=225.0, spacing=0.25, headings=4, **SQUARE)  # 0.1 m, 45° a time step
+    motion = DriveMotion(HEIGHT, angular_deg=225.0, spacing=0.25, headings=4, **SQUARE)  # 0.1 m and 45° per time step
     found = plan(motion, empty(), Drive(motion, (0.75, 0.0, 0.0)).reached)
     assert distance_from(found, -0.75, 0.0, 0.0) == 14 and distance_from(found, 0.25, 0.0, 0.0) == 4
 
@@ -110,7 +110,7 @@ def test_off_the_lattice_distances_are_those_of_a_search_to_less_than_a_step() -
 
 
 def followed(found: Plan, limit: int) -> Tensor:
-    """Steps in which robots from every start are at the goal by taking the best action each time: [N] float32."""
+    """Steps in which robots from every start reach the goal by always taking the best action: [N] float32."""
     state = found.states[found.start_rows]
     steps = torch.full((len(state),), torch.inf)
     for count in range(limit + 1):
@@ -127,7 +127,7 @@ def followed(found: Plan, limit: int) -> Tensor:
 
 @pytest.mark.parametrize(
     ("turn_deg", "arrive", "late"),
-    [(90.0, 1.0, 0), (60.0, 1.0, 3), (45.0, 1.0, 2), (30.0, 0.99, 3)],  # a few go to and fro beside the block
+    [(90.0, 1.0, 0), (60.0, 1.0, 3), (45.0, 1.0, 2), (30.0, 0.99, 3)],  # a few go back and forth beside the block
 )
 def test_following_the_best_action_leads_to_the_goal(turn_deg: float, arrive: float, late: int) -> None:
     motion = ForwardMotion(HEIGHT, 0.25, turn_deg, **BOUNDS)
@@ -205,7 +205,7 @@ def test_a_goal_that_no_start_can_walk_to_is_refused() -> None:
             return torch.zeros(len(start))
 
     motion = ForwardMotion(HEIGHT, 0.25, 90.0, **BOUNDS)
-    with pytest.raises(ValueError, match=r"task\.goal: expected a way to it from some free pose, got none from 468"):
+    with pytest.raises(ValueError, match=r"task\.goal: expected a path to it from some free pose, got none from 468"):
         plan(motion, Frozen(), Fps(motion, (0.5, 1.0, 0.0)).reached)
 
 

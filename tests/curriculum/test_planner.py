@@ -1,4 +1,4 @@
-"""Shortest paths, against a search that knows nothing of tensors."""
+"""Shortest paths, against a search without tensors."""
 
 from collections import deque
 
@@ -18,7 +18,7 @@ State = tuple[int, ...]
 
 
 class FenceChecker(BlockChecker):
-    """Lets nobody cross the line x = 0.25, though every pose is free."""
+    """Blocks every crossing of the line x = 0.25, though every pose is free."""
 
     def collides(self, body_to_world: Tensor) -> Tensor:
         return torch.zeros(len(body_to_world), dtype=torch.bool)
@@ -29,7 +29,7 @@ class FenceChecker(BlockChecker):
 
 
 def brute_force(motion: LatticeMotion, checker: BlockChecker, task: Grid) -> dict[State, int]:
-    """Steps to the goal by a queue, one state at a time, forwards."""
+    """Steps to the goal, by a forward search with a queue, one state at a time."""
 
     def neighbours(state: State) -> list[State]:
         found = []
@@ -139,7 +139,7 @@ def test_a_goal_without_a_way_to_it_is_refused() -> None:
             return torch.zeros(len(start))
 
     task = tiny_task()
-    with pytest.raises(ValueError, match=r"task\.goal: expected a way to it from some free pose, got none from 280"):
+    with pytest.raises(ValueError, match=r"task\.goal: expected a path to it from some free pose, got none from 280"):
         plan(task.motion, Frozen(), task.reached)
 
 
@@ -176,14 +176,14 @@ def test_cost_to_go_are_the_distances() -> None:
 def test_the_start_set_can_be_cut_at_a_longest_path(farthest: int) -> None:
     task = tiny_task()
     cut, whole = plan(task.motion, BlockChecker(), task.reached, farthest), tiny_plan()
-    assert torch.equal(cut.distance, whole.distance)  # which says how far it is from everywhere still
+    assert torch.equal(cut.distance, whole.distance)  # the field still covers every state
     assert torch.equal(cut.start_rows, ((whole.distance > 0) & (whole.distance <= farthest)).nonzero().squeeze(1))
     assert (len(cut.start_rows) < len(whole.start_rows)) is (farthest < 9)
 
 
 def test_a_set_without_starts_is_refused() -> None:
     task = tiny_task()
-    with pytest.raises(ValueError, match=r"task\.goal: expected a way to it from some free pose, got none from 272"):
+    with pytest.raises(ValueError, match=r"task\.goal: expected a path to it from some free pose, got none from 272"):
         plan(task.motion, BlockChecker(), task.reached, farthest=0)
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from splatrl.curriculum import Schedule
 
-Ends = list[tuple[int, bool, bool]]  # level at which the episode began, ended, succeeded
+Ends = list[tuple[int, bool, bool]]  # level at which the episode began, whether it ended, whether it succeeded
 
 
 def advance(schedule: Schedule, progress: torch.Tensor, ends: Ends) -> torch.Tensor:

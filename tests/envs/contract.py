@@ -1,4 +1,4 @@
-"""What every env promises: derive from ``EnvContract``, say how to make the env, and its tests run."""
+"""The contract of every env: derive from ``EnvContract`` and say how to make the env, and its tests run."""
 
 from abc import ABC, abstractmethod
 from functools import partial
@@ -15,7 +15,7 @@ from tests.tiny import CountingRenderer
 
 
 def base_env(env: EnvBase) -> SplatEnv:
-    """The SplatEnv under any transforms."""
+    """The ``SplatEnv`` under any transforms."""
     while isinstance(env, TransformedEnv):
         env = env.base_env
     assert isinstance(env, SplatEnv)
@@ -23,20 +23,20 @@ def base_env(env: EnvBase) -> SplatEnv:
 
 
 def stateful(env: EnvBase) -> list[EnvBase]:
-    """What is saved of an env: a ``TransformedEnv.state_dict`` holds the transforms alone."""
+    """The whole saved state of an env: ``TransformedEnv.state_dict`` holds only the transforms."""
     base = base_env(env)
     return [base] if base is env else [base, env]
 
 
 def seeded_rollout(env: EnvBase, steps: int, seed: int) -> TensorDictBase:
-    """A rollout of random actions from a reset that depends on nothing but ``seed``."""
+    """A rollout of random actions, from a reset that depends only on ``seed``."""
     env.set_seed(seed)
     torch.manual_seed(seed)
     return env.rollout(steps, break_when_any_done=False)
 
 
 def assert_same(left: TensorDictBase, right: TensorDictBase) -> None:
-    """Both hold the same keys and bytes."""
+    """Assert that both hold the same keys and bytes."""
     assert set(left.keys(True, True)) == set(right.keys(True, True))
     for key in left.keys(True, True):
         assert torch.equal(left[key], right[key]), key
@@ -72,7 +72,7 @@ class EnvContract(ABC):
         td = env.rollout(5, break_when_any_done=True)[:, -1]["next"].clone()
         mask = (torch.rand(6, 1, generator=torch.Generator().manual_seed(seed)) < 0.5).to(env.device)
         mask[0], mask[1] = True, False
-        td["done"][1] = td["terminated"][1] = True  # an end that nobody asks to reset stays an end
+        td["done"][1] = td["terminated"][1] = True  # rows that end and are not reset stay done
         before = td.clone()
         after = env.reset(td.exclude("reward").set("_reset", mask), set_state=False)
         for key in env.observation_spec.keys(True, True):
@@ -100,7 +100,7 @@ class EnvContract(ABC):
                 assert torch.equal(batch[key][:, 1:][goes_on], batch["next", key][:, :-1][goes_on]), key
         begins = batch["step_count"][:, 1:][~goes_on]
         assert (begins == 0).all()
-        assert torch.equal(batch["next", "level"], batch["level"])  # an episode keeps the level that it began at
+        assert torch.equal(batch["next", "level"], batch["level"])  # an episode keeps the level at which it began
 
     def test_a_rollout_goes_on_where_another_stopped(self) -> None:
         env = self.make((3,))

@@ -1,9 +1,9 @@
-"""What a step on a GPU must not do, found without one.
+"""Finds what a step on a GPU must not do, without a GPU.
 
 ``NoHostReads`` watches every operation on a CPU and refuses those for which the host would wait for a GPU, or whose
 output would have a size that only the device knows. ``NoTransfers`` watches an env on the ``meta`` device, which holds
-no data: whatever the host reads there fails by itself, and so does a tensor that was left behind on the CPU; what is
-moved in a step is refused.
+no data: any read by the host fails there by itself, and so does any tensor that was left behind on the CPU; transfers
+within a step are refused.
 """
 
 from typing import Any
@@ -32,12 +32,12 @@ READS = {
     aten.bincount,
     aten.histc,
     aten.repeat_interleave,
-    aten.multinomial,  # asks whether its probabilities are valid
-    aten.normal,  # and this whether its deviations are
+    aten.multinomial,  # checks that its probabilities are valid
+    aten.normal,  # checks its standard deviations
 }
 """Operations for which the host waits."""
 INDEXED = {aten.index, aten.index_put, aten.index_put_, aten._index_put_impl_}
-"""These wait where a mask is among the indices: they look up its rows."""
+"""Operations that synchronise if one of the indices is a mask, because they look up its rows."""
 
 
 class HostReadError(AssertionError):
@@ -58,7 +58,7 @@ class NoHostReads(TorchDispatchMode):
 
 
 class NoTransfers(TorchDispatchMode):
-    """Refuses copies from one device to another, and tensors of the CPU among those of a device."""
+    """Refuses copies between devices, and operations that mix CPU tensors with a device's."""
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         given = [value for value in (*args, *(kwargs or {}).values()) if isinstance(value, Tensor)]
@@ -72,20 +72,20 @@ class NoTransfers(TorchDispatchMode):
 
 
 class AnywhereGenerator(torch.Generator):
-    """A generator of the CPU that says it belongs to any device: ``meta`` has none, and draws nothing."""
+    """A CPU generator that claims to belong to any device: ``meta`` has none, and draws nothing."""
 
     def __new__(cls, device: Any = "cpu") -> "AnywhereGenerator":
         return super().__new__(cls, "cpu")
 
 
 def pretend_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let envs be made on ``meta``: with generators, and with specs that need not look at their limits."""
+    """Allow envs on ``meta``, with generators and with specs that do not read their limits."""
     monkeypatch.setattr(torch, "Generator", AnywhereGenerator)
     monkeypatch.setattr(torch, "allclose", lambda *tensors, **options: True)
 
 
 class Painter:
-    """Paints each view by where its camera is and looks, and keeps no state: a renderer that never asks the host."""
+    """Colours each view by its camera's position and direction, without state: a renderer that never synchronises."""
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         pose = cameras.camera_to_world
@@ -104,7 +104,7 @@ class Painter:
 
 
 class SquareChecker:
-    """Finds touches of a square around the origin by hand, at the ends of moves alone."""
+    """Checks collision with a square around the origin by hand, only at the ends of moves."""
 
     def __init__(self, body: Body = BODY, reach: float = 0.35):
         self.body, self.reach = body, reach

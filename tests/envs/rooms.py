@@ -1,4 +1,4 @@
-"""Robots off the lattice in the tiny room: coarse motions, for which paths are found at once, and a painted apple."""
+"""Robots off the lattice in the tiny room, with coarse motions, which are quick to plan, and a painted apple."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -19,11 +19,11 @@ from tests.tiny import HEIGHT, BlockChecker, tiny_renderer, tiny_robot
 
 BOUNDS: dict[str, Any] = {"lower": (-1.0, -1.5), "upper": (1.0, 1.5)}
 PLACE = (0.75, 1.0, HEIGHT)
-"""Of the apple."""
+"""Position of the apple."""
 
 
 class RedEast:
-    """Paints a view all red where the camera looks east, and else grey, brighter than any apple."""
+    """Paints a view all red if the camera looks east, and otherwise a grey that is brighter than any apple."""
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         return draw_only(self._painted, cameras, parts, only)
@@ -43,7 +43,7 @@ def coarse_forward() -> ForwardMotion:
 
 
 def coarse_apple(motion: ForwardMotion | None = None, **settings: Any) -> Apple:
-    """Found from one step away."""
+    """The apple task with coarse steps; the apple counts as found from one step away."""
     return Apple(motion or coarse_forward(), PLACE, **settings)
 
 
@@ -55,13 +55,13 @@ def apple_plan() -> Plan:
 
 
 def painted_env(task: Apple, batch: int, seed: int = 0, **curriculum: Any) -> SplatEnv:
-    """Robots among paint: what they see is known from their heading."""
+    """Robots with painted views, so that their heading determines what they see."""
     levels = Curriculum(apple_plan(), **{"first": None, **curriculum})
     return SplatEnv(SceneDrawing(RedEast()), BlockChecker(), tiny_robot(), task, levels, [batch], seed)
 
 
 def coarse_drive() -> Drive:
-    """At most 0.25 m and a quarter turn in each time step of half a second."""
+    """A drive of at most 0.25 m and a quarter turn in each time step of half a second."""
     motion = DriveMotion(HEIGHT, 0.5, angular_deg=180.0, spacing=0.25, headings=4, **BOUNDS)
     return Drive(motion, (0.5, 1.0, 0.0), max_steps=20)
 

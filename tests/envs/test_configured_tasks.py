@@ -19,7 +19,7 @@ WALK = ("task.motion.step=0.25", "task.motion.angle_step_deg=45.0", "task.motion
 
 
 class ConfiguredContract(EnvContract):
-    """Builds its world once."""
+    """An env contract that builds its world once."""
 
     steps = 22  # the limit of an episode is 20
     world: World
@@ -27,7 +27,7 @@ class ConfiguredContract(EnvContract):
     @classmethod
     @abstractmethod
     def overrides(cls) -> tuple[str, ...]:
-        """The task and what is changed of it."""
+        """The overrides that choose the task and change its settings."""
 
     @pytest.fixture(autouse=True, scope="class")
     @classmethod

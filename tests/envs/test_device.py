@@ -1,4 +1,4 @@
-"""A step, and a reset of those whose episode ended, without the host waiting for the device."""
+"""A step, and a reset of robots whose episode ended, never make the host wait for the device."""
 
 from collections.abc import Iterator
 from copy import copy
@@ -48,14 +48,14 @@ WORLDS = {
 
 @cache
 def world(name: str) -> World:
-    """The tiny room, with another task each."""
+    """The tiny room with the task of this name."""
     task, *more = WORLDS[name]
     with TemporaryDirectory() as folder:
         return build_world(load_config([*tiny_overrides(Path(folder), task), *more, "task.max_steps=6"]))
 
 
 def made(name: str, batch: int = 5, device: str = "cpu") -> EnvBase:
-    """An env of a world, whose renderer and checker ask the host nothing."""
+    """An env of a world, with a renderer and a checker that never synchronise with the host."""
     env = world(name).env(batch, Curriculum(world(name).plan, 2, threshold=0.01, window=10**6), 1, device)
     base = base_env(env)
     base.drawing = copy(base.drawing)  # the world keeps its own
@@ -65,13 +65,13 @@ def made(name: str, batch: int = 5, device: str = "cpu") -> EnvBase:
 
 @pytest.fixture
 def whole_overlay(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let sprites be drawn and appearances change on a CPU as they do anywhere else: everywhere, without a look-up."""
+    """Make sprites and appearances on a CPU work as on a GPU: on all pixels and rows, without selecting any."""
     monkeypatch.setattr(billboard, "_points", lambda inside: torch.arange(len(inside), device=inside.device))
     monkeypatch.setattr(appearance, "_wanted", lambda mask: None)
 
 
 def steps(env: EnvBase, count: int, seed: int = 0) -> Iterator[TensorDictBase]:
-    """Random steps with automatic resets: what each of them was given and gave."""
+    """Random steps with automatic resets: the input and output of each."""
     torch.manual_seed(seed)
     now = env.reset()
     for _ in range(count):
@@ -92,7 +92,7 @@ def test_nothing_is_read_in_a_step_or_in_an_automatic_reset(name: str) -> None:
             stepped = env.step(now.set("action", action))
             ended = ended + stepped["next", "done"].sum()
             now = restart(env, stepped["next"])
-    assert ended > 0  # else nothing began anew
+    assert ended > 0  # else no episode was reset
     assert base_env(env).curriculum.progress[1] == ended
 
 
@@ -100,9 +100,9 @@ def test_nothing_is_read_in_a_step_or_in_an_automatic_reset(name: str) -> None:
 def test_nothing_is_left_on_the_cpu_or_fetched_from_there(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pretend_device(monkeypatch)
     env = made(name, device="meta")
-    now = env._reset(set_state=False)  # TorchRL's reset asks the host whether anything is done
+    now = env._reset(set_state=False)  # TorchRL's reset synchronises to check whether anything is done
     action = env.action_spec.zero()
-    for watch in (False, True):  # what is copied once is copied in the first step
+    for watch in (False, True):  # one-off copies happen in the first step
         with NoTransfers() if watch else torch.no_grad():
             stepped = env.step(now.clone().set("action", action))
             again = restart(env, stepped["next"])
@@ -166,7 +166,7 @@ def test_an_env_that_moves_back_draws_from_its_seed_again(monkeypatch: pytest.Mo
 
 
 class Refusing(Painter):
-    """Notes one row on its flag, as a kernel does."""
+    """Marks one row as faulty, as a kernel does."""
 
     def __init__(self) -> None:
         self.fault = FaultFlag("cpu")
@@ -184,7 +184,7 @@ def test_what_a_device_noted_is_raised_when_asked_for_and_only_once() -> None:
     with pytest.raises(ValueError, match=r"camera_to_world\[2\]: expected finite values"):
         env.raise_faults()
     env.raise_faults()
-    tiny_env((3,)).raise_faults()  # others note nothing
+    tiny_env((3,)).raise_faults()  # others record no faults
 
 
 @pytest.mark.parametrize(

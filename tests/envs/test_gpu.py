@@ -1,4 +1,4 @@
-"""Every promise of an env, on a GPU, in a world that is built for it."""
+"""The contract of an env on a GPU, in a world that is built for it."""
 
 from collections.abc import Iterator
 

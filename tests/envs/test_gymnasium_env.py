@@ -1,4 +1,4 @@
-"""Gymnasium's view: its own checker, its wrappers, and a client that learns."""
+"""Gymnasium's interface: its own checker, its wrappers, and a client that learns."""
 
 import math
 import warnings
@@ -27,17 +27,17 @@ FORWARD_X, BACK_X, LEFT_Y, RIGHT_Y, SPIN, SPIN_BACK = range(6)
 
 
 def make_tiny(render_mode: str | None = None, **settings: Any) -> GymnasiumEnv:
-    """The tiny env as ``gymnasium.make`` calls it."""
+    """Make the tiny env, as an entry point for ``gymnasium.make``."""
     return GymnasiumEnv(tiny_env([1], **settings), render_mode=render_mode)
 
 
 def make_driving(render_mode: str | None = None) -> GymnasiumEnv:
-    """Continuous control."""
+    """An env with continuous control."""
     return GymnasiumEnv(drive_env(), render_mode=render_mode)
 
 
 def make_painted(render_mode: str | None = None) -> GymnasiumEnv:
-    """Under a transform that changes reward and outcome."""
+    """An env under a transform that changes reward and outcome."""
     return GymnasiumEnv(painted_env(coarse_apple(), 1), render_mode=render_mode)
 
 
@@ -101,7 +101,7 @@ def test_later_steps_do_not_change_an_observation_that_was_handed_out() -> None:
 
 
 def unbounded_env() -> EnvBase:
-    """An action without limits."""
+    """An env whose action has no limits."""
     env = tiny_env([1])
     env.action_spec = Unbounded((1, 2))
     return env

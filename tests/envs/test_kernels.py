@@ -1,4 +1,4 @@
-"""An env over the kernels of a GPU: emulated on the CPU, and where there is a GPU on that."""
+"""An env that uses the GPU's kernels: emulated on the CPU, and on a GPU if there is one."""
 
 from collections.abc import Callable
 from functools import cache
@@ -28,12 +28,12 @@ Make = Callable[[str], SplatEnv]
 
 @cache
 def occupancy() -> Occupancy:
-    """What is solid of the room."""
+    """What is solid in the room."""
     return Occupancy.from_gaussians(tiny_gaussians(), resolution=0.1)
 
 
 def task_of(name: str) -> Task:
-    """The two ways to walk: on a lattice, and off it."""
+    """The two ways to move: on a lattice and off it."""
     if name == "grid":
         return Grid(tiny_motion(), goal=(0.5, 1.0, 0.0), max_steps=7)
     motion = ForwardMotion(HEIGHT, 0.25, 30.0, (-1.0, -1.5), (1.0, 1.5))
@@ -41,7 +41,7 @@ def task_of(name: str) -> Task:
 
 
 def env_of(name: str, device: torch.device | str, renderer: object, checker: object) -> SplatEnv:
-    """Robots in the room, as both machines have them."""
+    """Robots in the room, the same on both devices."""
     task, box = task_of(name), Box(BODY.size)
     found = plan(task.motion, NativeChecker(occupancy(), box), task.reached)
     robot = Robot(box, HEIGHT, image_width=16, image_height=12)
@@ -50,13 +50,13 @@ def env_of(name: str, device: torch.device | str, renderer: object, checker: obj
 
 
 def on_cpu(name: str) -> SplatEnv:
-    """With renderer and checker of the CPU."""
+    """An env with the CPU's renderer and checker."""
     return env_of(name, "cpu", NativeRenderer(tiny_gaussians()), NativeChecker(occupancy(), Box(BODY.size)))
 
 
 @pytest.fixture(params=["emulated", pytest.param("gpu", marks=pytest.mark.gpu)])
 def make(request: pytest.FixtureRequest) -> Make:
-    """Makes envs whose renderer and checker are the GPU's."""
+    """Makes envs with the GPU's renderer and checker."""
     body = Box(BODY.size)
     if request.param == "gpu":
         device = request.getfixturevalue("cuda_device")
@@ -68,7 +68,7 @@ def make(request: pytest.FixtureRequest) -> Make:
 
 
 def walked(env: SplatEnv, steps: int) -> list[TensorDictBase]:
-    """Steps with automatic resets from given starts, by actions that depend on nothing else."""
+    """Steps with automatic resets from given starts, with actions that do not depend on the device."""
     g = torch.Generator().manual_seed(3)
     states = env.task.motion.states()
     first = states[torch.randint(len(states), (ROBOTS,), generator=g).to(states.device)]

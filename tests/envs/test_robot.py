@@ -14,7 +14,7 @@ ROOT = math.sqrt(0.5)
 
 
 def body_at(yaw: float) -> Tensor:
-    """A body_to_world [1, 4, 4] away from the origin."""
+    """A ``body_to_world`` [1, 4, 4] away from the origin."""
     return rigid(axis_rotations(2, torch.tensor([yaw])), torch.tensor([[1.0, 2.0, 0.7]]))
 
 

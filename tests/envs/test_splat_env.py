@@ -1,4 +1,4 @@
-"""The env: the contract, and what is its own."""
+"""The env: its contract, and what is specific to it."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -41,7 +41,7 @@ class TestContract(EnvContract):
 
 
 class TestContractOfAConfiguredWorld(EnvContract):
-    """The same room through its config: files, the native renderer, its memory and FCL."""
+    """The same room built from a config: files, the native renderer, its cache and FCL."""
 
     world: World
 
@@ -132,7 +132,7 @@ def test_the_curriculum_hears_of_each_end_once_and_of_no_episode_placed_by_hand(
 
 
 class CameraRecorder(RememberingRenderer):
-    """Keeps the cameras that it was last asked for."""
+    """Remembers the cameras that it was last asked to render."""
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         self.cameras = cameras

@@ -1,4 +1,4 @@
-"""The map of a video shows the robot, its trail and the goal at their places."""
+"""The map in a video shows the robot, its trail and the goal in their places."""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from splatrl.evaluation.topdown import MapView, TopDown
 GROUND = TopDown(torch.full((60, 100, 3), 255, dtype=torch.uint8), (-1.0, 4.0, 2.0, 5.0))  # 5 m × 3 m
 PLACE = Mark("goal pose", torch.tensor([3.0, 4.0, 1.2], dtype=torch.float64))
 BODY = Box((0.3, 0.2, 0.1))
-SCALE = 80.0  # pixels a metre in a map 400 pixels wide
+SCALE = 80.0  # pixels per metre in a map 400 pixels wide
 
 
 def recording(outcome: Outcome = Outcome.COLLISION, marks: Sequence[list[Mark]] = ()) -> Recording:
@@ -39,7 +39,7 @@ def chart(solid: torch.Tensor | None = None, *marks: Mark) -> Chart:
 
 
 def found(image: Image.Image, color: str) -> np.ndarray:
-    """World x and y of the pixels of this colour: [N, 2]."""
+    """World x and y of the pixels with this colour: [N, 2]."""
     wanted = np.array([int(color[i : i + 2], 16) for i in (1, 3, 5)])
     rows, columns = (np.abs(np.asarray(image).astype(int) - wanted).max(-1) < 20).nonzero()
     return np.stack([-1.0 + (columns + 0.5) / SCALE, 5.0 - (rows + 0.5) / SCALE], -1)
@@ -55,7 +55,7 @@ def test_the_robot_is_drawn_at_its_pose() -> None:
     assert image.size == (400, 240)
     here = found(image, MISSED)
     assert np.abs(here.min(0) + here.max(0) - (4.0, 7.0)).max() < 0.1
-    assert np.ptp(here, 0) == pytest.approx([0.2, 0.3], abs=0.1)  # turned by a quarter
+    assert np.ptp(here, 0) == pytest.approx([0.2, 0.3], abs=0.1)  # turned by 90°
     assert (np.abs(here - (2.0, 3.5)).max(1) < 0.3).all()
 
 

@@ -163,7 +163,7 @@ def test_folders_without_clips_say_what_is_missing(tmp_path: Path) -> None:
 
 
 def png(width: int, height: int) -> bytes:
-    """A PNG whose header alone is right."""
+    """A PNG with a valid header and nothing else."""
 
     def chunk(kind: bytes, body: bytes) -> bytes:
         return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))

@@ -23,7 +23,7 @@ PROBABILITIES = torch.tensor([0.1, 0.2, 0.3, 0.4])
 
 
 class Recorder(nn.Module):
-    """Gives every image the same logits, and keeps it."""
+    """Returns the same logits for every image, and remembers the images."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -40,7 +40,7 @@ def recorder() -> tuple[Recorder, TensorDictModule]:
 
 
 def clips(folder: Path, labels: Sequence[Sequence[Sequence[int]]]) -> list[Clip]:
-    """Clips of random frames: for each clip, for each frame, the actions that are right."""
+    """Clips of random frames, given the right actions for each frame of each clip."""
     generator = torch.Generator().manual_seed(3)
     for number, frames in enumerate(labels):
         allowed = torch.tensor([[action in frame for action in range(4)] for frame in frames])
@@ -83,7 +83,7 @@ def test_stacked_frames_are_those_before_with_the_newest_last_and_the_first_repe
 
 @pytest.fixture
 def remembering() -> tuple[TensorDictModuleBase, TensorDictBase]:
-    """A recurrent policy, and what it reads where an episode begins."""
+    """A recurrent policy, and what it reads at the start of an episode."""
     torch.manual_seed(1)
     policy = actor_critic((HEIGHT, WIDTH, 3), Categorical(4), pool=1, features=16, memory=8).get_policy_operator()
     env = TransformedEnv(tiny_env([1]), Compose(*memory_transforms(8)))
@@ -113,7 +113,7 @@ def test_a_recurrent_state_is_carried_through_a_clip_and_begins_anew_with_the_ne
                 td = step_mdp(td.set(("next", "is_init"), td["is_init"]), exclude_action=True)
     assert torch.allclose(torch.cat(found), torch.cat(logits), atol=1e-6)
     alone = policy(start.clone().set("pixels", torch.from_numpy(np.array(list(some[0].images())[1])).unsqueeze(0)))
-    assert not torch.allclose(found[1], alone["logits"], atol=1e-4)  # without what was seen before
+    assert not torch.allclose(found[1], alone["logits"], atol=1e-4)  # without the earlier frames
 
 
 def test_a_policy_that_reads_more_than_it_is_given_is_refused(

@@ -1,4 +1,4 @@
-"""The figures show what the numbers say, on the right scales."""
+"""The figures show the right numbers on the right scales."""
 
 import math
 import warnings
@@ -26,21 +26,21 @@ VIEW = MapView(GROUND, marks=[Mark("goal pose", PLACE)])
 
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """Collects figures, which are then not written."""
+    """Collects figures instead of writing them."""
     collected: list[Figure] = []
     monkeypatch.setattr(figures, "save_figure", lambda figure, path: collected.append(figure))
     return collected
 
 
 def lattice(headings: int = 8) -> Tensor:
-    """4 × 3 positions, 0.25 m apart, times headings: [N, 3]."""
+    """Poses at 4 × 3 positions, 0.25 m apart, times headings: [N, 3]."""
     yaws = torch.arange(headings, dtype=torch.float64) * math.tau / headings
     steps = torch.arange(4, dtype=torch.float64) * 0.25
     return torch.cartesian_prod(steps - 0.5, steps[:3], yaws)
 
 
 def polygons(figure: Figure, color: str) -> np.ndarray:
-    """Outlines of this colour on the map: [N, K, 2]."""
+    """Outlines with this colour on the map: [N, K, 2]."""
     sets = [c for c in figure.axes[0].collections if isinstance(c, PolyCollection) and len(c.get_facecolor())]
     chosen = [c for c in sets if to_hex(c.get_facecolor()[0]) == color]
     return np.concatenate([[path.vertices[:-1] for path in c.get_paths()] for c in chosen] or [np.zeros((0, 7, 2))])
@@ -75,7 +75,7 @@ def test_a_learning_curve_shows_every_known_value_and_counts_levels_from_one(dra
 def test_the_smooth_curve_weighs_iterations_by_their_episodes(drawn: list[Figure]) -> None:
     history = [{"frames": float(i), "success": float(i % 2), "episodes": 1.0 + 2 * (i % 2)} for i in range(24)]
     learning_curve(history, Path("unused.png"))
-    smooth = drawn[0].axes[0].lines[1].get_ydata()  # the mean of two neighbours, of weights 1 and 3
+    smooth = drawn[0].axes[0].lines[1].get_ydata()  # the mean of two neighbours, with weights 1 and 3
     assert smooth == pytest.approx([0.0] + [0.75] * 23)
 
 
@@ -188,7 +188,7 @@ def test_a_map_is_in_metres_with_x_to_the_right_and_y_up(drawn: list[Figure]) ->
 
 def test_what_is_solid_is_outlined_where_it_stands(drawn: list[Figure]) -> None:
     solid = torch.zeros(80, 120, dtype=torch.bool)
-    solid[20:40, 70:90] = True  # 0.025 m a pixel: x from 0.25 to 0.75, y from 0.5 to 1
+    solid[20:40, 70:90] = True  # 0.025 m per pixel: x from 0.25 to 0.75, y from 0.5 to 1
     success_map(lattice(), torch.ones(96, dtype=torch.bool), replace(VIEW, solid=solid), Path("unused.png"))
     hatched = next(c for c in drawn[0].axes[0].collections if getattr(c, "hatches", [None])[0])
     outline = hatched.get_paths()[0].vertices

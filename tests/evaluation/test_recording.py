@@ -1,4 +1,4 @@
-"""Recordings hold what happened, from the first pose to the last."""
+"""Recordings hold everything that happened, from the first pose to the last."""
 
 import pytest
 import torch
@@ -18,7 +18,7 @@ def scripted(*actions: list[int]) -> "Script":
 
 
 class Script:
-    """Plays columns of actions, [T, B]; after the last it repeats it."""
+    """Plays rows of actions, [T, B], and then repeats the last one."""
 
     def __init__(self, actions: Tensor):
         self.actions, self.step = actions, 0
@@ -86,7 +86,7 @@ def test_what_the_task_remembers_is_kept_and_marked_step_by_step() -> None:
 
 
 class Runaway(Apple):
-    """The apple goes north by 0.1 m in each step, and a part stands at the sum of its place and the robot's."""
+    """The apple moves north by 0.1 m in each step, and a part stands at the sum of its position and the robot's."""
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         ahead = step.memory["target"] + torch.tensor([0.0, 0.1, 0.0])

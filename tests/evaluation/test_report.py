@@ -1,4 +1,4 @@
-"""What episodes add up to."""
+"""The summary of episodes."""
 
 import json
 from pathlib import Path

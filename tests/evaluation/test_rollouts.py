@@ -10,7 +10,7 @@ from tests.tiny import tiny_env, tiny_plan
 
 
 class Planner:
-    """Walks the shortest path, or with some probability anywhere."""
+    """Walks the shortest path, or with some probability in any direction."""
 
     def __init__(self, slip: float = 0.0):
         self.plan, self.slip = tiny_plan(), slip

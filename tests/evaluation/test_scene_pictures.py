@@ -12,7 +12,7 @@ from tests.scenes.test_survey import BOXES, FLOOR, surfaces
 
 
 def scene(scale: float = 1.0, boxes: bool = True) -> Scene:
-    """A floor of some metres, with boxes on it or bare, in a file whose unit is 1 / scale metres."""
+    """A floor of a given size in metres, bare or with boxes on it, in a file whose unit is 1 / scale metres."""
     gaussians = surfaces([FLOOR, *BOXES] if boxes else [FLOOR])
     gaussians = gaussians.transformed(torch.diag(torch.tensor([scale, scale, scale, 1.0])))
     return Scene("yard", gaussians, robust_bounds(gaussians))

@@ -1,4 +1,4 @@
-"""The top-down picture shows the floor of the window, to the pixel."""
+"""The top-down picture shows the floor of the window, accurate to the pixel."""
 
 import pytest
 import torch
@@ -29,7 +29,7 @@ RED, GREEN, BLUE = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 
 def test_a_gaussian_appears_at_the_pixel_of_its_x_and_y() -> None:
-    # 0.02 m a pixel: x = 1.41 is the centre of column 120, y = 3.37 of row 31
+    # 0.02 m per pixel: x = 1.41 is the centre of column 120, y = 3.37 of row 31
     image, extent = top_down(blobs([((1.41, 3.37, 0.2), 0.008, RED)]), LOWER, UPPER, below=1.0, size=150)
     assert image.shape == (100, 150, 3) and image.dtype == torch.uint8
     assert extent == pytest.approx((-1.0, 2.0, 2.0, 4.0))
@@ -91,7 +91,7 @@ def test_a_window_without_area_or_content_is_refused() -> None:
 
 
 EXTENT = (-1.0, 2.0, 2.0, 4.0)
-GROUND = TopDown(torch.zeros(20, 30, 3, dtype=torch.uint8), EXTENT)  # 0.1 m a pixel
+GROUND = TopDown(torch.zeros(20, 30, 3, dtype=torch.uint8), EXTENT)  # 0.1 m per pixel
 
 
 def test_a_footprint_covers_the_pixels_of_its_voxels_and_no_other() -> None:

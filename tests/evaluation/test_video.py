@@ -26,7 +26,7 @@ STRIP = slice(400, None)  # rows of the text
 
 
 def recording(shade: int, outcome: Outcome, steps: int = 3) -> Recording:
-    """A walk along +y whose pixels are a grey, brighter at each step, with a black left half."""
+    """A walk along +y whose pixels have a black left half and a grey right half that brightens with each step."""
     motion = tiny_motion()
     state = torch.tensor([[2, row, 2] for row in range(steps + 1)])
     pixels = (shade + 20 * torch.arange(steps + 1)).view(-1, 1, 1, 1).expand(-1, 12, 16, 3).clone().to(torch.uint8)
@@ -98,7 +98,7 @@ def test_the_large_view_shows_what_the_task_remembered_and_placed_at_each_step(t
 
 
 class Kept(SceneDrawing):
-    """Draws black, and keeps what it was asked to draw."""
+    """Draws black, and remembers what it was asked to draw."""
 
     def __init__(self) -> None:
         super().__init__(ReferenceRenderer(tiny_gaussians()))

@@ -46,7 +46,7 @@ def generator(seed: int = 0) -> torch.Generator:
 
 @cache
 def planar_plan() -> Plan:
-    """Walks by steps of 0.25 m to a place in the north-east, facing it."""
+    """The plan of walks in steps of 0.25 m to a place in the north-east, facing it."""
     motion = ForwardMotion(HEIGHT, 0.25, 30.0, (-1.0, -1.5), (1.0, 1.5))
 
     def reached(state: Tensor) -> Tensor:
@@ -215,7 +215,7 @@ def test_a_walk_over_a_lattice_is_labelled_at_the_nearest_states() -> None:
 
 
 class Painter:
-    """Paints each view with the height of its camera; its depth is 1 m."""
+    """Paints each view with the height of its camera, at a depth of 1 m."""
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         shape = (len(cameras), cameras.height, cameras.width)
@@ -237,7 +237,7 @@ class Stand(TaskModule):
 
 
 def world(found: Plan, drawing: Drawing) -> World:
-    """Where walks are recorded: nothing of it but plan, robot, task and drawing is asked for."""
+    """A world in which walks are recorded, with only the plan, robot, task and drawing that they need."""
     gaussians = tiny_gaussians()
     return World(
         scene=Scene("room", gaussians, ((-1.0, -1.5, 0.0), (1.0, 1.5, 1.0))),
@@ -279,7 +279,7 @@ def test_the_same_seed_records_the_same_bytes_and_another_others(tmp_path: Path)
 
 
 class Photographs(SceneDrawing):
-    """Draws all in one grey, and keeps what it was asked to draw."""
+    """Draws everything in one grey, and remembers what it was asked to draw."""
 
     def __init__(self) -> None:
         super().__init__(Painter())

@@ -1,4 +1,4 @@
-"""Made-up experiments and run folders: what a training would have left, without one."""
+"""Made-up experiments and run folders: what trainings would have left, without training."""
 
 import csv
 import json
@@ -26,7 +26,7 @@ NODE: dict[str, Any] = {
 
 
 def compose(overrides: Sequence[str]) -> dict[str, Any]:
-    """What is read of a config, 430 frames in batches of 40 unless the overrides say otherwise."""
+    """The part of a config that is read: 430 frames in batches of 40, unless the overrides say otherwise."""
     given = dict(override.split("=", 1) for override in overrides)
     return {
         "collector": {"total_frames": int(given.get("collector.total_frames", 430)), "frames_per_batch": 40},
@@ -44,11 +44,11 @@ def made_up(folder: Path, node: dict[str, Any] | None = None, selection: Selecti
 
 
 def begin(run: Run, frames: int, tested: Sequence[float] = ()) -> None:
-    """Leave what a training leaves after some frames: its history and a checkpoint.
+    """Write what a training leaves after some frames: its history and a checkpoint.
 
     Args:
         run: the training.
-        frames: behind it.
+        frames: frames that it has completed.
         tested: success in tests, every 200 frames.
     """
     checkpoint = run.folder / "checkpoints" / "last.pt"
@@ -65,7 +65,7 @@ def begin(run: Run, frames: int, tested: Sequence[float] = ()) -> None:
 
 
 def finish(run: Run, success: float, seconds: float = 5.0, tested: Sequence[float] = (0.5, 0.95)) -> None:
-    """Leave what a finished training leaves."""
+    """Write what a finished training leaves."""
     begin(run, run.frames, tested)
     figures = {"success_rate": success, "success_rate_argmax": success / 2, "spl": success - 0.1, "level": 3}
     figures |= {"frames": run.frames, "wall_seconds": seconds}

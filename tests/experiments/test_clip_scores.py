@@ -1,4 +1,4 @@
-"""Clips of a scene that training never saw, and what trained policies do in them."""
+"""Clips of a scene that training never saw, and the scores of trained policies on them."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

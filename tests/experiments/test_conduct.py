@@ -15,7 +15,7 @@ PROGRAM = ["python", "-m", "a.training"]
 
 
 def keep_config(run: Run, **changes: Any) -> None:
-    """Leave the config that a training leaves, or one that differs."""
+    """Write the config that a training leaves, or one that differs."""
     OmegaConf.save(OmegaConf.create({**run.config, **changes}), run.folder / "config.yaml")
 
 
@@ -62,7 +62,7 @@ def test_all_trainings_are_one_queue_and_their_machine_is_noted_where_one_is_lef
     assert train_all([todo, done], 3, 2, PROGRAM) == [todo.runs[0]]
     assert asked == [([*todo.runs, *done.runs], 3, 2, PROGRAM)]
     assert "machine" in json.loads((todo.folder / "machine.json").read_text())
-    assert not (todo.folder / "scores.json").exists()  # they were of other trainings
+    assert not (todo.folder / "scores.json").exists()  # they belonged to other trainings
     assert [path.name for path in done.folder.glob("*.json")] == ["scores.json"]
 
 

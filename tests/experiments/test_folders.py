@@ -1,4 +1,4 @@
-"""What run folders tell."""
+"""What run folders record."""
 
 import math
 from pathlib import Path

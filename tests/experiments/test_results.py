@@ -1,4 +1,4 @@
-"""What seeds add up to."""
+"""Results over seeds."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Trainings as processes; the processes here are short programs that leave what a training would."""
+"""Trainings as processes; here they are short programs that leave what a training would."""
 
 import signal
 import subprocess

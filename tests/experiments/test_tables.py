@@ -10,7 +10,7 @@ from tests.experiments.made_up import finish, made_up
 
 
 def finished(folder: Path, *success: float) -> list[str]:
-    """The sentences for seeds with these rates: yard with, hall with, yard without, of seed 0 and then of seed 1."""
+    """The sentences for seeds with these rates: yard with, hall with, yard without, for seed 0 and then for seed 1."""
     experiment = made_up(folder)
     for run, value in zip(experiment.runs, success, strict=False):
         finish(run, value)
@@ -59,7 +59,7 @@ def test_matches_are_given_for_each_clip_and_for_all_frames_together(tmp_path: P
         ["**all**", "40", "85.0 ± 7.1 %", "20.0 % |"],
     ]
     assert scores_sentences(scores, experiment) == [
-        "- **yard, labelled clips**: actions match in with it 85.0 ± 7.1 %, without 20.0 % of 40 frames."
+        "- **yard, labelled clips**: share of 40 frames in which actions match: with it 85.0 ± 7.1 %, without 20.0 %."
     ]
 
 

@@ -1,4 +1,4 @@
-"""Run folders in the tiny room, as if trained: policies of random weights, each of which prefers one action."""
+"""Run folders in the tiny room, as if trained: policies with random weights, each of which prefers one action."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ BEST = 3
 
 
 def config(folder: Path, *more: str) -> DictConfig:
-    """Of the sim2real task in the room, in its north-east."""
+    """The config of the sim2real task in the room, with its object in the north-east."""
     path = folder / "tiny.ply"
     if not path.exists():
         write_gaussians(path, tiny_gaussians())
@@ -44,7 +44,7 @@ def config(folder: Path, *more: str) -> DictConfig:
 
 
 def save_run(folder: Path, cfg: DictConfig, action: int) -> Path:
-    """Leave a run folder whose last checkpoint prefers an action, and whose best one ``BEST``."""
+    """Write a run folder whose last checkpoint prefers a given action, and whose best one prefers ``BEST``."""
     (folder / "checkpoints").mkdir(parents=True)
     save_config(cfg, folder)
     torch.manual_seed(action)
@@ -57,7 +57,7 @@ def save_run(folder: Path, cfg: DictConfig, action: int) -> Path:
 
 
 def three_runs(folder: Path) -> Path:
-    """Leave three run folders: two see one frame and go forward or back, one sees four frames and turns left."""
+    """Write three run folders: two see one frame and go forward or back, one sees four frames and turns left."""
     for action, name in enumerate(("forward", "back")):
         save_run(folder / name, config(folder), action)
     save_run(folder / "stacked", config(folder, "memory=stack"), 2)

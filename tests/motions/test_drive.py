@@ -19,7 +19,7 @@ def drive(motion: DriveMotion, state: list[float], linear: float, angular: float
 
 
 def euler(state: list[float], linear: float, angular: float, seconds: float, parts: int = 20000) -> Tensor:
-    """The same by many small straight moves, in double precision: [3]."""
+    """The same, by many small straight moves in double precision: [3]."""
     yaw = state[2] + angular * seconds / parts * (torch.arange(parts, dtype=torch.float64) + 0.5)
     length = linear * seconds / parts
     x, y = state[0] + length * yaw.cos().sum(), state[1] + length * yaw.sin().sum()
@@ -36,7 +36,7 @@ def test_the_way_is_the_exact_arc(linear: float, angular: float, yaw: float, sec
 
 
 def test_a_quarter_circle_ends_beside_its_centre() -> None:
-    motion = DriveMotion(HEIGHT, time_step=1.0)  # at 90° a second
+    motion = DriveMotion(HEIGHT, time_step=1.0)  # at 90° per second
     radius = 0.5 / (math.pi / 2)
     left = drive(motion, [0.0, 0.0, 0.0], 0.5, math.pi / 2)
     torch.testing.assert_close(left, torch.tensor([radius, radius, math.pi / 2]), atol=1e-6, rtol=0)

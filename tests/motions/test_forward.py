@@ -17,7 +17,7 @@ SMALL: dict[str, Any] = {"step": 0.5, "angle_step_deg": 90.0, "lower": (-1.0, -1
 
 
 def walk(motion: ForwardMotion, state: list[float], *actions: int) -> Tensor:
-    """Where some actions lead, one after the other: [3]."""
+    """Where a sequence of actions leads: [3]."""
     at = torch.tensor([state])
     for action in actions:
         at = motion.advance(at, torch.tensor([action]))
@@ -25,7 +25,7 @@ def walk(motion: ForwardMotion, state: list[float], *actions: int) -> Tensor:
 
 
 def assert_pose(state: Tensor, expected: list[float]) -> None:
-    """Equal places, and equal headings up to whole turns."""
+    """Assert equal places, and headings that are equal up to whole turns."""
     torch.testing.assert_close(state[:2], torch.tensor(expected[:2]), atol=1e-5, rtol=0)
     turn = float(state[2]) - expected[2]
     assert abs(math.remainder(turn, math.tau)) < 1e-5, (state, expected)

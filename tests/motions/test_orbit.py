@@ -1,4 +1,4 @@
-"""Steps around a thing and towards it."""
+"""Steps around an object and towards it."""
 
 import math
 from typing import Any
@@ -16,7 +16,7 @@ PLUS_AZIMUTH, MINUS_AZIMUTH, PLUS_ELEVATION, MINUS_ELEVATION, PLUS_DISTANCE, MIN
 
 
 def hemisphere() -> OrbitMotion:
-    """12 azimuths, 5 distances and 4 elevations."""
+    """A motion with 12 azimuths, 5 distances and 4 elevations."""
     return OrbitMotion(ORIGIN, 30.0, 0.25, (0.5, 1.5), (0.0, 90.0))
 
 

@@ -1,4 +1,4 @@
-"""A CUDA graph without CUDA: the operations of one call, done again on the same tensors."""
+"""A CUDA graph without CUDA: the operations of one call, replayed on the same tensors."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,10 +9,10 @@ from torch.utils._pytree import tree_flatten, tree_map
 
 
 class Tape(TorchDispatchMode):
-    """Records every operation on tensors, and does them again.
+    """Records every operation on tensors, and replays them.
 
-    What a replay reads that the recording did not make is what it was then: the same tensor, or the same number. So, as
-    with a CUDA graph, whatever Python decides or binds anew is frozen.
+    Inputs that the recording did not create stay what they were: the same tensor, or the same number. So, as with a
+    CUDA graph, whatever Python decides or rebinds is frozen.
     """
 
     def __init__(self) -> None:
@@ -25,7 +25,7 @@ class Tape(TorchDispatchMode):
         return out
 
     def replay(self) -> None:
-        """Do all of it again."""
+        """Replay all operations."""
         made: dict[int, Tensor] = {}
 
         def now(value: Any) -> Any:
@@ -39,7 +39,7 @@ class Tape(TorchDispatchMode):
 
 
 class Taped:
-    """Stands in for ``CudaGraph``: the fourth call is recorded, and those after it are replays."""
+    """Stands in for ``CudaGraph``: the fourth call is recorded, and later ones are replays."""
 
     def __init__(self, function: Callable[[], None]):
         self.function, self.calls = function, 0

@@ -1,4 +1,4 @@
-"""Checkpoints survive crashes, and damage is told."""
+"""Checkpoints survive crashes, and damage is reported."""
 
 import io
 import os

@@ -1,4 +1,4 @@
-"""A rollout that stays on the device is the rollout of TorchRL, asks nothing, and can be replayed."""
+"""A rollout that stays on the device equals TorchRL's, never synchronises, and can be replayed."""
 
 import math
 
@@ -28,7 +28,7 @@ ROBOTS = 7
 
 
 def network(env: EnvBase, remembers: bool) -> ActorValueOperator:
-    """A small model that goes through its memory as on a GPU."""
+    """A small model that evaluates its memory step by step, as on a GPU."""
     torch.manual_seed(1)
     shape = env.observation_spec["pixels"].shape[1:]
     model = actor_critic(shape, env.action_spec, 1, (4, 4), FEATURES, FEATURES if remembers else 0)
@@ -53,7 +53,7 @@ def pair(name: str) -> tuple[EnvBase, ActorValueOperator]:
 
 
 def reset_in_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let TorchRL's rollout reset in every step, as a device's does, and not only where it finds that any is done."""
+    """Make TorchRL's rollout reset in every step, as ``DeviceCollector`` does, and not only if any robot is done."""
 
     def always(env: EnvBase, td: TensorDictBase) -> bool:
         td.set("_reset", td["done"].clone())
@@ -63,7 +63,7 @@ def reset_in_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def assert_same_frames(batch: TensorDictBase, expected: TensorDictBase) -> None:
-    """All that a device's batch holds is in a batch of TorchRL's rollout, and the same."""
+    """Assert that everything in a device's batch equals the same entry of TorchRL's batch."""
     keys = [key for key in (*SEEN, *CHOSEN) if key in set(batch.keys())] + [("next", key) for key in ENDS]
     assert {"pixels", "action"} <= set(keys)
     for key in keys:
@@ -79,7 +79,7 @@ def test_a_rollout_is_that_of_torchrl_row_for_row(name: str, monkeypatch: pytest
         env, model = pair(name)
         torch.manual_seed(3)
         collector = kind(env, model, 5)
-        if kind is DeviceCollector:  # it resets after each step, the other before
+        if kind is DeviceCollector:  # it resets after each step, the other one before
             collector.carried = restart(env, collector.carried)
         batches.append([collector.collect().clone() for _ in range(3)])
     for expected, batch in zip(*batches, strict=True):
@@ -103,7 +103,7 @@ def test_a_rollout_fetches_nothing_from_the_cpu(name: str, monkeypatch: pytest.M
     _, model = pair(name)
     pretend_device(monkeypatch)
     elsewhere = made(name, ROBOTS, "meta")
-    for part in model.modules():  # the limits of actions are no parameters
+    for part in model.modules():  # the limits of actions are not parameters
         if hasattr(part, "distribution_kwargs"):
             part.distribution_kwargs = {key: value.to("meta") for key, value in part.distribution_kwargs.items()}
     collector = DeviceCollector(elsewhere, model.to("meta"), 3, begin=elsewhere._reset(set_state=False))
@@ -122,7 +122,7 @@ def test_a_rollout_can_be_replayed(name: str) -> None:
         torch.manual_seed(3)
         collector = DeviceCollector(env, model, 6, capture)
         batches = []
-        for weight in (1.0, 1.1, 0.9):  # learning changes weights in place, and the curriculum goes on
+        for weight in (1.0, 1.1, 0.9):  # learning changes weights in place, and the curriculum advances
             for parameter in model.parameters():
                 parameter.data.mul_(weight)
             batches.append(collector.collect().clone())
@@ -136,7 +136,7 @@ def test_a_rollout_can_be_replayed(name: str) -> None:
 
 
 def settled(on_device: bool = True, seed: int = 0, **options: object) -> PPO:
-    """PPO on the tiny room; on a CPU, but by the ways of a GPU."""
+    """PPO on the tiny room, on a CPU but with the code path of a GPU."""
     env = tiny_env([6], seed, max_steps=4, first=1, threshold=0.01, window=5)
     torch.manual_seed(seed)
     model = actor_critic(env.observation_spec["pixels"].shape[1:], env.action_spec, 1, (8, 16), 32)
@@ -198,7 +198,7 @@ def test_a_resumed_training_is_the_same_to_the_byte(tmp_path: object) -> None:
 
 def test_a_checkpoint_of_another_device_is_refused() -> None:
     state = settled().state_dict() | {"device": "cuda"}
-    with pytest.raises(ValueError, match="device: expected cuda, on which the checkpoint was made, got cpu"):
+    with pytest.raises(ValueError, match="device: expected cuda, where the checkpoint was made, got cpu"):
         settled().load_state_dict(state)
 
 

@@ -1,4 +1,4 @@
-"""When a function is warmed up, captured and replayed; CUDA itself is pretended."""
+"""When a function is warmed up, captured and replayed, with a fake CUDA."""
 
 from contextlib import contextmanager, nullcontext
 
@@ -75,5 +75,5 @@ def test_what_cannot_be_captured_says_how_to_go_without() -> None:
     call = CudaGraph(work)
     for _ in range(WARM_UP):
         call()
-    with pytest.raises(RuntimeError, match=r"could not capture it; collector\.cuda_graph=false goes without"):
+    with pytest.raises(RuntimeError, match=r"could not be captured; collector\.cuda_graph=false trains without"):
         call()

@@ -1,4 +1,4 @@
-"""Distributions that ask the host nothing draw and say what PyTorch's and TorchRL's do."""
+"""Distributions that never synchronise draw the samples and give the values of PyTorch's and TorchRL's."""
 
 import pytest
 import torch

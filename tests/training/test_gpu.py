@@ -38,7 +38,7 @@ def overrides(folder: Path, name: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def worlds(tmp_path_factory: pytest.TempPathFactory, cuda_device: torch.device) -> dict[str, World]:
-    """All of them, with the GPU's renderer and checker."""
+    """All worlds, with the GPU's renderer and checker."""
     folder = tmp_path_factory.mktemp("room")
     return {name: build_world(load_config(overrides(folder, name))) for name in WORLDS}
 
@@ -58,7 +58,7 @@ def memory_of(name: str) -> int:
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_rollout_and_its_gradient_steps_never_wait(worlds: dict[str, World], name: str) -> None:
     ppo = learner(worlds[name], memory_of(name), cuda_graph=False)
-    ppo.iterate()  # what is set up once is set up
+    ppo.iterate()  # one-off setup is done
     torch.cuda.set_sync_debug_mode("error")
     try:
         batch = ppo.collector.collect()

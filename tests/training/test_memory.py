@@ -1,4 +1,4 @@
-"""A policy with a memory: what it remembers, from when, and that it learns to use it."""
+"""A policy with memory: what it remembers, since when, and that it learns to use it."""
 
 import pytest
 import torch
@@ -22,7 +22,7 @@ def remembering(env: EnvBase, memory: int = MEMORY) -> TransformedEnv:
 
 @pytest.fixture
 def ppo() -> PPO:
-    """Short episodes, so that several begin and end in the middle of a batch; a memory that no longer begins small."""
+    """Short episodes, so that several begin and end within a batch, and a memory whose values are not small."""
     ppo = learner(remembering(tiny_env([6], max_steps=4)), frames_per_batch=6 * 13, memory=MEMORY)
     for parameter in ppo.model.parameters():
         parameter.data += 0.2 * torch.randn_like(parameter)
@@ -72,7 +72,7 @@ def test_minibatches_are_whole_rows_and_hold_every_frame_once(ppo: PPO) -> None:
 
 
 def successor_values(ppo: PPO, batch: TensorDictBase) -> torch.Tensor:
-    """The critic on every next observation, each with what is remembered after the step."""
+    """The critic's value of every next observation, each with the memory after the step."""
     with torch.no_grad():
         return ppo.model.get_value_operator()(batch["next"].select("pixels", STATE, "is_init"))["state_value"]
 

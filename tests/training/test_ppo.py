@@ -52,7 +52,7 @@ def parameters(ppo: PPO) -> torch.Tensor:
 
 
 def minibatch(ppo: PPO) -> tuple[TensorDictBase, dict[str, torch.Tensor]]:
-    """A collected batch with its advantages, and all of it as one minibatch."""
+    """A collected batch with its advantages, and the whole batch as one minibatch."""
     ppo.learner.loss = replace(ppo.learner.loss, mini_batch_size=10**6)
     batch = ppo.collect()
     batch["advantage"], batch["value_target"] = ppo.learner.advantages(batch)

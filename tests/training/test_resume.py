@@ -1,4 +1,4 @@
-"""A training that was stopped goes on as if nothing had happened, whatever lies around its env."""
+"""A training that was stopped continues as if nothing had happened, whatever transforms its env has."""
 
 from pathlib import Path
 
@@ -38,7 +38,7 @@ def test_a_resumed_training_is_the_same_to_the_byte(tmp_path: Path, stack: int, 
     resumed.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
     assert resumed.env.curriculum.level > 0
     again = [resumed.iterate() for _ in range(2)]
-    assert str(again) == str(reports[2:])  # NaN equals NaN in writing
+    assert str(again) == str(reports[2:])  # as text, NaN equals NaN
     assert torch.equal(parameters(resumed), parameters(whole))
     rng = torch.get_rng_state()
     resumed_next = resumed.collect()

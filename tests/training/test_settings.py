@@ -1,4 +1,4 @@
-"""Settings refuse what cannot be."""
+"""Settings refuse invalid values."""
 
 from dataclasses import replace
 

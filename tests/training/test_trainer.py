@@ -1,4 +1,4 @@
-"""The loop around PPO."""
+"""The training loop around PPO."""
 
 import csv
 from pathlib import Path
@@ -11,7 +11,7 @@ from tests.training.test_ppo import learner, parameters
 
 
 def trainer(folder: Path, tests: list[float], frames: int = 64 * 6) -> Trainer:
-    """Six batches; a test after every second, whose results are given."""
+    """A trainer of six batches with a test after every second one, whose results are given."""
     ppo = learner(tiny_env([4], max_steps=10), total_frames=frames)
     return Trainer(ppo, folder, iter(tests).__next__, test_interval=128, checkpoint_interval=192)
 

@@ -1,4 +1,4 @@
-"""Envs so simple that one knows what a policy can reach in them: grey images of 8 × 8 pixels, no scene."""
+"""Envs that are simple enough to know what a policy can reach in them: grey images of 8 × 8 pixels, and no scene."""
 
 from abc import abstractmethod
 from typing import Any
@@ -70,7 +70,7 @@ class Toy(EnvBase):
 
 
 class Recall(Toy):
-    """The last of three actions, 0 or 1, must say whether the cue was bright: chance wins every other time."""
+    """The last of three actions, 0 or 1, must say whether the cue was bright; chance is right half of the time."""
 
     action, steps = Categorical(2), 3
 

@@ -1,4 +1,4 @@
-"""What robots see: the scene, and what is drawn into it."""
+"""What robots see: the scene and whatever is drawn into it."""
 
 from splatrl.envs.drawing.base import Drawing, SceneDrawing, View
 from splatrl.envs.drawing.billboard import overlay

@@ -1,4 +1,4 @@
-"""A red apple, drawn by formulas: nothing to download, any resolution."""
+"""A red apple drawn by formulas, so it has any resolution and needs no download."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ SAMPLES = 2
 
 
 def apple(side: int = 256) -> NDArray[np.uint8]:
-    """Draw a red apple with a stem and a leaf, its body as wide as the picture.
+    """Draw a red apple with a stem and a leaf; the fruit is as wide as the picture.
 
     Args:
         side: width and height of the picture in pixels.
@@ -20,7 +20,7 @@ def apple(side: int = 256) -> NDArray[np.uint8]:
     """
     count = SAMPLES * side
     axis = (np.arange(count) + 0.5) / count
-    x, y = np.meshgrid(2 * axis - 1, 2 * axis - 1)  # right and down, the picture from -1 to 1
+    x, y = np.meshgrid(2 * axis - 1, 2 * axis - 1)  # to the right and down, -1 to 1 across the picture
     premultiplied = np.zeros((count, count, 4))
     for color, cover in (_stem(x, y), _body(x, y), _leaf(x, y)):
         layer = np.concatenate([color, np.ones_like(color[..., :1])], -1) * cover[..., None]
@@ -32,7 +32,7 @@ def apple(side: int = 256) -> NDArray[np.uint8]:
 
 
 def _body(x: Array, y: Array) -> tuple[Array, Array]:
-    """The fruit: round, wider above, hollow at the stem, lit from the upper left."""
+    """The fruit: round, wider at the top, with a hollow at the stem, lit from the upper left."""
     down = (y - 0.13) / 0.86
     across = x / (0.99 - 0.07 * np.clip(down + 0.25, 0, None) ** 2)
     dip = 0.20 * np.exp(-((x / 0.26) ** 2)) - 0.05 * np.exp(-((x / 0.16) ** 2))  # the hollow of the stem
@@ -40,9 +40,7 @@ def _body(x: Array, y: Array) -> tuple[Array, Array]:
     squeezed = np.where(down < 0, down / (1 - dip), down / (1 - foot))
     radius = np.hypot(across, squeezed)
     normal_z = np.sqrt(np.clip(1 - radius**2, 0, 1))
-    light = np.clip(
-        (-0.45 * across - 0.55 * squeezed + 0.70 * normal_z + 0.6) / 1.6, 0, 1
-    )  # some comes from all around
+    light = np.clip((-0.45 * across - 0.55 * squeezed + 0.70 * normal_z + 0.6) / 1.6, 0, 1)  # includes ambient light
     shade = 0.54 + 0.46 * light
     hollow = np.exp(-((x / 0.22) ** 2) - ((y + 0.60) / 0.10) ** 2)
     red = np.array([0.90, 0.10, 0.09])

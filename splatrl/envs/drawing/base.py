@@ -1,4 +1,4 @@
-"""What is drawn for a robot: the one place between a camera and the pixels that it gives."""
+"""The interface between a robot's camera and its pixels."""
 
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol
@@ -18,7 +18,7 @@ class View(NamedTuple):
 
     Attributes:
         pixels: [B, H, W, 3] uint8.
-        shown: what else the drawing tells of each image, by key, as its ``specs`` say; observations of the env.
+        shown: further observations about each image, by key, as ``Drawing.specs`` describes them.
     """
 
     pixels: Tensor
@@ -26,17 +26,17 @@ class View(NamedTuple):
 
 
 class Drawing(Protocol):
-    """Draws what robots see: the scene, what the task places in it, and whatever the drawing adds of its own.
+    """Draws what robots see: the scene, what the task places in it, and whatever the drawing itself adds.
 
     Attributes:
-        renderer: of the scene.
+        renderer: renders the scene.
     """
 
     renderer: Renderer
 
     @property
     def specs(self) -> Mapping[str, TensorSpec]:
-        """Specs of what it tells beside the pixels, of one robot, by key."""
+        """Specs of one robot's observations besides the pixels, by key."""
         ...
 
     def draw(
@@ -50,9 +50,9 @@ class Drawing(Protocol):
 
         Args:
             cameras: B views.
-            memory: what the task remembers of each robot, [B, ...] by key, such as where its ``target`` is.
+            memory: what the task remembers about each robot, [B, ...] by key, such as the position of its ``target``.
             parts: placed models of each robot's world; None is the scene alone.
-            only: [B] bool, which to draw; the others are zero. None draws all.
+            only: [B] bool, which views to draw; the others are zero. None draws all.
         """
         ...
 
@@ -61,7 +61,7 @@ class SceneDrawing:
     """Draws the scene and the task's parts, and nothing else.
 
     Args:
-        renderer: of the scene.
+        renderer: renders the scene.
     """
 
     def __init__(self, renderer: Renderer):
@@ -69,7 +69,7 @@ class SceneDrawing:
 
     @property
     def specs(self) -> Mapping[str, TensorSpec]:
-        """It tells nothing beside the pixels."""
+        """There are no observations besides the pixels."""
         return {}
 
     def draw(

@@ -1,4 +1,4 @@
-"""Draws a sprite at a place in the world, over images that were rendered."""
+"""Draws a sprite at a place in the world over rendered images."""
 
 from math import prod
 from typing import NamedTuple
@@ -9,16 +9,16 @@ from torch import Tensor
 from splatrl.envs.drawing.sprite import TAPS, Sprite
 
 ALPHA_STEPS = 65536
-"""Alpha is summed in whole steps of this many, so that the order of summation does not matter."""
+"""Alpha is summed as an integer count of this many steps, so that the order of summation does not matter."""
 
 
 class _Taps(NamedTuple):
-    """What the pixels along one axis read of the sprite.
+    """The texels that the pixels along one axis read.
 
     Attributes:
         first: [B, N] int64, the first of ``TAPS`` texels.
         weights: [B, N, TAPS] float32.
-        inside: [B, N] bool, whether they read anything.
+        inside: [B, N] bool, whether the pixel reads any texel.
     """
 
     first: Tensor
@@ -39,9 +39,9 @@ def overlay(
 ) -> tuple[Tensor, Tensor]:
     """Draw a sprite at a place in the world, hidden where something is nearer.
 
-    The sprite is a billboard parallel to the image plane and upright in the image, so all of it lies at one depth along
-    the optical axis: that of its centre. Its colour in a pixel is the mean over the pixel's area, or over a texel's
-    where that is larger (a magnified sprite is interpolated linearly); a sprite smaller than a pixel fades by its area.
+    The sprite is a billboard parallel to the image plane and upright in the image, so all of it lies at the depth of
+    its centre along the optical axis. Its colour in a pixel is the mean over the pixel's area, or over a texel's where
+    that is larger (a magnified sprite is interpolated linearly); a sprite smaller than a pixel fades with its area.
     What is drawn in one image does not depend on the others.
 
     Args:
@@ -51,13 +51,13 @@ def overlay(
         K: [3, 3] float32 intrinsics in pixels.
         target: [..., 3] or [3] float32, the centre of the sprite, world, metres.
         sprite: what to draw.
-        size: of the sprite across its width, metres.
+        size: width of the sprite, metres.
         near: a sprite nearer than this along the optical axis, or behind the camera, is not drawn, metres.
-        only: [...] bool, over which images to draw; None draws over all.
+        only: [...] bool, which images to draw over; None draws over all.
 
     Returns:
-        The images [..., H, W, 3] uint8, and the share of each that the sprite covers [..., 1] float32: the sum of alpha
-        over its pixels by their number.
+        The images [..., H, W, 3] uint8, and the share of each that the sprite covers [..., 1] float32: the mean of its
+        alpha over the pixels.
     """
     *batch, height, width, _ = pixels.shape
     count = prod(batch)
@@ -68,7 +68,7 @@ def overlay(
     distance = distance.clamp_min(near)
     wide, high = K[0, 0] * size / distance, K[1, 1] * size * sprite.aspect / distance  # pixels, [B]
     level = _level(sprite, wide, high)
-    least = (level == 0).float()  # texels that a pixel reads: coarse levels are for sprites that are not magnified
+    least = (level == 0).float()  # least texels a pixel covers: 1 at the finest level, which may be magnified, else 0
     across = _taps(column - wide / 2, wide, width, sprite.widths[level], least)
     down = _taps(row - high / 2, high, height, sprite.heights[level], least)
     inside = ((down.inside & shown.unsqueeze(1)).unsqueeze(2) & across.inside.unsqueeze(1)).flatten()  # [B H W]
@@ -87,16 +87,16 @@ def overlay(
 
 
 def _points(inside: Tensor) -> Tensor:
-    """Indices of the pixels to draw: those in the sprite's rectangle, or all where counting those would be waiting."""
+    """Indices of the pixels to draw: those in the sprite's rectangle, or all on a GPU, where counting would block."""
     if inside.device.type == "cpu":
         return inside.nonzero().squeeze(1)
     return torch.arange(len(inside), device=inside.device)
 
 
 def _project(camera_to_world: Tensor, K: Tensor, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Column, row and depth of places, [B] each; column and row mean nothing where depth is not positive.
+    """Column, row and depth of places, [B] each; column and row are meaningless where depth is not positive.
 
-    Written as sums of products: a matrix product may round differently in a batch of another size.
+    Written as sums of products, because the rounding of a matrix product may depend on the size of the batch.
     """
     offset = (target - camera_to_world[:, :3, 3]).unsqueeze(2) * camera_to_world[:, :3, :3]
     x, y, z = (offset[:, 0] + offset[:, 1] + offset[:, 2]).unbind(1)
@@ -105,22 +105,22 @@ def _project(camera_to_world: Tensor, K: Tensor, target: Tensor) -> tuple[Tensor
 
 
 def _level(sprite: Sprite, wide: Tensor, high: Tensor) -> Tensor:
-    """The level of which a pixel covers one to two texels along the axis where it covers more: [B] int64."""
+    """The level at which a pixel covers one to two texels along the axis where it covers more: [B] int64."""
     ratio = torch.maximum(sprite.widths[0] / wide, sprite.heights[0] / high)
-    return (torch.frexp(ratio).exponent.long() - 1).clamp(0, len(sprite.starts) - 1)  # exact, which log2 is not
+    return (torch.frexp(ratio).exponent.long() - 1).clamp(0, len(sprite.starts) - 1)  # exact, unlike log2
 
 
 def _taps(begin: Tensor, extent: Tensor, pixels: int, texels: Tensor, least: Tensor) -> _Taps:
-    """How much of which texels lies in each pixel of an axis.
+    """Which texels each pixel along an axis covers, and how much of each.
 
     Args:
         begin: [B] where the sprite begins, pixels.
-        extent: [B] how far it reaches, pixels.
-        pixels: of the image along the axis.
-        texels: [B] of the sprite's level along the axis.
-        least: [B] texels that a pixel reads if it covers fewer.
+        extent: [B] length of the sprite, pixels.
+        pixels: number of pixels of the image along the axis.
+        texels: [B] number of texels of the sprite's level along the axis.
+        least: [B] least number of texels that a pixel reads, even if it covers fewer.
     """
-    scale = (texels / extent).unsqueeze(1)  # texels a pixel
+    scale = (texels / extent).unsqueeze(1)  # texels per pixel
     centers = torch.arange(pixels, device=begin.device) + 0.5 - begin.unsqueeze(1)
     reach = scale.maximum(least.unsqueeze(1))
     lower = centers * scale - reach / 2

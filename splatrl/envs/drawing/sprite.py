@@ -1,4 +1,4 @@
-"""A picture with alpha, ready to be drawn at any size."""
+"""A picture with alpha, prepared for drawing at any size."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,11 +12,11 @@ from torch.nn.functional import avg_pool2d, interpolate, pad
 from splatrl.envs.drawing.apple_picture import apple
 
 TAPS = 3
-"""Texels along an axis that a pixel reads; smaller levels are stored with empty texels to that many."""
+"""Texels that a pixel reads along an axis; smaller levels are padded to this many with empty texels."""
 LARGEST = 4096
-"""Pixels along the longest side of a picture that is read."""
+"""Most pixels along the longest side of a picture file."""
 FINEST = 512
-"""Texels along the longest side of a sprite."""
+"""Most texels along the longest side of a sprite."""
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,9 @@ class Sprite:
 
     Attributes:
         texels: [T, 4] float32, all levels, row by row: red, green and blue times alpha in [0, 255], alpha in [0, 1].
-        heights: [L] int64 texels from top to bottom of each level.
-        widths: [L] int64 texels from left to right.
-        starts: [L] int64, where each level begins.
+        heights: [L] int64, height of each level in texels.
+        widths: [L] int64, width of each level in texels.
+        starts: [L] int64, index of each level's first texel.
         aspect: height of the picture over its width.
     """
 
@@ -41,7 +41,7 @@ class Sprite:
 
     @classmethod
     def of(cls, picture: Tensor) -> "Sprite":
-        """The sprite of a picture.
+        """Make a sprite from a picture.
 
         Args:
             picture: [H, W, 4] uint8, RGBA, straight alpha.
@@ -71,7 +71,7 @@ class Sprite:
         )
 
     def to(self, device: torch.device | str) -> "Sprite":
-        """The same on a device."""
+        """The same sprite on a device."""
         return replace(
             self,
             texels=self.texels.to(device),
@@ -87,13 +87,13 @@ def _power_of_two(side: int) -> int:
 
 
 def load_sprite(name: str | Path) -> Sprite:
-    """The sprite of a name or a file.
+    """Load a sprite by its name or from a file.
 
     Args:
         name: ``"apple"``, or the path of a PNG with alpha.
 
     Raises:
-        ValueError: for a file that is missing, no PNG, damaged, without alpha or larger than 4096 pixels a side.
+        ValueError: for a file that is missing, not a PNG, damaged, without alpha or larger than 4096 pixels per side.
     """
     if name == "apple":
         return Sprite.of(torch.from_numpy(apple()))
@@ -101,13 +101,13 @@ def load_sprite(name: str | Path) -> Sprite:
 
 
 def _read_png(path: Path) -> np.ndarray:
-    """A PNG with alpha: [H, W, 4] uint8."""
+    """Read a PNG with alpha: [H, W, 4] uint8."""
     if not path.is_file():
-        raise ValueError(f"sprite: expected apple or the path of a PNG file with alpha, got {path}, which is no file")
+        raise ValueError(f"sprite: expected apple or the path of a PNG with alpha, got {path}, which is not a file")
     try:
         with Image.open(path, formats=["PNG"]) as image:
-            if max(image.size) > LARGEST:  # read from the header: nothing is allocated yet
-                raise ValueError(f"sprite {path}: expected at most {LARGEST} pixels a side, got {image.size}")
+            if max(image.size) > LARGEST:  # read from the header, before anything is allocated
+                raise ValueError(f"sprite {path}: expected at most {LARGEST} pixels per side, got {image.size}")
             if not image.has_transparency_data:
                 raise ValueError(f"sprite {path}: expected an alpha channel, got mode {image.mode}")
             return np.array(image.convert("RGBA"))

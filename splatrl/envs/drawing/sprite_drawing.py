@@ -1,4 +1,4 @@
-"""An object that is not in the scene: a picture that stands at a place in it."""
+"""Draws an object that is not in the scene, as a picture at a place in it."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,24 +16,25 @@ from splatrl.renderers.base import Renderer, to_pixels
 from splatrl.renderers.parts import Parts
 
 HAZE = 0.5
-"""A pixel that Gaussians cover less than this shows what is behind them, and hides no sprite."""
+"""A pixel with less alpha than this counts as empty, so it does not hide a sprite."""
 
 
 class SpriteDrawing:
     """Draws the scene and a picture at a place in the world, hidden where the scene is nearer (``overlay``).
 
-    Beside the pixels it tells ``sprite_share`` [B, 1] float32, the share of the image that the sprite covers: 0 where
-    nothing of it is seen.
+    Besides the pixels it returns ``sprite_share`` [B, 1] float32, the share of the image that the sprite covers: 0
+    where none of it is seen.
 
     Args:
-        renderer: of the scene.
+        renderer: renders the scene.
         sprite: ``"apple"``, the path of a PNG with alpha, or a ``Sprite``.
-        size: of the picture across its width, metres.
-        position: x, y and z of its centre, world, metres; None takes ``target`` of the task's memory.
+        size: width of the picture, metres.
+        position: x, y and z of its centre, world, metres; None takes ``target`` from the task's memory.
         near: a sprite nearer than this along the optical axis is not drawn, metres.
 
     Raises:
-        ValueError: for values other than these.
+        ValueError: for a ``size`` or ``near`` that is not positive and finite, a ``position`` that is not three finite
+            numbers, or a picture that cannot be read.
     """
 
     def __init__(
@@ -70,19 +71,19 @@ class SpriteDrawing:
         """Draw the views of cameras; see ``Drawing``.
 
         Raises:
-            ValueError: where neither ``position`` nor the task says where the sprite is.
+            ValueError: if neither ``position`` nor the task says where the sprite is.
         """
         rgb, depth, alpha = self.renderer.render(cameras, parts, only)
         target = memory.get("target") if self.position is None else self.position.to(rgb.device)
         if target is None:
-            raise ValueError("drawing.position: expected x, y and z in metres beside a task without a target, got None")
+            raise ValueError("drawing.position: expected x, y and z in metres for a task without a target, got None")
         solid = depth.masked_fill(alpha < HAZE, 0.0)
         view = (to_pixels(rgb), solid, cameras.camera_to_world, cameras.K[0])
         pixels, share = overlay(*view, target, self._sprite_on(rgb.device), self.size, self.near, only)
         return View(pixels, {"sprite_share": share})
 
     def _sprite_on(self, device: torch.device) -> Sprite:
-        """The sprite on a device, copied there once and kept: a captured graph goes on reading it."""
+        """The sprite on a device, copied there once and kept, since a captured graph keeps reading it."""
         if device not in self._sprites:
             self._sprites[device] = self.sprite.to(device)
         return self._sprites[device]

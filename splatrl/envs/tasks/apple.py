@@ -18,18 +18,18 @@ BRIGHT, PURE = 102, 1.6
 class Apple(OutcomeTask):
     """Walk up to an apple until it fills the view.
 
-    Experiment III of "Robotic Learning in your Backyard". The apple is a sprite at a fixed place, which the
-    env's drawing puts into the image (``SpriteDrawing``); whether it is seen is judged by that image.
+    Experiment III of "Robotic Learning in your Backyard". The apple is a sprite at a fixed place, which the env's
+    drawing puts into the image (``SpriteDrawing``); that image decides whether the apple is seen.
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view with the apple in it.
     Action: [B] int64, one of forward, back, left, right (``ForwardMotion``).
-    Reward: [B, 1] float32; −0.2 a step, and in its place +50 at the goal, −10 on a collision, −10 out of bounds.
-    Termination: collision, out of bounds, or goal: nearer to the apple than ``reach`` steps, with enough red in view.
+    Reward: [B, 1] float32; −0.2 a step, or instead +50 at the goal, −10 on a collision, −10 out of bounds.
+    Termination: collision, out of bounds, or goal: within ``reach`` steps of the apple, with enough red in view.
     Truncation: after ``max_steps`` steps.
     State: [B, 3] float32, x and y in metres and yaw in radians; ``target`` [B, 3] float32 is where the apple is.
 
-    Enough red is a share of clearly red pixels. The published test, a mean red channel above 0.55, is already true of a
-    bright room without an apple; it is the setting ``mean_red``. Collision is off by default, as published.
+    Enough red means a minimum share of clearly red pixels. The published test, a mean red channel above 0.55, already
+    holds in a bright room without an apple; ``mean_red`` selects it. Collision is off by default, as published.
 
     Example:
         >>> import splatrl
@@ -38,14 +38,14 @@ class Apple(OutcomeTask):
         torch.Size([4, 3, 3])
 
     Args:
-        motion: of the robots.
-        place: of the apple, world, metres.
-        reach: distance from the apple at which it counts as found, steps; along the ground.
+        motion: how the robots move.
+        place: position of the apple, world, metres.
+        reach: distance along the ground at which the apple counts as found, steps.
         red_share: share of the pixels that must be clearly red, in (0, 1].
-        mean_red: if given, the mean red channel that is enough, in [0, 1], in place of ``red_share``.
-        facing_deg: for planning alone, which has no image: the apple is taken to be seen where it is no farther than
-            this from the middle of the view.
-        rewards: by outcome.
+        mean_red: if given, the mean red channel that is enough, in (0, 1], in place of ``red_share``.
+        facing_deg: used only in planning, which has no image: the apple counts as seen where its bearing is at most
+            this far from the middle of the view, degrees.
+        rewards: reward of each outcome.
         max_steps: an episode is truncated after this many steps.
 
     Raises:
@@ -84,11 +84,11 @@ class Apple(OutcomeTask):
         return {"target": Unbounded(shape=(3,), dtype=torch.float32)}
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
-        """The apple stands at ``place``; see ``Task.begin``."""
+        """Place the apple at ``place``; see ``Task.begin``."""
         return {"target": self.place.repeat(len(state), 1)}
 
     def reached(self, state: Tensor) -> Tensor:
-        """Whether robots are near the apple and face it, since planning has no image: [B, 3] -> [B] bool."""
+        """Whether robots are near the apple and face it, for planning, which has no image: [B, 3] -> [B] bool."""
         planar = self.motion.planar(state)
         away = self.place[:2].double() - planar[:, :2]
         bearing = torch.atan2(away[:, 1], away[:, 0]) - planar[:, 2]
@@ -105,7 +105,7 @@ class Apple(OutcomeTask):
 
         Args:
             state: [B, 3].
-            target: [B, 3] where the apple is, world, metres.
+            target: [B, 3] position of the apple, world, metres.
             pixels: [B, H, W, 3] uint8, with the apple in them.
 
         Returns:

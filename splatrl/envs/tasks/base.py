@@ -1,4 +1,4 @@
-"""What every task promises."""
+"""The interface that every task implements."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ Anywhere = Callable[[], Tensor]
 
 
 class Outcome(IntEnum):
-    """How an episode stands after a step."""
+    """The state of an episode after a step."""
 
     RUNNING = 0
     GOAL = 1
@@ -30,12 +30,12 @@ class Outcome(IntEnum):
 
 
 class Step(NamedTuple):
-    """One step of each robot, carried out and drawn.
+    """One step of each robot, after it was carried out and rendered.
 
     Attributes:
         before: [B, ...] states before it.
-        action: [B, ...].
-        move: what the motion made of the action, the states after it among that.
+        action: [B, ...] what the robots did.
+        move: what the motion made of the action, including the states after it.
         memory: what the task remembered before it.
         pixels: [B, H, W, 3] uint8, what the robots see after it.
     """
@@ -53,7 +53,7 @@ class Verdict(NamedTuple):
     Attributes:
         reward: [B, 1] float32.
         terminated: [B, 1] bool.
-        outcome: [B, 1] int64, an ``Outcome``; never TIMEOUT, which is the env's to say.
+        outcome: [B, 1] int64, an ``Outcome``; never TIMEOUT, which only the env sets.
         memory: what the task remembers from now on, with the keys of ``Task.memory_spec``.
     """
 
@@ -68,7 +68,7 @@ class Mark:
     """Something that a map shows.
 
     Attributes:
-        name: for the legend.
+        name: its entry in the legend.
         planar: [3] float64, x and y in metres and yaw in radians; the yaw is NaN where there is no direction.
     """
 
@@ -77,14 +77,14 @@ class Mark:
 
 
 class Task(Protocol):
-    """What robots are rewarded for, by what motion, and when an episode ends.
+    """What robots are rewarded for, how they move, and when an episode ends.
 
-    A task judges each step once, after the robots' views were drawn, so a goal may be in the image. It may remember
-    something of each robot, have one goal, several or none, and place things in the picture. ``TaskModule`` has
-    the plain answers to all but the reward.
+    A task judges each step once, after the robots' views are rendered, so that the image may decide whether a goal is
+    reached. It may remember something about each robot, have one goal, several or none, and place things in the
+    picture. ``TaskModule`` has defaults for everything but the reward.
 
     Attributes:
-        motion: of the robots.
+        motion: how the robots move.
         max_steps: an episode is truncated after this many steps.
     """
 
@@ -93,15 +93,15 @@ class Task(Protocol):
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:
-        """Spec of what is remembered of one robot, by key; empty for a task that remembers nothing."""
+        """Spec of what is remembered about one robot, by key; empty for a task that remembers nothing."""
         ...
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
         """What is remembered when episodes begin.
 
         Args:
-            state: [B, ...] in which they begin.
-            anywhere: draws states, for what is placed at random.
+            state: [B, ...] states in which they begin.
+            anywhere: draws states, for things that are placed at random.
         """
         ...
 
@@ -110,26 +110,27 @@ class Task(Protocol):
 
         Args:
             step: what happened, and what is seen now.
-            anywhere: draws states, for what is placed at random.
+            anywhere: draws states, for things that are placed at random.
         """
         ...
 
     def reached(self, state: Tensor) -> Tensor | None:
-        """Whether states are at a goal, as far as the state tells: [B, ...] -> [B] bool; None without goal states.
+        """Whether states are at a goal, judged by the state alone: [B, ...] -> [B] bool; None without goal states.
 
-        Paths are planned to these states, and starts are ordered by the way to them.
+        Paths are planned to these states, and starts are ordered by their distance to them.
         """
         ...
 
     def parts(self, state: Tensor, memory: Memory) -> Parts | None:
-        """What is drawn of each robot's world: [B, M] placed models; None is the scene alone, where it stands."""
+        """What each robot's world consists of: [B, M] placed models; None is the unmoved scene alone."""
         ...
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
         """What a map shows of the task.
 
         Args:
-            memory: of one robot at one step, without a batch; None asks for what every episode has in common.
+            memory: what is remembered about one robot at one step, without a batch dimension; None asks for what every
+                episode has in common.
         """
         ...
 
@@ -139,10 +140,10 @@ class Task(Protocol):
 
 
 class TaskModule(torch.nn.Module):
-    """A task that remembers nothing, places nothing and has no goal states: what subclasses do not say otherwise.
+    """A task that by default remembers nothing, places nothing and has no goal states; subclasses override that.
 
     Args:
-        motion: of the robots; one that is a module moves to a device with the task.
+        motion: how the robots move; if it is a module, it moves to a device with the task.
         max_steps: an episode is truncated after this many steps.
 
     Raises:

@@ -7,12 +7,12 @@ class Drive(PoseGoal):
     """Reach a goal pose with a differential drive.
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view.
-    Action: [B, 2] float32, linear velocity in metres a second and angular velocity in radians a second, within the
+    Action: [B, 2] float32, linear velocity in metres per second and angular velocity in radians per second, within the
         limits of ``DriveMotion``, held for its time step.
-    Reward: [B, 1] float32; −0.2 a step, and in its place +50 at the goal, −10 on a collision, −10 out of bounds.
-    Termination: goal, collision or out of bounds, judged in that order of precedence from collision on. The goal is
-        reached where |dx| and |dy| are at most what the robot drives in a time step at full speed, and |dyaw| at most
-        what it turns in one. A blocked robot stays where it was.
+    Reward: [B, 1] float32; −0.2 a step, or instead +50 at the goal, −10 on a collision, −10 out of bounds.
+    Termination: collision, out of bounds or goal, in this order of precedence. The goal is reached where |dx| and |dy|
+        are at most what the robot drives in a time step at full speed, and |dyaw| is at most what it turns in one. A
+        blocked robot stays where it was.
     Truncation: after ``max_steps`` steps.
     State: [B, 3] float32, x and y in metres and yaw in radians.
 

@@ -1,4 +1,4 @@
-"""The fps task: walk and turn as in a first-person game to the pose that sees the object."""
+"""The fps task: walk and turn, as in a first-person game, to the pose that sees the object."""
 
 from splatrl.envs.tasks.pose_goal import PoseGoal
 
@@ -10,15 +10,14 @@ class Fps(PoseGoal):
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view.
     Action: [B] int64, one of forward, back, left, right (``ForwardMotion``: 0.1 m, 10°).
-    Reward: [B, 1] float32; −0.2 a step, and in its place +50 at the goal, −10 on a collision, −10 out of bounds.
-    Termination: goal, collision or out of bounds, judged in that order of precedence from collision on. The goal is
-        reached where |dx| ≤ one step, |dy| ≤ one step and |dyaw| ≤ one angle step, each by itself. A blocked robot
-        stays where it was.
+    Reward: [B, 1] float32; −0.2 a step, or instead +50 at the goal, −10 on a collision, −10 out of bounds.
+    Termination: collision, out of bounds or goal, in this order of precedence. The goal is reached where |dx| ≤ one
+        step, |dy| ≤ one step and |dyaw| ≤ one angle step, each judged separately. A blocked robot stays where it was.
     Truncation: after ``max_steps`` steps.
     State: [B, 3] float32, x and y in metres and yaw in radians.
 
-    The body is the published 0.01 m cube. The published code holds back the part of a step that would leave the bounds
-    along one axis only; here such a step ends the episode.
+    The body is the published 0.01 m cube. The published code drops only the part of a step that would leave the bounds
+    along one axis; here such a step ends the episode.
 
     Example:
         >>> import splatrl

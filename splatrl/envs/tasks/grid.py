@@ -10,14 +10,14 @@ class Grid(PoseGoal):
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view.
     Action: [B] int64, one of +x, −x, +y, −y, +spin, −spin (``LatticeMotion``).
-    Reward: [B, 1] float32; −0.2 a step, and in its place +50 at the goal, −10 on a collision, −10 out of bounds.
-    Termination: goal, collision or out of bounds, judged in the order collision, out of bounds, goal. The goal is
-        reached where |dx| ≤ one step, |dy| ≤ one step and |dyaw| ≤ one angle step, each by itself. A blocked robot
-        stays at its previous lattice pose.
+    Reward: [B, 1] float32; −0.2 a step, or instead +50 at the goal, −10 on a collision, −10 out of bounds.
+    Termination: collision, out of bounds or goal, in this order of precedence. The goal is reached where |dx| ≤ one
+        step, |dy| ≤ one step and |dyaw| ≤ one angle step, each judged separately. A blocked robot stays at its previous
+        lattice pose.
     Truncation: after ``max_steps`` steps.
     State: [B, 3] int64, lattice indices of x, y and heading.
 
-    The published code lets a robot at the edge go on outwards only once and compares Euler angles without wrapping
+    The published code lets a robot at the edge move outwards only once, and compares Euler angles without wrapping
     them; here the bounds are inclusive and angles wrap.
 
     Example:

@@ -1,4 +1,4 @@
-"""The circle, polar plane and hemisphere tasks: go round a thing to the side from which it is to be seen."""
+"""The circle, polar plane and hemisphere tasks: move around an object to the side from which it is to be seen."""
 
 import math
 from collections.abc import Sequence
@@ -17,19 +17,19 @@ UNIT = Rewards(step=0.0, goal=1.0, collision=-1.0, out_of_bounds=-1.0)
 class Orbit(OutcomeTask):
     """Reach an azimuth, a distance and an elevation about an origin that the camera always looks at.
 
-    Three tasks of the published code by the ranges of the motion: on a circle the azimuth alone varies, on a polar
-    plane the distance too, on a hemisphere the elevation as well.
+    The ranges of the motion give three tasks of the published code: on a circle only the azimuth varies, on a polar
+    plane the distance does too, and on a hemisphere also the elevation.
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view.
-    Action: [B] int64, + or − one step of azimuth, elevation or distance, as many of them as vary (``OrbitMotion``).
-    Reward: [B, 1] float32; 0 a step, and in its place +1 at the goal, −1 on a collision, −1 out of range.
-    Termination: goal, collision or out of range, judged in that order of precedence from collision on. The goal is
-        reached where azimuth, distance and elevation are each within one step.
+    Action: [B] int64, + or − one step of azimuth, elevation or distance, for those that vary (``OrbitMotion``).
+    Reward: [B, 1] float32; 0 a step, or instead +1 at the goal, −1 on a collision, −1 out of range.
+    Termination: collision, out of range or goal, in this order of precedence. The goal is reached where azimuth,
+        distance and elevation are each within one step.
     Truncation: after ``max_steps`` steps.
     State: [B, 3] int64, lattice indices of azimuth, distance and elevation.
 
-    The published code asks for less than one step, gives −0.2 a step (``rewards.step``), and holds the elevation at its
-    limits where here such a step ends the episode.
+    The published code demands less than one step, gives −0.2 a step (``rewards.step``), and clamps the elevation to its
+    limits, where here such a step ends the episode.
 
     Example:
         >>> import splatrl
@@ -38,11 +38,11 @@ class Orbit(OutcomeTask):
         ('+azimuth', '-azimuth')
 
     Args:
-        motion: of the camera.
-        azimuth_deg: of the goal, degrees.
-        distance: of the goal, metres.
-        elevation_deg: of the goal, degrees.
-        rewards: by outcome; out of bounds is out of the range of distances or elevations.
+        motion: how the camera moves.
+        azimuth_deg: azimuth of the goal, degrees.
+        distance: distance of the goal, metres.
+        elevation_deg: elevation of the goal, degrees.
+        rewards: reward of each outcome; out of bounds means outside the range of distances or elevations.
         max_steps: an episode is truncated after this many steps.
     """
 

@@ -1,4 +1,4 @@
-"""Tasks whose goal is a pose on the ground: grid, fps, poster and drive differ in how the robot moves."""
+"""Tasks whose goal is a pose on the ground: grid, fps, poster and drive, which differ in how the robot moves."""
 
 import math
 from collections.abc import Sequence
@@ -11,20 +11,20 @@ from splatrl.envs.tasks.rewards import PUBLISHED, OutcomeTask, Rewards
 from splatrl.motions.base import PlannedMotion
 
 SLACK = 1e-4
-"""Share of a step by which rounding may carry a pose over the inclusive bounds of the goal."""
+"""Tolerance for rounding at the inclusive bounds of the goal, as a share of a step."""
 
 
 class PoseGoal(OutcomeTask):
-    """Reach a pose to within one step along x, one along y and one angle step, each by itself.
+    """Reach a pose to within one step along x, one along y and one angle step, each judged separately.
 
     Args:
-        motion: of the robots.
+        motion: how the robots move.
         goal: x and y in metres and yaw in degrees of the goal pose, which is the pose that *sees* the object.
-        rewards: by outcome.
+        rewards: reward of each outcome.
         max_steps: an episode is truncated after this many steps.
 
     Raises:
-        ValueError: for a goal that is not three finite numbers or a limit below one step.
+        ValueError: for a goal that is not three finite numbers, or a limit below one step.
     """
 
     goal: Tensor  # [3] float64

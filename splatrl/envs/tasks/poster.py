@@ -12,8 +12,8 @@ class Poster(Fps):
     """Walk to the pose in front of a poster; an ``Fps`` task whose goal is written as six numbers.
 
     The published example gives the goal as x, y, z, roll, pitch and yaw of an OpenGL camera, which looks along +y when
-    its yaw is 0 and is level when its roll is 90°. So the yaw of a robot is the published one plus 90°, and z and roll
-    are the robot's height and its level camera; they are kept so that the example's line can be pasted.
+    its yaw is 0 and is level when its roll is 90°. So the robot's yaw is the published one plus 90°. z and roll only
+    restate the robot's height and its level camera; they are accepted so that the example's line can be pasted.
 
     Observation, action, reward, termination, truncation and state are those of ``Fps``.
 
@@ -24,9 +24,9 @@ class Poster(Fps):
         torch.Size([3])
 
     Args:
-        motion: as for ``Fps``.
+        motion: how the robots move, as for ``Fps``.
         goal: x, y, z in metres and roll, pitch, yaw in degrees, as published.
-        rewards: by outcome.
+        rewards: reward of each outcome.
         max_steps: an episode is truncated after this many steps.
 
     Raises:

@@ -1,4 +1,4 @@
-"""One reward for each way in which a step can turn out: what the tasks with goals share."""
+"""One reward per outcome of a step: what the tasks with goals share."""
 
 from abc import abstractmethod
 from dataclasses import astuple, dataclass
@@ -12,13 +12,13 @@ from splatrl.motions.base import PlannedMotion
 
 @dataclass(frozen=True)
 class Rewards:
-    """The reward of a step, by how it turns out; a goal, a collision or leaving the bounds replaces ``step``.
+    """The reward of a step, by its outcome; a goal, a collision or leaving the bounds replaces ``step``.
 
     Attributes:
-        step: of a step that nothing happens in.
-        goal: of reaching the goal.
-        collision: of touching something.
-        out_of_bounds: of leaving the bounds.
+        step: reward of a step in which nothing else happens.
+        goal: reward for reaching the goal.
+        collision: reward for touching something.
+        out_of_bounds: reward for leaving the bounds.
     """
 
     step: float = -0.2
@@ -34,11 +34,11 @@ PUBLISHED = Rewards()
 class OutcomeTask(TaskModule):
     """Judges a step by collision, then bounds, then goal, each of which ends the episode.
 
-    Subclasses say which states are ``reached``.
+    Subclasses define which states are ``reached``.
 
     Args:
-        motion: of the robots.
-        rewards: by outcome.
+        motion: how the robots move.
+        rewards: reward of each outcome.
         max_steps: an episode is truncated after this many steps.
     """
 
@@ -58,7 +58,7 @@ class OutcomeTask(TaskModule):
         return Verdict(self.outcome_rewards[outcome], outcome != Outcome.RUNNING, outcome)
 
     def _outcome(self, step: Step, goal: Tensor) -> Tensor:
-        """Collision before bounds before goal: [B] bool -> [B] int64."""
+        """The outcome of each step, collision before bounds before goal: [B] bool -> [B] int64."""
         outcome = torch.where(goal, Outcome.GOAL, Outcome.RUNNING)
         outcome = torch.where(step.move.inside, outcome, Outcome.OUT_OF_BOUNDS)
         return torch.where(step.move.free_fraction < 1, Outcome.COLLISION, outcome)

@@ -1,4 +1,4 @@
-"""The snake task: one apple after the other."""
+"""The snake task: one apple after another."""
 
 import torch
 from torch import Tensor
@@ -8,16 +8,16 @@ from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdi
 
 
 class Snake(Apple):
-    """Find apple after apple: each time one is reached, the next stands at another free place.
+    """Find apple after apple: whenever one is reached, the next one appears at another free place.
 
     Observation and action are those of ``Apple``.
-    Reward: [B, 1] float32; −0.2 a step, and in its place +50 at an apple, −10 for touching something or the bounds.
-    Termination: never. A blocked robot stays where it was and goes on; ``outcome`` says what that step met.
+    Reward: [B, 1] float32; −0.2 a step, or instead +50 at an apple, −10 for touching something or the bounds.
+    Termination: never. A blocked robot stays where it was and goes on; ``outcome`` says what happened in that step.
     Truncation: after ``max_steps`` steps.
-    State: that of ``Apple``; ``target`` [B, 3] float32 moves on in the step that reaches it, and is shown at the new
+    State: that of ``Apple``; ``target`` [B, 3] float32 moves on in the step that reaches it, and is drawn at the new
         place from the next step on.
 
-    The published code knows no bounds and pushes a robot back by two steps until it is free; here a move that would
+    The published code has no bounds, and pushes a robot back by two steps until it is free; here a move that would
     touch something is not made. Starts and apples are free places connected to ``place``.
 
     Example:
@@ -28,7 +28,7 @@ class Snake(Apple):
     """
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
-        """The first apple stands anywhere; see ``Task.begin``."""
+        """Place the first apple anywhere; see ``Task.begin``."""
         return {"target": self._targets(anywhere())}
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
@@ -40,9 +40,9 @@ class Snake(Apple):
         return Verdict(self.outcome_rewards[outcome], never, outcome, {"target": target})
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
-        """The apple that stands there now; no place is the same in every episode."""
+        """The current apple; without a memory nothing, since no place is the same in every episode."""
         return [] if memory is None else super().marks(memory)
 
     def _targets(self, states: Tensor) -> Tensor:
-        """An apple where each state is, at the height of ``place``: [B, 3] -> [B, 3] float32."""
+        """A place for an apple at each state, at the height of ``place``: [B, 3] -> [B, 3] float32."""
         return torch.cat([states[:, :2], self.place[2].expand(len(states), 1)], 1)

@@ -1,4 +1,4 @@
-"""Transforms around an env: how its camera wavers, and how what it sees looks."""
+"""Transforms around an env: camera noise, image appearance and stacked frames."""
 
 from splatrl.envs.transforms.appearance import Appearance
 from splatrl.envs.transforms.frame_stack import FrameStack

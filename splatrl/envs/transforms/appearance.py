@@ -1,4 +1,4 @@
-"""Cameras differ, and so does the light."""
+"""Random variation in how images look: exposure, colour, blur and sensor noise."""
 
 import math
 
@@ -14,25 +14,25 @@ NEUTRAL = (0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
 
 
 class Appearance(RandomTransform):
-    """Varies how ``pixels`` look: drawn for each episode, and sensor noise for each step.
+    """Varies how ``pixels`` look: one appearance per episode, and fresh sensor noise in every step.
 
-    What was drawn is in the observation: ``appearance`` [B, 7] float32 holds brightness, contrast, the gains of red,
-    green and blue, the standard deviation of the blur in pixels and that of the sensor noise. An ``appearance`` that is
-    given to a reset is kept. In this order, with colours from 0 to 1: blur; gain · (contrast · (colour − 0.5) + 0.5) +
-    brightness; noise; rounding.
+    The observation holds what was drawn: ``appearance`` [B, 7] float32 is brightness, contrast, the gains of red, green
+    and blue, the standard deviation of the blur in pixels and that of the sensor noise. An ``appearance`` that is given
+    to a reset is kept. The changes are applied in this order, with colours from 0 to 1: blur; gain · (contrast ·
+    (colour − 0.5) + 0.5) + brightness; noise; rounding.
 
-    Without an env, as on what a replay buffer gives, it draws for each image, unless that has an ``appearance``.
+    Without an env, as in a replay buffer, it draws for each image that does not come with an ``appearance``.
 
     Args:
         brightness: largest offset, up or down, as a share of white.
-        contrast: largest change of the factor 1 of the contrast, in [0, 1].
-        white_balance: largest change of the factor 1 of each colour, in [0, 1].
+        contrast: largest change of the contrast, whose neutral value is 1, in [0, 1].
+        white_balance: largest change of each colour's gain, whose neutral value is 1, in [0, 1].
         blur: largest standard deviation of the blur, pixels, at most 8.
         noise: largest standard deviation of the sensor noise, as a share of white.
-        seed: of its own generator (``RandomTransform``).
+        seed: seed of its own generator (``RandomTransform``).
 
     Raises:
-        ValueError: for values other than these.
+        ValueError: for values outside these ranges.
     """
 
     ranges: Tensor  # [7] float32, in the order of appearance
@@ -65,13 +65,13 @@ class Appearance(RandomTransform):
         self.register_buffer("neutral", torch.tensor(NEUTRAL), persistent=False)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        drawn = self._draw(tensordict_reset.batch_size)  # even if not used: what else is drawn must not depend on it
+        drawn = self._draw(tensordict_reset.batch_size)  # always drawn, so that later draws do not depend on it
         given = tensordict.get("appearance", None)
         tensordict_reset.set("appearance", drawn if given is None else given.clone())
         rows = _wanted(tensordict.get("_reset", None))
         if rows is None:
             return self._change(tensordict_reset)
-        pixels = tensordict_reset["pixels"].clone()  # of those that are not reset, TorchRL keeps the old ones
+        pixels = tensordict_reset["pixels"].clone()  # TorchRL keeps the old pixels of rows that are not reset
         pixels[rows] = self._change(tensordict_reset.select("pixels", "appearance")[rows])["pixels"]
         return tensordict_reset.set("pixels", pixels)
 
@@ -79,13 +79,13 @@ class Appearance(RandomTransform):
         return self._change(next_tensordict.set("appearance", tensordict["appearance"].clone()))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Change images that are not an env's."""
+        """Change images that do not come from an env."""
         if "appearance" not in tensordict.keys():  # noqa: SIM118, a TensorDict is no dict
             tensordict.set("appearance", self._draw(tensordict["pixels"].shape[:-3]))
         return self._change(tensordict)
 
     def _draw(self, batch: torch.Size) -> Tensor:
-        """Appearances: [*batch, 7]; all but blur and noise to both sides of neutral."""
+        """Random appearances: [*batch, 7]; all but blur and noise vary to both sides of neutral."""
         drawn = torch.rand(*batch, 7, generator=self.generator, device=self.ranges.device)
         drawn = torch.cat([2 * drawn[..., :5] - 1, drawn[..., 5:]], -1)
         return self.neutral + drawn * self.ranges
@@ -107,11 +107,11 @@ class Appearance(RandomTransform):
         return tensordict.set("pixels", changed.view(pixels.shape))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Show ``appearance``."""
+        """Add ``appearance`` to the observation."""
         return self._with_appearance(observation_spec)
 
     def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Take ``appearance`` from the input of a step or a reset."""
+        """Read ``appearance`` from the input of a step or a reset."""
         return self._with_appearance(state_spec)
 
     def _with_appearance(self, spec: Composite) -> Composite:
@@ -121,19 +121,19 @@ class Appearance(RandomTransform):
 
 
 def _wanted(mask: Tensor | None) -> Tensor | None:
-    """Which rows to change in a reset, [B] bool; None changes all, as where looking the rows up would be waiting."""
+    """Which rows to change in a reset, [B] bool; None changes all, since selecting rows would synchronise a GPU."""
     return None if mask is None or mask.device.type != "cpu" else mask.squeeze(-1)
 
 
 def _blurred(colors: Tensor, sigma: Tensor, reach: int, dim: int, stride: int) -> Tensor:
-    """Blur along one axis, the border repeated.
+    """Blur along one axis, with the border repeated.
 
     Args:
         colors: [B, H, 3 W] float32.
         sigma: [B, 1, 1] standard deviation, pixels; 0 changes nothing.
-        reach: pixels to each side.
+        reach: radius of the kernel, pixels.
         dim: 1 for rows, 2 for columns.
-        stride: entries from one pixel to the next along ``dim``.
+        stride: number of entries from one pixel to the next along ``dim``.
     """
     steps = torch.arange(reach + 1, device=colors.device).view(-1, 1, 1, 1)
     weights = torch.exp(-0.5 * (steps / sigma.clamp_min(1e-3)) ** 2)  # [reach + 1, B, 1, 1]

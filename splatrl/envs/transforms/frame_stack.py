@@ -1,4 +1,4 @@
-"""The last few views side by side, as channels."""
+"""The last few views, stacked as channels."""
 
 import torch
 from tensordict import TensorDictBase
@@ -7,17 +7,17 @@ from torchrl.envs import CatFrames
 
 
 class FrameStack(CatFrames):
-    """TorchRL's ``CatFrames`` over [B, H, W, C] images, which begins an episode with its first view repeated.
+    """TorchRL's ``CatFrames`` for [B, H, W, C] images; an episode begins with its first view repeated.
 
-    It does not ask the host where episodes begin, as ``CatFrames`` does.
+    Unlike ``CatFrames``, it never synchronises with the host to find out where episodes begin.
 
     Args:
-        N: how many views.
+        N: number of views.
         in_keys: keys of the images.
-        dim: the axis of the channels; the last.
+        dim: the axis of the channels, which is the last one.
 
     Raises:
-        ValueError: for another axis.
+        ValueError: for any other axis.
     """
 
     def __init__(self, N: int, in_keys: tuple[str, ...] = ("pixels",), dim: int = -1):

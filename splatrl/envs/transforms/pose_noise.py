@@ -12,39 +12,39 @@ from torchrl.envs import ParallelEnv
 from splatrl.envs.transforms.randomness import RandomTransform
 
 EDGE = 1 - 1e-6
-"""How much of its range a uniform offset may use: the normal number behind it stays finite."""
+"""Share of its range that a uniform offset may use, which keeps the underlying normal number finite."""
 
 
 class PoseNoise(RandomTransform):
-    """Moves the camera, and not the robot, by noise: height, roll and pitch, and if asked x, y and yaw.
+    """Moves the camera but not the robot by noise in height, roll and pitch, and optionally in x, y and yaw.
 
-    It writes ``camera_offset`` before the env renders, and shows it in the observation: [B, 6] float32, metres along
+    It writes ``camera_offset`` before the env renders, and adds it to the observation: [B, 6] float32, metres along
     world x, y and z, then radians of pitch, roll and yaw about the camera's own right, forward and down axes. Every
-    reset draws it anew, except that a ``camera_offset`` which is given to a reset is kept: with its ``state`` and
-    ``camera_offset``, an observation can be seen again.
+    reset draws a new one, unless it is given a ``camera_offset``, which it keeps: an observation can be reproduced from
+    its ``state`` and ``camera_offset``.
 
-    With ``smooth=0`` every step draws anew. Else the hand is unsteady: behind each offset moves a first-order
-    autoregressive process, z' = ρ z + √(1 − ρ²) n with ρ = exp(−1 / smooth), which is an Ornstein-Uhlenbeck process
-    seen once a step. z is standard normal at all times, and a uniform offset is what share of such numbers is smaller:
-    so a single offset is distributed as with ``smooth=0``. The process has no state but ``camera_offset``.
+    With ``smooth=0`` every step draws independently. Otherwise the hand is unsteady: each offset is driven by a
+    first-order autoregressive process, z' = ρ z + √(1 − ρ²) n with ρ = exp(−1 / smooth), which is an Ornstein-Uhlenbeck
+    process sampled once per step. z is always standard normal, and a uniform offset is its cumulative probability, so
+    a single offset is distributed as with ``smooth=0``. The process has no state but ``camera_offset``.
 
-    Without an env it changes nothing, since what is recorded is past. Over a ``ParallelEnv`` it cannot work: put it
-    around each worker's env.
+    Without an env it changes nothing, since recorded images cannot change. It cannot work around a ``ParallelEnv``: put
+    it around each worker's env instead.
 
     Args:
-        height: size of the noise of the camera's height, metres: the largest offset of uniform noise, the standard
+        height: size of the noise in the camera's height, metres: the largest offset of uniform noise, or the standard
             deviation of normal noise.
-        roll_deg: about the camera's forward axis, degrees.
-        pitch_deg: about the camera's right axis, degrees.
-        x: along world x, metres.
-        y: along world y, metres.
-        yaw_deg: about the camera's down axis, degrees.
+        roll_deg: size of the noise about the camera's forward axis, degrees.
+        pitch_deg: size of the noise about the camera's right axis, degrees.
+        x: size of the noise along world x, metres.
+        y: size of the noise along world y, metres.
+        yaw_deg: size of the noise about the camera's down axis, degrees.
         distribution: uniform or normal.
         smooth: correlation time in steps; 0 for independent steps.
-        seed: of its own generator (``RandomTransform``).
+        seed: seed of its own generator (``RandomTransform``).
 
     Raises:
-        ValueError: for a size or a time that is not finite or is negative, another distribution, or a ``ParallelEnv``.
+        ValueError: for a size or time that is negative or not finite, any other distribution, or a ``ParallelEnv``.
     """
 
     sizes: Tensor  # [6] float32, in the order and the units of camera_offset
@@ -77,7 +77,7 @@ class PoseNoise(RandomTransform):
         env = self.container
         if tensordict is None:
             tensordict = TensorDict(batch_size=env.batch_size, device=env.device)
-        drawn = self._draw(tensordict.batch_size)  # drawn even if not used: what else is drawn must not depend on it
+        drawn = self._draw(tensordict.batch_size)  # always drawn, so that later draws do not depend on it
         given = tensordict.get("camera_offset", None)
         return tensordict.set("camera_offset", drawn if given is None else given.clone())
 
@@ -95,11 +95,11 @@ class PoseNoise(RandomTransform):
         return next_tensordict.set("camera_offset", tensordict["camera_offset"])
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Change nothing: a camera cannot be moved after its image was made."""
+        """Change nothing: a camera cannot be moved once its image has been rendered."""
         return tensordict
 
     def _draw(self, batch: torch.Size) -> Tensor:
-        """Offsets that depend on nothing before: [*batch, 6]."""
+        """Offsets that do not depend on earlier ones: [*batch, 6]."""
         options: dict[str, Any] = {"generator": self.generator, "device": self.sizes.device}
         if self.distribution == "normal":
             return torch.randn(*batch, 6, **options) * self.sizes
@@ -115,11 +115,11 @@ class PoseNoise(RandomTransform):
         return self.sizes * (torch.erf(normal / math.sqrt(2)) if uniform else normal)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Show ``camera_offset``."""
+        """Add ``camera_offset`` to the observation."""
         return self._with_offset(observation_spec)
 
     def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Take ``camera_offset`` from the input of a step or a reset."""
+        """Read ``camera_offset`` from the input of a step or a reset."""
         if isinstance(self.env, ParallelEnv):
             raise ValueError(
                 "PoseNoise: expected the env that renders, got a ParallelEnv, which does not pass camera_offset on; "

@@ -1,4 +1,4 @@
-"""Where a sprite is drawn, how large, and behind what."""
+"""Where a sprite is drawn, how large it is, and what hides it."""
 
 import math
 
@@ -12,24 +12,24 @@ from tests.envs.transforms.views import plain_sprite
 
 WIDTH, HEIGHT = 40, 24
 K = torch.tensor([[30.0, 0.0, 17.0], [0.0, 20.0, 14.0], [0.0, 0.0, 1.0]])
-"""Neither square pixels nor a principal point in the middle."""
+"""Intrinsics with non-square pixels and an off-centre principal point."""
 
 
 APPLE = load_sprite("apple")
 
 
 def blank(count: int = 1, height: int = HEIGHT, width: int = WIDTH) -> tuple[Tensor, Tensor]:
-    """Grey images and a depth that is infinitely far."""
+    """Grey images with infinite depth."""
     return torch.full((count, height, width, 3), 100, dtype=torch.uint8), torch.zeros(count, height, width)
 
 
 def ahead(*places: tuple[float, float, float]) -> tuple[Tensor, Tensor]:
-    """A camera that is the world's frame, and places in it: x right, y down, z ahead."""
+    """Cameras at the world's origin, and places in their frame: x right, y down, z ahead."""
     return torch.eye(4).expand(len(places), 4, 4), torch.tensor(places)
 
 
 def chequered(side: int = 16) -> Sprite:
-    """Every other texel is opaque white, the others are empty."""
+    """A sprite in which every other texel is opaque white and the others are empty."""
     alpha = (torch.arange(side).view(-1, 1) + torch.arange(side)) % 2 * 255
     white = torch.full((side, side, 3), 255)
     return Sprite.of(torch.cat([white, alpha.unsqueeze(2)], 2).to(torch.uint8))
@@ -134,7 +134,7 @@ def test_a_small_sprite_keeps_its_energy_wherever_it_stands(sprite: Sprite, dist
     places[:, 2] = distance
     images, depth = blank(50)
     _, share = overlay(images, depth, torch.eye(4).expand(50, 4, 4), K, places, sprite, size=0.5)
-    mean = sprite.texels[-9, 3].item()  # of the last level, which is one texel and eight that pad it
+    mean = sprite.texels[-9, 3].item()  # of the last level, which is one texel padded with eight
     expected = mean * 30 * 20 * (0.5 / distance) ** 2 / (WIDTH * HEIGHT)
     steps = 1 / billboard.ALPHA_STEPS / (WIDTH * HEIGHT) * 20
     torch.testing.assert_close(share, torch.full((50, 1), expected), rtol=2e-3, atol=steps)
@@ -230,6 +230,6 @@ def test_a_gpu_draws_the_same_within_a_grey_level() -> None:
 def test_on_another_device_the_host_waits_for_nothing() -> None:
     images, depth = blank(3)
     poses, places = ahead((0.0, 0.0, 1.0), (0.1, 0.0, 1.2), (0.0, 0.0, -1.0))
-    meta = [x.to("meta") for x in (images, depth, poses, K, places)]  # has shapes but no values that could be read
+    meta = [x.to("meta") for x in (images, depth, poses, K, places)]  # has shapes, but no values to read
     drawn, share = overlay(*meta, APPLE.to("meta"), size=0.4)
     assert drawn.shape == images.shape and share.shape == (3, 1)

@@ -56,7 +56,7 @@ def test_a_palette_with_a_transparent_colour_has_alpha(tmp_path: Path) -> None:
 
 
 def _png(width: int, height: int, data: bytes = b"") -> bytes:
-    """A PNG with a header of RGBA and whatever data."""
+    """A PNG with an RGBA header and the given data."""
 
     def chunk(name: bytes, body: bytes) -> bytes:
         return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
@@ -68,7 +68,7 @@ def _png(width: int, height: int, data: bytes = b"") -> bytes:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "no file"),
+        (None, "not a file"),
         (b"", "expected a PNG"),
         (b"GIF89a" + bytes(100), "expected a PNG"),
         (_png(4, 4, bytes(10)), "expected a PNG"),

@@ -76,7 +76,7 @@ def test_rows_that_are_not_asked_for_are_not_rendered_and_stay_black() -> None:
 def test_a_task_that_places_nothing_is_told_to_give_a_position() -> None:
     env = seeing_env((2,))
     env.drawing = SpriteDrawing(renderer(), plain_sprite())
-    with pytest.raises(ValueError, match=r"drawing\.position: expected x, y and z in metres beside a task without"):
+    with pytest.raises(ValueError, match=r"drawing\.position: expected x, y and z in metres for a task without"):
         env.reset(TensorDict({"state": torch.tensor([[0, 3, 0], [3, 3, 0]])}, [2]), set_state=True)
 
 

@@ -1,4 +1,4 @@
-"""Steps for tasks to judge, made by hand."""
+"""Hand-made steps for tasks to judge."""
 
 import torch
 from torch import Tensor
@@ -11,7 +11,7 @@ def judged(task: Task, ahead: Tensor, hit: Tensor) -> Verdict:
     """The verdict of a task on robots whose action leads to some states.
 
     Args:
-        task: that remembers nothing and looks at no image.
+        task: a task that remembers nothing and ignores the image.
         ahead: [B, ...] states, which may lie outside the bounds.
         hit: [B] bool, whether something is touched on the way.
     """
@@ -23,5 +23,5 @@ def judged(task: Task, ahead: Tensor, hit: Tensor) -> Verdict:
 
 
 def nowhere() -> Tensor:
-    """Fails: the task draws no states."""
+    """Fail, because the task must not draw states."""
     raise AssertionError("expected a task that draws no states")

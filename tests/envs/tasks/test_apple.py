@@ -19,7 +19,7 @@ RED, GREY, BLACK = (200, 0, 0), (230, 230, 230), (0, 0, 0)
 
 
 def image(*colors: tuple[int, int, int]) -> Tensor:
-    """Two rows of five pixels, as many of each color as given, the rest black: [1, 2, 5, 3] uint8."""
+    """Two rows of five pixels with the given number of each color, the rest black: [1, 2, 5, 3] uint8."""
     rows = [*colors, *[BLACK] * (10 - len(colors))]
     return torch.tensor(rows, dtype=torch.uint8).reshape(1, 2, 5, 3)
 

@@ -13,7 +13,7 @@ from tests.tiny import HEIGHT
 
 
 def drive() -> Drive:
-    """At most 0.1 m and 18° in a time step."""
+    """The drive task with at most 0.1 m and 18° per time step."""
     return Drive(DriveMotion(HEIGHT), (0.5, -0.2, 90.0))
 
 

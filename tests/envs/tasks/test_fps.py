@@ -15,7 +15,7 @@ EDGE = 0.6
 
 
 def fps(goal: tuple[float, ...] = (0.5, -0.2, 0.0), **settings: Any) -> Fps:
-    """Steps of 0.1 m and 10° in the square of ±0.6 m."""
+    """The fps task with steps of 0.1 m and 10° in the square of ±0.6 m."""
     return Fps(ForwardMotion(HEIGHT, lower=(-EDGE, -EDGE), upper=(EDGE, EDGE)), goal, **settings)
 
 
@@ -40,7 +40,7 @@ def reached(task: Fps, x: float, y: float, yaw_deg: float) -> bool:
         (0.5, -0.2, 10.1, False),
         (0.5, -0.2, 349.9, False),
         (0.5, -0.2, 180.0, False),
-        (0.6, -0.1, 350.0, True),  # each by itself: 0.14 m away
+        (0.6, -0.1, 350.0, True),  # each limit separately: 0.14 m away
     ],
 )
 def test_the_goal_is_within_one_step_along_each_axis_and_one_turn(

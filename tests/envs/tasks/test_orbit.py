@@ -20,7 +20,7 @@ RUN, GOAL, HIT, OUT = Outcome.RUNNING, Outcome.GOAL, Outcome.COLLISION, Outcome.
 
 
 def orbit(azimuth_deg: float = 180.0, distance: float = 1.0, elevation_deg: float = 0.0, **settings: Any) -> Orbit:
-    """12 azimuths, 5 distances from 0.5 m and 4 elevations."""
+    """The orbit task with 12 azimuths, 5 distances from 0.5 m and 4 elevations."""
     motion = OrbitMotion(ORIGIN, 30.0, 0.25, (0.5, 1.5), (0.0, 90.0))
     return Orbit(motion, azimuth_deg, distance, elevation_deg, **settings)
 

@@ -1,4 +1,4 @@
-"""A goal that is granted for what the image shows."""
+"""A goal that depends on what the image shows."""
 
 from typing import Any
 
@@ -14,11 +14,11 @@ from tests.envs.rooms import PLACE, coarse_apple, painted_env
 FORWARD, BACK, LEFT, RIGHT = range(4)
 EAST, NORTH, WEST, SOUTH = (0.25 * turn for turn in range(4))
 SEEN = [0.25, 1.0, EAST]
-"""One step forward sees the apple from 0.25 m."""
+"""A state from which one step forward sees the apple from 0.25 m."""
 
 
 def begin(env: SplatEnv, states: list[list[float]]) -> TensorDictBase:
-    """Robots placed by hand, x and y in metres and the heading in turns, in an episode that counts."""
+    """Robots placed by hand, x and y in metres and the heading in turns, in an episode that the curriculum counts."""
     state = torch.tensor(states) * torch.tensor([1.0, 1.0, torch.pi * 2])
     td = env.reset(TensorDict({"state": state}, [len(states)]), set_state=True)
     return td.set("level", torch.zeros_like(td["level"]))
@@ -73,7 +73,7 @@ def test_a_goal_in_the_last_step_wins_over_the_end_of_time() -> None:
 
 
 def test_a_collision_or_leaving_the_bounds_is_never_turned_into_a_goal() -> None:
-    """All of them stand at the apple and see red while they run into something."""
+    """Both robots stand at the apple and see red while they run into something."""
     block, east_of_it = [-0.5, 0.0, EAST], (-0.25, 0.0, 0.5)
     env = painted_env(coarse_apple(), 2)
     td = begin(env, [block, [1.0, 1.0, EAST]])
@@ -95,7 +95,7 @@ def test_the_curriculum_hears_of_each_end_once() -> None:
     assert progress.progress.tolist() == [0, 2, 1]
     td = env.maybe_reset(env.step_mdp(after))
     td = td.set("level", torch.zeros_like(td["level"]))
-    assert progress.progress.tolist() == [0, 2, 1]  # a reset is no end
+    assert progress.progress.tolist() == [0, 2, 1]  # a reset does not end an episode
     td["level"][0] = td["level"][2] = -1  # what was placed by hand does not count
     after = env.step(td.set("action", torch.tensor([LEFT, FORWARD, LEFT, LEFT])))["next"]
     assert column(after, "outcome")[1] == Outcome.GOAL and column(after, "outcome")[3] == Outcome.TIMEOUT

@@ -1,4 +1,4 @@
-"""The sim2real task: its settings; what it does is the apple task's."""
+"""The settings of the sim2real task, which otherwise behaves like the apple task."""
 
 import pytest
 import torch
@@ -24,7 +24,7 @@ def test_the_camera_shakes_unless_asked_not_to() -> None:
     noise = load_config(["task=sim2real"]).transforms.pose_noise
     shaking = instantiate(noise)
     sizes = shaking.sizes.tolist()
-    assert sizes[:2] == [0.0, 0.0] and sizes[5] == 0.0  # height, pitch and roll alone
+    assert sizes[:2] == [0.0, 0.0] and sizes[5] == 0.0  # only height, pitch and roll
     assert sizes[2:5] == pytest.approx([0.02, *torch.tensor([5.0, 5.0]).deg2rad().tolist()])
     still = load_config(["task=sim2real", "transforms/pose_noise=none"])
     assert not still.transforms.pose_noise and still.drawing._target_.endswith("SpriteDrawing")

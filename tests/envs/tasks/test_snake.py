@@ -82,7 +82,7 @@ def test_the_target_moves_on_in_exactly_the_step_that_reaches_it() -> None:
         seen.append(step["next", "target"])
         rewards.append(column(step["next"], "reward"))
         outcomes.append(column(step["next"], "outcome"))
-        assert torch.equal(step["target"], seen[-2])  # what the step began with is as it was
+        assert torch.equal(step["target"], seen[-2])  # the input of the step is unchanged
         td = env.step_mdp(step)
         assert not td["done"].any()
     moved = [(a != b).any(1).tolist() for a, b in pairwise(seen)]
@@ -98,7 +98,7 @@ def test_apples_stand_at_free_places_all_over_the_start_set() -> None:
     plan = apple_plan()
     starts = {tuple(row) for row in plan.states[plan.start_rows][:, :2].tolist()}
     places = {tuple(row) for row in targets[:, :2].tolist()}
-    assert places <= starts and len(places) > 80  # of 9 × 13 less the block's
+    assert places <= starts and len(places) > 80  # of 9 × 13 places, without those in the block
     assert targets[:, 2].unique().tolist() == [HEIGHT]
 
 

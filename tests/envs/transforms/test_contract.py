@@ -1,4 +1,4 @@
-"""Envs under transforms keep the promises of an env."""
+"""Envs under transforms fulfil the contract of an env."""
 
 import torch
 from torchrl.envs import EnvBase
@@ -9,7 +9,7 @@ from tests.envs.transforms.views import transformed
 
 
 class TransformedContract(EnvContract):
-    """TorchRL's ``TransformedEnv.state_dict`` holds the transforms alone, so that of the env is saved beside it."""
+    """TorchRL's ``TransformedEnv.state_dict`` holds only the transforms, so that of the env is saved beside it."""
 
     steps = 16
 
@@ -29,7 +29,7 @@ class TransformedContract(EnvContract):
 
 
 class TestAllTransforms(TransformedContract):
-    """An observation depends on ``camera_offset`` and ``appearance``, and on what a step draws."""
+    """An observation depends on ``camera_offset`` and ``appearance``, and on what the step draws."""
 
     def make(self, batch_size: tuple[int], seed: int = 0) -> EnvBase:
         return transformed(batch_size, seed)
@@ -47,7 +47,7 @@ class TestAllTransforms(TransformedContract):
         assert not torch.equal(elsewhere["pixels"], given["pixels"])
 
     def test_a_robot_does_not_depend_on_the_others(self) -> None:
-        """What is drawn for it does, so it is given."""
+        """The random draws of a robot do depend on the others, so they are given."""
         batch, alone = (transformed((count,), 0, ("PoseNoise",)) for count in (5, 1))
         together = batch.reset()
         for row in range(5):

@@ -1,4 +1,4 @@
-"""How far the camera is from where the robot has it."""
+"""How far the camera is from its nominal pose on the robot."""
 
 import math
 

@@ -19,7 +19,7 @@ every = pytest.mark.parametrize("name", NAMES)
 
 
 def images(count: int = 5) -> TensorDictBase:
-    """What a transform reads, without an env."""
+    """The input of a transform without an env."""
     return TensorDict(seeing_env((count,)).reset().select("pixels"), [count])
 
 
@@ -48,7 +48,7 @@ def test_around_a_serial_env(name: str) -> None:
 
 
 def test_around_each_env_of_a_parallel_env() -> None:
-    """One test of workers, with all transforms: to start them is slow."""
+    """One test of workers with all transforms, since starting workers is slow."""
     make = [partial(transformed, (3,), seed) for seed in (0, 1)]
     parallel, serial = ParallelEnv(2, make, mp_start_method="fork"), SerialEnv(2, make)
     try:
@@ -63,7 +63,7 @@ def test_on_data_without_an_env(name: str) -> None:
     before = data.clone()
     after = make_transform(name)(data)
     changed = not torch.equal(after["pixels"], before["pixels"])
-    assert changed == (name != "PoseNoise")  # a camera cannot be moved after its image was made
+    assert changed == (name != "PoseNoise")  # a camera cannot be moved once its image has been rendered
 
 
 @every

@@ -13,12 +13,12 @@ from splatrl.renderers import NativeRenderer
 from tests.tiny import BlockChecker, tiny_gaussians, tiny_plan, tiny_robot, tiny_task
 
 PLACE = (0.9, 0.0, 0.5)
-"""Between the block in the middle and the east wall."""
+"""A place between the block in the middle and the east wall."""
 
 
 @cache
 def renderer() -> NativeRenderer:
-    """Quick enough to draw views that are never seen again, as those of a camera that is not steady."""
+    """A renderer that is fast enough for views that never repeat, such as those of an unsteady camera."""
     return NativeRenderer(tiny_gaussians(), threads=1)
 
 
@@ -30,12 +30,12 @@ def seeing_env(batch_size: tuple[int, ...] = (3,), seed: int = 0, sprite: bool =
 
 
 def plain_sprite() -> Sprite:
-    """An opaque green square: its texels can be checked by hand."""
+    """An opaque green square, whose texels can be checked by hand."""
     return Sprite.of(torch.tensor([0, 255, 0, 255], dtype=torch.uint8).expand(64, 64, 4).contiguous())
 
 
 def plain_drawing() -> SpriteDrawing:
-    """The green square before the east wall."""
+    """The green square in front of the east wall."""
     return SpriteDrawing(renderer(), plain_sprite(), size=0.3, position=PLACE)
 
 

@@ -1,1 +1,1 @@
-"""A task, a transform, a network and a scene of one's own, in a package of one's own."""
+"""An example of your own package, with a task, a transform, a network and a scene."""

@@ -1,4 +1,4 @@
-"""A network of one's own: from ``pixels`` by ``image`` to ``hidden``, and from there to action and value."""
+"""A custom network: from ``pixels`` via ``image`` to ``hidden``, and from there to action and value."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ from splatrl.training.networks import PoolPixels
 
 
 def linear(image_shape: Sequence[int], action_spec: TensorSpec, pool: int = 4, features: int = 32, memory: int = 0):
-    """One layer over coarse pixels: what a bee might do with."""
+    """One layer over coarse pixels, about as much as a bee might need."""
     height, width, channels = image_shape
     inputs = (height // pool) * (width // pool) * channels
     layer = nn.Sequential(nn.Flatten(-3), nn.Linear(inputs, features), nn.ReLU())

@@ -1,4 +1,4 @@
-"""A scene source of one's own: whatever returns a ``Scene``."""
+"""A custom scene source: anything that returns a ``Scene``."""
 
 import torch
 

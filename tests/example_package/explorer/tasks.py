@@ -9,7 +9,7 @@ from splatrl.motions import PlannedMotion
 
 
 class Explore(TaskModule):
-    """One for each cell that is new in the episode; nothing ends it but its limit of steps."""
+    """Pays 1 for each cell that is new in the episode, which ends only at its limit of steps."""
 
     def __init__(self, motion: PlannedMotion, cell: float = 0.5, max_steps: int = 100):
         super().__init__(motion, max_steps)

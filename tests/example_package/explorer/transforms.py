@@ -1,4 +1,4 @@
-"""A transform of one's own: TorchRL's, over ``pixels``."""
+"""A custom transform: TorchRL's own, applied to ``pixels``."""
 
 import torch
 from tensordict import TensorDictBase
@@ -6,7 +6,7 @@ from torchrl.envs import Transform
 
 
 class Grey(Transform):
-    """Takes the colour out of what robots see."""
+    """Removes the colour from what robots see."""
 
     def __init__(self) -> None:
         super().__init__(in_keys=["pixels"], out_keys=["pixels"])

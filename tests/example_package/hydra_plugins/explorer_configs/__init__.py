@@ -5,8 +5,8 @@ from hydra.plugins.search_path_plugin import SearchPathPlugin
 
 
 class ExplorerConfigs(SearchPathPlugin):
-    """Adds ``explorer/conf``."""
+    """Adds ``explorer/conf`` to Hydra's search path."""
 
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
-        """Append the folder: names that splatrl has already stay splatrl's."""
+        """Append the folder, so that splatrl's own names take precedence."""
         search_path.append("explorer", "pkg://explorer.conf")
