@@ -1,0 +1,69 @@
+"""What the stages of a capture hand to each other."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from torch import Tensor
+
+
+class CaptureError(ValueError):
+    """A capture that cannot become a scene: says what is wrong, with figures, and what to do."""
+
+
+@dataclass(frozen=True)
+class Photos:
+    """Upright images of one place, in the order in which they were taken.
+
+    Attributes:
+        paths: N image files, all of one size.
+        width: of every image, pixels.
+        height: of every image, pixels.
+        seconds: [N] float64, when each was taken, from 0; the number of the image where that is unknown.
+        K: [3, 3] float64 intrinsics of these images, pixels; None where they are to be found.
+        camera_to_world: [N, 4, 4] float64 known poses, metres where ``metric``, OpenCV camera axes; None where they are
+            to be found.
+        up: [3] float64, the direction away from the earth in the frame of ``camera_to_world``; None where unknown.
+        depths: N files of measured depth, uint16 PNG in millimetres, 0 where there is none; empty without a sensor.
+        metric: whether the unit of ``camera_to_world`` is the metre.
+    """
+
+    paths: list[Path]
+    width: int
+    height: int
+    seconds: Tensor
+    K: Tensor | None = None
+    camera_to_world: Tensor | None = None
+    up: Tensor | None = None
+    depths: tuple[Path, ...] = ()
+    metric: bool = False
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """Cameras with known poses, and points that they saw.
+
+    Attributes:
+        paths: N image files without lens distortion, in the order in which they were taken.
+        width: of every image, pixels.
+        height: of every image, pixels.
+        K: [3, 3] float64 intrinsics, pixels.
+        camera_to_world: [N, 4, 4] float64, OpenCV camera axes; any frame and unit until the world stage.
+        points: [P, 3] float64, in the same frame.
+        colors: [P, 3] uint8.
+        seen_point: [T] int64, for each sighting of a point by a camera, which point.
+        seen_by: [T] int64, and which camera.
+        missing: share of the given images whose pose was not found.
+        depths: N files of measured depth, as in ``Photos``; empty without a sensor.
+    """
+
+    paths: list[Path]
+    width: int
+    height: int
+    K: Tensor
+    camera_to_world: Tensor
+    points: Tensor
+    colors: Tensor
+    seen_point: Tensor
+    seen_by: Tensor
+    missing: float = 0.0
+    depths: tuple[Path, ...] = ()

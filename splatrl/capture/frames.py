@@ -1,0 +1,182 @@
+"""First stage: the sharpest images of a video or of a folder of photos, upright and of one size."""
+
+import hashlib
+import json
+import math
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+from splatrl.capture import photo_files, videos
+from splatrl.capture.base import CaptureError, Photos
+from splatrl.capture.progress import Progress, silent
+from splatrl.evaluation.clip_files import new_folder
+
+INDEX = "index.json"
+PER_SECOND = 3.0
+"""Fewest frames to take of a second of video, up to the most frames that are wanted."""
+SHARPNESS_WIDTH = 480
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class _Taken:
+    image: Image.Image
+    seconds: float
+
+
+def read_photos(
+    source: Path, folder: Path, count: tuple[int, int] = (120, 200), longest: int = 960, progress: Progress = silent
+) -> Photos:
+    """Take the sharpest frames of a video, or the photos of a folder, and keep them.
+
+    A second call with the same source and settings reads what the first one kept.
+
+    Args:
+        source: a video, or a folder of PNG and JPEG photos.
+        folder: of the capture; the images come into its sub-folder ``frames``.
+        count: fewest (where the video has so many) and most images.
+        longest: the most pixels along the longer side.
+        progress: told about every frame or photo.
+
+    Returns:
+        The images in the order in which they were taken; K where all photos' EXIF agree on a focal length (a first
+        guess: it is rounded to a millimetre).
+
+    Raises:
+        CaptureError: where the source cannot be read or its images are not of one size.
+        ValueError: for settings that make no sense.
+    """
+    if not 1 <= count[0] <= count[1]:
+        raise ValueError(f"count: expected (fewest, most), got {count}")
+    if longest < 16:
+        raise ValueError(f"longest: expected at least 16 pixels, got {longest}")
+    if not source.exists():
+        raise CaptureError(f"{source}: expected a video or a folder of photos, found none")
+    digest = _digest(source, [VERSION, count, longest])
+    kept = folder / "frames"
+    if _index(kept).get("digest") != digest:
+        folder.mkdir(parents=True, exist_ok=True)
+        _discard(kept)
+        taken = _from_folder(source, count, longest, progress) if source.is_dir() else None
+        with new_folder(kept) as made:
+            _write(made, taken or _from_video(source, count, longest, progress), source, digest)
+    return _kept(kept)
+
+
+def sharpness(grey: np.ndarray) -> float:
+    """Variance of the Laplacian of a grey image [H, W]: the larger, the sharper."""
+    grey = grey.astype(np.float32)
+    around = grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:]
+    return float((around - 4 * grey[1:-1, 1:-1]).var())
+
+
+def buckets(times: np.ndarray, count: tuple[int, int]) -> np.ndarray:
+    """Part a video into stretches of equal time.
+
+    Args:
+        times: [N] seconds of its frames, ascending.
+        count: fewest and most stretches.
+
+    Returns:
+        [M - 1] ends of all stretches but the last, M at most the number of frames.
+    """
+    length = times[-1] - times[0]
+    most = min(max(count[0], math.ceil(PER_SECOND * length)), count[1], len(times))
+    return times[0] + length * np.arange(1, most) / most
+
+
+def _from_video(source: Path, count: tuple[int, int], longest: int, progress: Progress) -> Iterator[_Taken]:
+    times = videos.packet_times(source)
+    ends = buckets(times, count)
+    best, best_sharpness, best_bucket, start = None, -1.0, 0, float(times[0])
+    for number, (seconds, frame) in enumerate(videos.frames(source)):
+        progress("frames", min(number, len(times)), len(times))
+        bucket = int(np.searchsorted(ends, seconds, side="right"))
+        if best is not None and bucket != best_bucket:
+            yield _Taken(videos.upright(best, longest), float(best.time) - start)
+            best_sharpness = -1.0
+        scale = min(1.0, SHARPNESS_WIDTH / max(frame.width, frame.height))
+        grey = frame.reformat(max(3, round(frame.width * scale)), max(3, round(frame.height * scale)), "gray")
+        value = sharpness(grey.to_ndarray())
+        if value > best_sharpness:
+            best, best_sharpness, best_bucket = frame, value, bucket
+    if best is None:
+        raise CaptureError(f"{source}: expected frames, could decode none")
+    yield _Taken(videos.upright(best, longest), float(best.time) - start)
+    progress("frames", len(times), len(times))
+
+
+def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: Progress) -> Iterator[_Taken]:
+    paths = photo_files.photos_of(source)
+    groups = np.array_split(np.arange(len(paths)), min(len(paths), count[1]))
+    for group in groups:
+        images = []
+        for number in group.tolist():
+            progress("photos", number, len(paths))
+            images.append(videos.shrunk(photo_files.read_photo(paths[number]), longest))
+        values = [sharpness(np.asarray(image.convert("L"))) for image in images] if len(images) > 1 else [0.0]
+        best = int(np.argmax(values))
+        yield _Taken(images[best], float(group[best]))
+    progress("photos", len(paths), len(paths))
+
+
+def _write(made: Path, taken: Iterator[_Taken], source: Path, digest: str) -> None:
+    names, seconds, size = [], [], None
+    for number, photo in enumerate(taken):
+        size = size or photo.image.size
+        if photo.image.size != size:
+            raise CaptureError(
+                f"{source}: expected images of one size and one camera, got {size[0]} × {size[1]} and, for image "
+                f"{number + 1}, {photo.image.size[0]} × {photo.image.size[1]}: take all upright or all across, or remove "
+                "those of the other size"
+            )
+        names.append(f"{number:04}.jpg")
+        photo.image.convert("RGB").save(made / names[-1], quality=95, subsampling=0)
+        seconds.append(photo.seconds)
+    assert size is not None
+    focal = photo_files.focal_length(source, size) if source.is_dir() else None
+    index = {"digest": digest, "names": names, "seconds": seconds, "size": size, "focal": focal}
+    (made / INDEX).write_text(json.dumps(index), "utf-8")
+
+
+def _kept(kept: Path) -> Photos:
+    index = _index(kept)
+    width, height = index["size"]
+    K = None
+    if index["focal"]:
+        K = torch.tensor([[index["focal"], 0, width / 2], [0, index["focal"], height / 2], [0, 0, 1]]).double()
+    paths = [kept / name for name in index["names"]]
+    return Photos(paths, width, height, torch.tensor(index["seconds"], dtype=torch.float64), K)
+
+
+def _index(kept: Path) -> dict:
+    try:
+        index = json.loads((kept / INDEX).read_text("utf-8"))
+        return index if all((kept / name).is_file() for name in index["names"]) else {}
+    except (OSError, ValueError, KeyError):
+        return {}
+
+
+def _discard(kept: Path) -> None:
+    """Remove what an earlier call kept, and nothing that is not from there."""
+    if not kept.exists():
+        return
+    if not (kept / INDEX).is_file():
+        raise CaptureError(f"{kept}: expected frames of an earlier capture or nothing, found something else")
+    shutil.rmtree(kept)
+
+
+def _digest(source: Path, settings: list) -> str:
+    files = photo_files.photos_of(source) if source.is_dir() else [source]
+    digest = hashlib.blake2b(json.dumps([settings, [path.name for path in files]]).encode(), digest_size=16)
+    for path in files:
+        with path.open("rb") as stream:
+            while block := stream.read(2**22):
+                digest.update(block)
+    return digest.hexdigest()

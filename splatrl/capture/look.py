@@ -1,0 +1,175 @@
+"""Second stage: a look at the images, which tells in seconds that a capture cannot work, and why."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from splatrl.capture.base import CaptureError, Photos
+from splatrl.capture.matches import Features, Pair, features, related
+from splatrl.capture.progress import Progress, silent
+
+FRAMES = 60
+FEW = 40
+"""Up to so many photos all pairs are compared, for their order may mean nothing."""
+MIN_BRIGHTNESS = 25.0
+MIN_KEYPOINTS = 200
+MIN_VERIFIED = 0.8
+MAX_TURNED = 0.5
+MIN_SHIFT = 0.02
+MIN_ANGLE = math.radians(3)
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a look at the images found.
+
+    Attributes:
+        images: how many were looked at.
+        brightness: median over the images of their mean grey, 0 to 255.
+        keypoints: of the better images (the 75th percentile), at most 1,500.
+        verified: share of images in which enough points of the third next image are found again; for few photos, of
+            those that share points with two others.
+        turned: of the pairs that share points and lie at least three images apart, the share that a camera which only
+            turned explains.
+        shift: median way of a point between such images, as a share of the image's longer side.
+        angle: under which the camera saw the same point from two places, radians, the 90th percentile.
+        few: whether these are few photos, compared in all pairs.
+    """
+
+    images: int
+    brightness: float
+    keypoints: float
+    verified: float
+    turned: float
+    shift: float
+    angle: float
+    few: bool = False
+
+    def cause(self) -> str | None:
+        """Why this capture cannot work, with figures and what to do; None where nothing speaks against it."""
+        if self.images < 3:
+            return f"too few images: {self.images}, and at least 3 are needed. Take 50 to 200, or a video of a minute."
+        if self.brightness < MIN_BRIGHTNESS:
+            return (
+                f"too dark: the mean grey of the images is {self.brightness:.0f} of 255, and at least "
+                f"{MIN_BRIGHTNESS:.0f} are needed. Switch on lights, or fix a longer exposure and move more slowly."
+            )
+        for found in (self._texture(), self._speed(), self._motion()):
+            if found:
+                return found
+        return None
+
+    def refuse(self) -> None:
+        """Go no further with a capture that cannot work.
+
+        Raises:
+            CaptureError: with the cause.
+        """
+        cause = self.cause()
+        if cause:
+            raise CaptureError(cause)
+
+    def _texture(self) -> str | None:
+        if self.keypoints >= MIN_KEYPOINTS:
+            return None
+        return (
+            f"textureless: even the better images show {self.keypoints:.0f} distinct points, and at least "
+            f"{MIN_KEYPOINTS} are needed. Film things with patterns and edges, not blank walls; put up posters or "
+            "newspaper where there are none, and see that the images are sharp."
+        )
+
+    def _speed(self) -> str | None:
+        if self.verified >= MIN_VERIFIED:
+            return None
+        figures = f"{self.verified:.0%} of the images, and at least {MIN_VERIFIED:.0%} are needed"
+        if self.few:
+            return (
+                f"photos too far apart: enough points of two other photos are found again in only {figures}. Take more "
+                "photos, each showing at least two thirds of the one before."
+            )
+        return (
+            f"moved too fast: enough points of the third next image are found again in only {figures}. Move at a slow "
+            "walk, turn slowly, give it more light, or take more frames."
+        )
+
+    def _motion(self) -> str | None:
+        if self.turned > MAX_TURNED and self.shift >= MIN_SHIFT:
+            return (
+                f"only turned on the spot: a camera that stays in one place explains {self.turned:.0%} of the pairs of "
+                f"images, and at most {MAX_TURNED:.0%} may be so. Depth shows only from different places: walk "
+                "sideways and around things while you film."
+            )
+        if self.turned > MAX_TURNED or self.angle < MIN_ANGLE:
+            return (
+                f"hardly moved: the camera saw the same point under {math.degrees(self.angle):.1f}°, and at least "
+                f"{math.degrees(MIN_ANGLE):.0f}° are needed; points wander by {self.shift:.1%} of the image. Walk "
+                "through the place and around things while you film."
+            )
+        return None
+
+
+def look(photos: Photos, progress: Progress = silent) -> Look:
+    """Look at some of the images and compare them.
+
+    Args:
+        photos: of one place, in the order in which they were taken.
+        progress: told about every image and pair.
+
+    Returns:
+        Figures, and what follows from them.
+
+    Raises:
+        ImportError: without the extra ``capture``.
+    """
+    chosen = np.unique(np.linspace(0, len(photos.paths) - 1, min(FRAMES, len(photos.paths))).round().astype(int))
+    seen = []
+    for number in chosen.tolist():
+        progress("look", len(seen), 5 * len(chosen))
+        seen.append(features(photos.paths[number]))
+    few = len(photos.paths) <= FEW
+    pairs = list(_pairs(len(seen), few))
+    found = {}
+    for done, (first, second) in enumerate(pairs):
+        progress("look", len(seen) + 4 * len(seen) * done // len(pairs), 5 * len(seen))
+        found[first, second] = related(seen[first], seen[second])
+    progress("look", 1, 1)
+    return summed(seen, found, few)
+
+
+def summed(seen: list[Features], found: dict[tuple[int, int], Pair], few: bool) -> Look:
+    """Figures of a look.
+
+    Args:
+        seen: features of the images.
+        found: pairs by their two numbers, the smaller one first.
+        few: whether these are few photos, compared in all pairs.
+    """
+    sharing = {pair: how for pair, how in found.items() if how.kind != "none"}
+    if few:
+        others = [sum(number in pair for pair in sharing) for number in range(len(seen))]
+        verified = float(np.mean([count >= 2 for count in others])) if others else 0.0
+    else:
+        third = [pair in sharing for pair in found if pair[1] - pair[0] == 3]
+        verified = float(np.mean(third)) if third else 0.0
+    apart = [how for pair, how in sharing.items() if few or pair[1] - pair[0] >= 3]
+    return Look(
+        images=len(seen),
+        brightness=float(np.median([image.brightness for image in seen])),
+        keypoints=float(np.percentile([len(image.points) for image in seen], 75)),
+        verified=verified,
+        turned=float(np.mean([how.kind == "turned" for how in apart])) if apart else 0.0,
+        shift=float(np.median([how.shift for how in apart])) if apart else 0.0,
+        angle=float(np.percentile([how.angle for how in apart], 90)) if apart else 0.0,
+        few=few,
+    )
+
+
+def _pairs(count: int, few: bool) -> Iterator[tuple[int, int]]:
+    if few:
+        yield from ((first, second) for first in range(count) for second in range(first + 1, count))
+        return
+    for offset in (1, 2, 3):
+        yield from ((first, first + offset) for first in range(count - offset))
+    yield from ((first, second) for first in range(0, count, 5) for second in range(first + 5, count, 5))

@@ -1,0 +1,153 @@
+"""Features of small images, and how two of these images are related: fast enough to look before the real work."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from splatrl.capture.optional import needed
+
+LONGEST, FEATURES = 640, 1500
+MIN_INLIERS = 15
+GUESSED_FOCAL = 1.2
+"""Of the longer side: COLMAP's guess where nothing is known."""
+SAME_CENTRE = 0.12
+"""A homography is a rotation's up to here: √(σ₁/σ₃) − 1 with the best focal length, about the sideways move as a share
+of the distance."""
+
+
+@dataclass(frozen=True)
+class Features:
+    """Of one image: points [N, 2] float64 in pixels, unit descriptors [N, 128] float32, mean grey, and the size."""
+
+    points: np.ndarray
+    descriptors: np.ndarray
+    brightness: float
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """How two images are related.
+
+    Attributes:
+        kind: ``none`` without enough common points, ``turned`` where a rotation about the camera's centre explains
+            them, ``plane`` where a moving camera saw a plane, ``moved`` otherwise.
+        angle: median angle between the rays to a point, radians; 0 unless the camera moved.
+        shift: median way of a point across the image, as a share of the longer side.
+    """
+
+    kind: Literal["none", "turned", "plane", "moved"]
+    angle: float = 0.0
+    shift: float = 0.0
+
+
+def features(path: Path) -> Features:
+    """SIFT of an image, at most 640 pixels wide and high, with the square root of L1-normalised descriptors.
+
+    Args:
+        path: of the image.
+    """
+    cv2 = needed("cv2")
+    grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if grey is None:
+        raise ValueError(f"{path}: expected an image, could not read it")
+    brightness = float(grey.mean())
+    scale = LONGEST / max(grey.shape)
+    if scale < 1:
+        grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    keypoints, descriptors = cv2.SIFT_create(FEATURES, contrastThreshold=0.02).detectAndCompute(grey, None)
+    size = (grey.shape[1], grey.shape[0])
+    if descriptors is None:
+        return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), brightness, size)
+    points = np.array([keypoint.pt for keypoint in keypoints]).reshape(-1, 2) + 0.5
+    descriptors = np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-9))
+    return Features(points, descriptors, brightness, size)
+
+
+def matches(a: Features, b: Features) -> np.ndarray:
+    """Descriptors that are each other's nearest and clearly nearer than the second nearest.
+
+    Args:
+        a: of one image.
+        b: of the other.
+
+    Returns:
+        [M, 2] uint32, numbers of points of a and of b.
+    """
+    if min(len(a.points), len(b.points)) < 2:
+        return np.zeros((0, 2), np.uint32)
+    likeness = a.descriptors @ b.descriptors.T
+    forth, good_forth = _nearest(likeness)
+    back, good_back = _nearest(np.ascontiguousarray(likeness.T))
+    rows = np.arange(len(forth))
+    chosen = good_forth & good_back[forth] & (back[forth] == rows)
+    return np.stack([rows[chosen], forth[chosen]], 1).astype(np.uint32)
+
+
+def related(a: Features, b: Features, seed: int = 0) -> Pair:
+    """Find out how two images are related, without knowing the camera.
+
+    Args:
+        a: of one image.
+        b: of the other, of the same size.
+        seed: of the random samples.
+    """
+    pycolmap = needed("pycolmap")
+    found = matches(a, b)
+    if len(found) < MIN_INLIERS:
+        return Pair("none")
+    width, height = a.size
+    focal = GUESSED_FOCAL * max(a.size)
+    camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=width, height=height, params=[focal, width / 2, height / 2])
+    options = pycolmap.TwoViewGeometryOptions(compute_relative_pose=True)
+    options.ransac.random_seed = seed
+    options.ransac.max_num_trials = 2000
+    geometry = pycolmap.estimate_two_view_geometry(camera, a.points, camera, b.points, found, options)
+    inliers = np.asarray(geometry.inlier_matches)
+    if len(inliers) < MIN_INLIERS:
+        return Pair("none")
+    ways = a.points[inliers[:, 0]] - b.points[inliers[:, 1]]
+    shift = float(np.median(np.linalg.norm(ways, axis=1))) / max(a.size)
+    kind = pycolmap.TwoViewGeometryConfiguration(geometry.config).name
+    if kind == "PANORAMIC" or (kind in ("PLANAR", "PLANAR_OR_PANORAMIC", "WATERMARK") and _turned(geometry, a.size)):
+        return Pair("turned", 0.0, shift)
+    return Pair("plane" if kind.startswith("PLANAR") else "moved", float(geometry.tri_angle), shift)
+
+
+def _turned(geometry: Any, size: tuple[int, int]) -> bool:
+    """Whether the homography between two images is that of a camera that only turned, for any likely focal length."""
+    if geometry.H is None:
+        return True
+    return unlike_rotation(np.asarray(geometry.H), size) < SAME_CENTRE
+
+
+def unlike_rotation(homography: np.ndarray, size: tuple[int, int]) -> float:
+    """How far a homography is from K R K⁻¹ with any rotation R and any likely focal length.
+
+    Args:
+        homography: [3, 3] in pixels.
+        size: width and height, pixels.
+
+    Returns:
+        √(σ₁/σ₃) − 1 of K⁻¹ H K, 0 for a rotation.
+    """
+    focals = max(size) * np.geomspace(0.5, 2.5, 25)
+    K = np.zeros((len(focals), 3, 3))
+    K[:, 0, 0] = K[:, 1, 1] = focals
+    K[:, 0, 2], K[:, 1, 2], K[:, 2, 2] = size[0] / 2, size[1] / 2, 1
+    values = np.linalg.svd(np.linalg.inv(K) @ homography @ K, compute_uv=False)
+    return float(np.sqrt(values[:, 0] / np.maximum(values[:, 2], 1e-12)).min()) - 1
+
+
+def _nearest(likeness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of each row the nearest column, and whether it is near and unambiguous."""
+    rows = np.arange(len(likeness))
+    nearest = likeness.argmax(1)
+    first = likeness[rows, nearest]
+    likeness[rows, nearest] = -1
+    second = likeness.max(1)
+    likeness[rows, nearest] = first
+    first_angle, second_angle = (np.arccos(np.clip(value, -1, 1)) for value in (first, second))
+    return nearest, (first_angle < 0.7) & (first_angle < 0.8 * second_angle)

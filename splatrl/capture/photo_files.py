@@ -1,0 +1,81 @@
+"""Photos of a folder: upright by their EXIF, with the focal length that it tells."""
+
+import math
+import re
+from pathlib import Path
+
+from PIL import Image, ImageOps
+
+from splatrl.capture.base import CaptureError
+from splatrl.capture.videos import MAX_PIXELS
+
+PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
+UNREAD = (".heic", ".heif", ".avif", ".dng")
+EXIF_IFD, FOCAL_35MM = 0x8769, 0xA405
+DIAGONAL_35MM = math.hypot(36, 24)
+
+
+def photos_of(folder: Path) -> list[Path]:
+    """The photos of a folder in the order of the numbers in their names.
+
+    Args:
+        folder: to look in, not in its sub-folders.
+
+    Raises:
+        CaptureError: where there are none.
+    """
+    files = [path for path in folder.iterdir() if not path.name.startswith(".")]
+    found = sorted((path for path in files if path.suffix.lower() in PHOTO_SUFFIXES), key=natural)
+    if not found:
+        unread = [path for path in files if path.suffix.lower() in UNREAD]
+        hint = f"; {len(unread)} are {unread[0].suffix}: convert them to JPEG first" if unread else ""
+        raise CaptureError(f"{folder}: expected photos ({', '.join(PHOTO_SUFFIXES)}), found none{hint}")
+    return found
+
+
+def read_photo(path: Path) -> Image.Image:
+    """Read a photo, RGB and upright.
+
+    Args:
+        path: of a PNG or a JPEG.
+
+    Raises:
+        CaptureError: for a file that is broken, of another kind, or too large.
+    """
+    try:
+        with Image.open(path, formats=("PNG", "JPEG")) as image:  # reads the header only
+            width, height = image.size
+            upright = ImageOps.exif_transpose(image).convert("RGB") if width * height <= MAX_PIXELS else None
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise CaptureError(f"{path}: expected a whole PNG or JPEG: {error}") from error
+    if upright is None:
+        raise CaptureError(f"{path}: expected images of at most {MAX_PIXELS:,} pixels, got {width} × {height}")
+    return upright
+
+
+def focal_length(folder: Path, size: tuple[int, int]) -> float | None:
+    """The focal length that the EXIF of every photo tells, where all agree.
+
+    Args:
+        folder: of photos.
+        size: width and height of the images that it is for, pixels.
+
+    Returns:
+        Pixels; None where a photo does not tell it, or two differ.
+    """
+    told = set()
+    for path in photos_of(folder):
+        try:
+            with Image.open(path, formats=("PNG", "JPEG")) as image:
+                told.add(image.getexif().get_ifd(EXIF_IFD).get(FOCAL_35MM))
+        except (OSError, SyntaxError, ValueError):
+            return None
+    millimetres = told.pop() if len(told) == 1 else None
+    if not isinstance(millimetres, int | float) or not millimetres > 0:
+        return None
+    return float(millimetres) / DIAGONAL_35MM * math.hypot(*size)
+
+
+def natural(path: Path) -> list[tuple[int, str]]:
+    """A key by which 9.png comes before 10.png."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", path.name)]

@@ -1,0 +1,165 @@
+"""Third stage: where each image was taken, and points that the cameras saw, by structure from motion."""
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from splatrl.capture import structure
+from splatrl.capture.base import CaptureError, Photos, Reconstruction
+from splatrl.capture.child import run_child
+from splatrl.capture.optional import needed
+from splatrl.capture.progress import Progress, silent
+from splatrl.capture.undistort import undistorted
+
+LEAST = 0.8
+VERSION = 1
+DIGEST = "digest.txt"
+
+
+def find_poses(
+    photos: Photos,
+    folder: Path,
+    seed: int = 0,
+    progress: Progress = silent,
+    exact_camera: bool = False,
+    least: float = LEAST,
+) -> Reconstruction:
+    """Find the pose of every image, the camera's intrinsics, and points; points only where the poses are known.
+
+    A second call with the same images and settings reads what the first one kept; after a kill it goes on. The same
+    images and seed give the same result.
+
+    Args:
+        photos: of one place, taken with one camera; without lens distortion where the poses are known.
+        folder: of the capture; results come into its sub-folders ``structure`` and ``undistorted``.
+        seed: of every random sample.
+        progress: told about images, pairs of images and cameras.
+        exact_camera: whether ``photos.K`` is exact and the images are without lens distortion; otherwise it is a first
+            guess. Known poses need an exact camera, and this is then taken for granted.
+        least: smallest share of images whose pose must be found.
+
+    Returns:
+        Cameras and points, with images that have no lens distortion.
+
+    Raises:
+        CaptureError: where too few poses are found; says which part of the video broke off.
+        ImportError: without the extra ``capture``.
+        ValueError: for known poses, or an exact camera, without K.
+    """
+    needed("pycolmap")
+    needed("cv2")
+    exact_camera = exact_camera or photos.camera_to_world is not None
+    if exact_camera and photos.K is None:
+        raise ValueError("photos.K: expected intrinsics with known poses or an exact camera, got none")
+    work = folder / "structure"
+    job = _job(photos, seed, exact_camera)
+    digest = _digest(photos, job)
+    _start_over_unless(folder, work, digest)
+    if not (work / structure.MODEL).is_file():
+        structure.write_job(work, job)
+        run_child("splatrl.capture.structure", work, progress)
+    with np.load(work / structure.MODEL) as stored:
+        model = {name: stored[name] for name in stored.files}
+    _check_share(photos, model["images"], least)
+    return _reconstruction(photos, model, folder, exact_camera, progress)
+
+
+def _job(photos: Photos, seed: int, exact_camera: bool) -> structure.Job:
+    folder = photos.paths[0].parent
+    if any(path.parent != folder for path in photos.paths):
+        raise ValueError("photos.paths: expected images of one folder")
+    return structure.Job(
+        images=str(folder.resolve()),
+        names=[path.name for path in photos.paths],
+        width=photos.width,
+        height=photos.height,
+        K=None if photos.K is None else photos.K.tolist(),
+        fixed=exact_camera,
+        camera_to_world=None if photos.camera_to_world is None else photos.camera_to_world.tolist(),
+        seed=seed,
+    )
+
+
+def _digest(photos: Photos, job: structure.Job) -> str:
+    settings = [VERSION, job.names, job.K, job.fixed, job.camera_to_world, job.seed]
+    digest = hashlib.blake2b(json.dumps(settings).encode(), digest_size=16)
+    digest.update(str(getattr(needed("pycolmap"), "__version__", "")).encode())
+    for path in photos.paths:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _start_over_unless(folder: Path, work: Path, digest: str) -> None:
+    if not work.is_dir() or not (work / DIGEST).is_file() or (work / DIGEST).read_text("utf-8") != digest:
+        for old in (work, folder / "undistorted"):
+            if old.exists():
+                shutil.rmtree(old)
+        work.mkdir(parents=True)
+        (work / DIGEST).write_text(digest, "utf-8")
+
+
+def _check_share(photos: Photos, found: np.ndarray, least: float) -> None:
+    count = len(photos.paths)
+    if len(found) >= max(2, least * count):
+        return
+    timed = not torch.equal(photos.seconds, torch.arange(count, dtype=photos.seconds.dtype))
+    parts = []
+    for first, last in missing_runs(found, count):
+        names = (photos.paths[first].name, photos.paths[last].name)
+        times = (f"{photos.seconds[first]:.1f} s", f"{photos.seconds[last]:.1f} s")
+        parts.append(" to ".join(times if timed else names) + f" ({last - first + 1} images)")
+    raise CaptureError(
+        f"broke off: only {len(found)} of {count} images could be joined ({len(found) / count:.0%}; at least "
+        f"{least:.0%} are needed). Missing: {', '.join(parts)}. Film these parts again, more slowly and with more "
+        "overlap, or cut them out."
+    )
+
+
+def missing_runs(found: np.ndarray, count: int, most: int = 4) -> list[tuple[int, int]]:
+    """Stretches of images without a pose.
+
+    Args:
+        found: numbers of the images with one.
+        count: how many images there are.
+        most: so many of the longest are returned.
+
+    Returns:
+        First and last image of each, in the order in which they were taken.
+    """
+    missing = np.setdiff1d(np.arange(count), found)
+    runs = np.split(missing, np.flatnonzero(np.diff(missing) > 1) + 1) if len(missing) else []
+    longest = sorted(runs, key=len, reverse=True)[:most]
+    return sorted((int(run[0]), int(run[-1])) for run in longest)
+
+
+def _reconstruction(
+    photos: Photos, model: dict[str, np.ndarray], folder: Path, exact_camera: bool, progress: Progress
+) -> Reconstruction:
+    images = model["images"].tolist()
+    fx, fy, cx, cy = model["camera"][:4].tolist()
+    K = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
+    paths = [photos.paths[number] for number in images]
+    if not exact_camera:
+        paths, K = undistorted(paths, (photos.width, photos.height), K, model["camera"][4:], folder, progress)
+    return Reconstruction(
+        paths=paths,
+        width=photos.width,
+        height=photos.height,
+        K=K,
+        camera_to_world=_tensor(model, "camera_to_world"),
+        points=_tensor(model, "points"),
+        colors=_tensor(model, "colors"),
+        seen_point=_tensor(model, "seen_point"),
+        seen_by=_tensor(model, "seen_by"),
+        missing=1 - len(images) / len(photos.paths),
+        depths=tuple(photos.depths[number] for number in images) if photos.depths else (),
+    )
+
+
+def _tensor(model: dict[str, np.ndarray], name: str) -> Tensor:
+    return torch.from_numpy(model[name])

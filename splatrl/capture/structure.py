@@ -1,0 +1,201 @@
+"""Structure from motion with COLMAP, in a process of its own: ``python -m splatrl.capture.structure JOB``.
+
+COLMAP aborts where another thread reads its database, and its logs are its only progress; a process of its own can be
+killed at any time. What is in the database when that happens is not computed again. The process ends when its standard
+input closes, so that it never outlives the caller.
+"""
+
+import json
+import os
+import sys
+import threading
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatrl.files import replacing
+
+MODEL, DATABASE, PAIRS, JOB = "model.npz", "database.db", "pairs.txt", "job.json"
+FEATURES = 4096
+SPARSE = 40
+"""Up to so many images: all pairs, and features from the doubled image, as photos far from each other need."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to reconstruct.
+
+    Attributes:
+        images: folder of the images.
+        names: of the images, in the order in which they were taken.
+        width: of every image, pixels.
+        height: of every image, pixels.
+        K: [3][3] intrinsics, pixels; None where unknown.
+        fixed: whether K is exact and the images are without lens distortion.
+        camera_to_world: [N][4][4] known poses, which stay as they are; None where they are to be found.
+        seed: of every random sample.
+    """
+
+    images: str
+    names: list[str]
+    width: int
+    height: int
+    K: list[list[float]] | None = None
+    fixed: bool = False
+    camera_to_world: list[list[list[float]]] | None = None
+    seed: int = 0
+
+
+def write_job(folder: Path, job: Job) -> None:
+    """Describe a job in the folder where its results are to appear."""
+    with replacing(folder / JOB) as stream:
+        stream.write(json.dumps(asdict(job)).encode())
+
+
+def pairs(count: int) -> list[tuple[int, int]]:
+    """The pairs of images to match: neighbours near and far, and every tenth with every other tenth.
+
+    Args:
+        count: how many images there are.
+
+    Returns:
+        The smaller number first, ascending.
+    """
+    if count <= SPARSE:
+        return [(first, second) for first in range(count) for second in range(first + 1, count)]
+    chosen = {(i, i + offset) for offset in (*range(1, 9), 16, 32) for i in range(count - offset)}
+    chosen |= {(first, second) for first in range(0, count, 10) for second in range(first + 10, count, 10)}
+    return sorted(chosen)
+
+
+def run(folder: Path) -> None:
+    """Do the job of a folder.
+
+    Args:
+        folder: with ``job.json``; ``model.npz`` appears in it.
+    """
+    import pycolmap
+
+    job = Job(**json.loads((folder / JOB).read_text("utf-8")))
+    pycolmap.set_random_seed(job.seed)
+    _extract(pycolmap, folder, job)
+    _match(pycolmap, folder, job)
+    _tell("map", 0, len(job.names))
+    options = _mapping_options(pycolmap, job)
+    if job.camera_to_world is None:
+        model = _map(pycolmap, folder, job, options)
+    else:
+        model = _triangulate(pycolmap, folder, job, options)
+    _keep(folder, job, model)
+
+
+def _extract(pycolmap: Any, folder: Path, job: Job) -> None:
+    database = folder / DATABASE
+    reader = pycolmap.ImageReaderOptions(camera_model="PINHOLE" if job.fixed else "OPENCV")
+    if job.K is not None:
+        intrinsics = [job.K[0][0], job.K[1][1], job.K[0][2], job.K[1][2]]
+        reader.camera_params = ", ".join(repr(value) for value in intrinsics + [0.0] * (0 if job.fixed else 4))
+    if not database.exists():  # before any features, so that the numbers of the images follow their order
+        pycolmap.Database.open(database).close()
+    pycolmap.import_images(database, job.images, pycolmap.CameraMode.SINGLE, job.names, reader)
+    options = pycolmap.FeatureExtractionOptions()
+    options.sift.max_num_features = FEATURES
+    options.sift.first_octave = -1 if len(job.names) <= SPARSE else 0
+    pycolmap.extract_features(
+        database, job.images, job.names, pycolmap.CameraMode.SINGLE, reader, options, pycolmap.Device.cpu
+    )
+
+
+def _match(pycolmap: Any, folder: Path, job: Job) -> None:
+    lines = [f"{job.names[first]} {job.names[second]}\n" for first, second in pairs(len(job.names))]
+    (folder / PAIRS).write_text("".join(lines), "utf-8")
+    pairing = pycolmap.ImportedPairingOptions(block_size=50, match_list_path=str(folder / PAIRS))
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = job.seed
+    pycolmap.match_image_pairs(
+        folder / DATABASE, pycolmap.FeatureMatchingOptions(), pairing, verification, pycolmap.Device.cpu
+    )
+
+
+def _mapping_options(pycolmap: Any, job: Job) -> Any:
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = options.mapper.num_threads = 1  # with more, sums come in any order
+    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = job.seed
+    options.mapper.init_min_tri_angle /= 2  # COLMAP's preset for video, here and below
+    options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.4
+    options.min_model_size = min(options.min_model_size, max(3, len(job.names) // 2))
+    if job.fixed:
+        options.ba_refine_focal_length = options.ba_refine_extra_params = False
+        options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
+    return options
+
+
+def _map(pycolmap: Any, folder: Path, job: Job, options: Any) -> Any:
+    (folder / "sparse").mkdir(exist_ok=True)
+    done = [1]
+
+    def next_image() -> None:
+        done[0] += 1
+        _tell("map", min(done[0], len(job.names)), len(job.names))
+
+    models = pycolmap.incremental_mapping(
+        folder / DATABASE, job.images, folder / "sparse", options, next_image_callback=next_image
+    )
+    return max(models.values(), key=lambda model: model.num_reg_images(), default=None)
+
+
+def _triangulate(pycolmap: Any, folder: Path, job: Job, options: Any) -> Any:
+    (folder / "sparse").mkdir(exist_ok=True)
+    database = pycolmap.Database.open(folder / DATABASE)
+    cameras, images = database.read_all_cameras(), database.read_all_images()
+    database.close()
+    camera_to_world = dict(zip(job.names, np.asarray(job.camera_to_world), strict=True))
+    model = pycolmap.Reconstruction()
+    model.add_camera_with_trivial_rig(cameras[0])
+    for image in images:
+        world_to_camera = np.linalg.inv(camera_to_world[image.name])
+        placed = pycolmap.Image(
+            name=image.name, keypoints=np.zeros((0, 2)), camera_id=cameras[0].camera_id, image_id=image.image_id
+        )
+        model.add_image_with_trivial_frame(placed, pycolmap.Rigid3d(world_to_camera[:3]))
+    return pycolmap.triangulate_points(model, folder / DATABASE, job.images, folder / "sparse", True, options)
+
+
+def _keep(folder: Path, job: Job, model: Any) -> None:
+    found = {} if model is None else {image.name: image for image in model.images.values() if image.has_pose}
+    images = [number for number, name in enumerate(job.names) if name in found]
+    camera_to_world = np.zeros((len(images), 4, 4))
+    for row, number in enumerate(images):
+        camera_to_world[row, :3] = found[job.names[number]].cam_from_world().inverse().matrix()
+        camera_to_world[row, 3, 3] = 1
+    rows = {found[job.names[number]].image_id: row for row, number in enumerate(images)}
+    points = [] if model is None else [point for _, point in sorted(model.points3D.items())]
+    sightings = [sorted({rows[e.image_id] for e in point.track.elements}) for point in points]
+    with replacing(folder / MODEL) as stream:
+        np.savez(
+            stream,
+            images=np.array(images, np.int64),
+            camera_to_world=camera_to_world,
+            camera=np.zeros(0) if model is None else np.array(next(iter(model.cameras.values())).params),
+            points=np.array([point.xyz for point in points]).reshape(-1, 3),
+            colors=np.array([point.color for point in points], np.uint8).reshape(-1, 3),
+            seen_point=np.repeat(np.arange(len(points)), [len(cameras) for cameras in sightings]),
+            seen_by=np.array([row for cameras in sightings for row in cameras], np.int64),
+        )
+
+
+def _tell(what: str, done: int, total: int) -> None:
+    print(json.dumps([what, done, total]), flush=True)
+
+
+def _end_with_the_caller() -> None:
+    while os.read(0, 4096):  # not sys.stdin, whose lock the interpreter wants at its end
+        pass
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    threading.Thread(target=_end_with_the_caller, daemon=True).start()
+    run(Path(sys.argv[1]))

@@ -1,0 +1,61 @@
+"""Images without lens distortion."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from splatrl.capture.optional import needed
+from splatrl.capture.progress import Progress, silent
+from splatrl.evaluation.clip_files import new_folder
+
+SETTINGS = "camera.json"
+
+
+def undistorted(
+    paths: list[Path],
+    size: tuple[int, int],
+    K: Tensor,
+    distortion: np.ndarray,
+    folder: Path,
+    progress: Progress = silent,
+) -> tuple[list[Path], Tensor]:
+    """Take the lens distortion out of images, so that a pinhole camera explains them; nothing black at the edges.
+
+    Args:
+        paths: of the images, all of one size.
+        size: width and height, pixels.
+        K: [3, 3] float64 intrinsics, pixels, the centre of the first pixel at (0.5, 0.5).
+        distortion: OpenCV's k1, k2, p1, p2 (and more).
+        folder: the images come into its sub-folder ``undistorted``, whole or not at all; those of an earlier call with
+            the same camera are kept.
+        progress: told about every image.
+
+    Returns:
+        Paths of the new images, of the same size and in the same order, and their K [3, 3] float64.
+    """
+    cv2 = needed("cv2")
+    if not np.any(distortion):
+        return paths, K
+    half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV's first pixel has its centre at 0
+    given = K.numpy() - half
+    new, _ = cv2.getOptimalNewCameraMatrix(given, distortion, size, 0, size)
+    made = folder / "undistorted"
+    names = [f"{path.stem}.jpg" for path in paths]
+    settings = json.dumps([names, size, K.tolist(), list(distortion)])
+    if not (made / SETTINGS).is_file() or (made / SETTINGS).read_text("utf-8") != settings:
+        if made.exists():
+            shutil.rmtree(made)
+        maps = cv2.initUndistortRectifyMap(given, distortion, None, new, size, cv2.CV_16SC2)
+        with new_folder(made) as temporary:
+            for number, (path, name) in enumerate(zip(paths, names, strict=True)):
+                progress("undistort", number, len(paths))
+                image = cv2.remap(cv2.imread(str(path)), *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+                if not cv2.imwrite(str(temporary / name), image, [cv2.IMWRITE_JPEG_QUALITY, 95]):
+                    raise OSError(f"{made / name}: could not write it")
+            (temporary / SETTINGS).write_text(settings, "utf-8")
+        progress("undistort", len(paths), len(paths))
+    return [made / name for name in names], torch.from_numpy(new + half)

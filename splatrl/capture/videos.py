@@ -1,0 +1,115 @@
+"""Videos from strangers, read upright: only containers that cannot point at other files, only from the disk."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import av
+import numpy as np
+from av.container import InputContainer
+from PIL import Image
+
+from splatrl.capture.base import CaptureError
+
+CONTAINERS = ("mov", "matroska", "webm", "avi", "mpegts", "mpeg", "mpegvideo", "flv", "asf", "ogg", "mxf", "gif", "ivf")
+"""FFmpeg's names of them. Playlists (concat, hls, dash) are absent: a script of one may name any file of the disk."""
+VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".m2ts", ".ts", ".3gp", ".mpg", ".wmv")
+MAX_PIXELS = 64 * 2**20
+"""Of one image: more than any phone takes."""
+
+
+@contextmanager
+def open_video(path: Path) -> Iterator[InputContainer]:
+    """Open a video.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        CaptureError: where it cannot be read, is not a video in one of ``CONTAINERS``, or has too large images.
+    """
+    options = {"protocol_whitelist": "file", "format_whitelist": ",".join(CONTAINERS)}
+    try:
+        with av.open(str(path.resolve()), container_options=options) as container:
+            if not set(container.format.name.split(",")) & set(CONTAINERS):
+                raise CaptureError(f"{path}: expected a video, got the format {container.format.name}")
+            if not container.streams.video:
+                raise CaptureError(f"{path}: expected a video, found no stream of images")
+            _check_size(path, container.streams.video[0].width, container.streams.video[0].height)
+            yield container
+    except (av.FFmpegError, OSError) as error:
+        raise CaptureError(f"{path}: expected a whole video ({', '.join(CONTAINERS)}): {error}") from error
+
+
+def packet_times(path: Path) -> np.ndarray:
+    """When each frame of a video is shown, without decoding any.
+
+    Args:
+        path: of the video.
+
+    Returns:
+        [N] float64 seconds, ascending, in the time of the file.
+
+    Raises:
+        CaptureError: as by ``open_video``, or where the file holds no frames or no times.
+    """
+    with open_video(path) as container:
+        stream = container.streams.video[0]
+        times = [packet.pts for packet in container.demux(stream) if packet.size and packet.pts is not None]
+        base = float(stream.time_base or 0)
+    if not times or not base:
+        raise CaptureError(f"{path}: expected frames with times, found none")
+    return np.sort(np.asarray(times, np.float64)) * base
+
+
+def frames(path: Path) -> Iterator[tuple[float, av.VideoFrame]]:
+    """Decode a video.
+
+    Args:
+        path: of the video.
+
+    Yields:
+        Seconds in the time of the file, and the frame, not yet upright.
+
+    Raises:
+        CaptureError: as by ``open_video``, or where the size of the images changes.
+    """
+    with open_video(path) as container:
+        stream = container.streams.video[0]
+        stream.thread_type = "AUTO"
+        size = None
+        for frame in container.decode(stream):
+            _check_size(path, frame.width, frame.height)
+            if frame.time is None:
+                continue
+            size = size or (frame.width, frame.height)
+            if size != (frame.width, frame.height):
+                raise CaptureError(f"{path}: expected frames of one size, got {size} and {frame.width, frame.height}")
+            yield frame.time, frame
+
+
+def upright(frame: av.VideoFrame, longest: int) -> Image.Image:
+    """The image of a frame, turned as the phone was held and scaled down by area.
+
+    Args:
+        frame: as decoded.
+        longest: the most pixels along the longer side.
+    """
+    image = frame.to_image()
+    if frame.rotation:
+        image = image.rotate(frame.rotation, expand=True)
+    return shrunk(image, longest)
+
+
+def shrunk(image: Image.Image, longest: int) -> Image.Image:
+    """An RGB image with at most ``longest`` pixels along its longer side, every pixel the mean of those it covers."""
+    scale = longest / max(image.size)
+    if scale >= 1:
+        return image
+    width, height = (max(1, round(side * scale)) for side in image.size)
+    return image.resize((width, height), Image.Resampling.BOX)
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    if width * height > MAX_PIXELS:
+        raise CaptureError(f"{path}: expected images of at most {MAX_PIXELS:,} pixels, got {width} × {height}")
