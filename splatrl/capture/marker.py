@@ -1,0 +1,181 @@
+"""A printed ArUco marker that tells the scale of a capture: found in its images, and as a page to print."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from splatrl.capture.base import CaptureError, Reconstruction
+from splatrl.capture.scale import triangulate
+from splatrl.files import replacing
+
+Floats = NDArray[np.float64]
+
+MARKER_SIDE = 0.16
+"""Metres: side of the black square on the page that ``write_marker_page`` writes."""
+HALF_PIXEL = 0.5
+"""OpenCV counts from the middle of the first pixel, the intrinsics from its corner."""
+MIN_VIEWS = 3
+MAX_ERROR = 2.0
+"""Pixels: a corner's median distance from where its views see it."""
+MAX_UNEVEN = 0.06
+"""Relative deviation of a marker's lengths: beyond it, something else looked like one, or the poses are bad."""
+_DPI = 300
+_PAGE = (210.0, 297.0)
+"""Millimetres of an A4 page."""
+
+
+@dataclass(frozen=True)
+class MarkerScale:
+    """What markers say of the scale.
+
+    Attributes:
+        metres_per_unit: of the reconstruction.
+        error: how far off it may be, as a share.
+        markers: how many told.
+        views: in how many images they were seen.
+    """
+
+    metres_per_unit: float
+    error: float
+    markers: int
+    views: int
+
+
+def scale_by_marker(reconstruction: Reconstruction, side: float = MARKER_SIDE) -> MarkerScale | None:
+    """Measure the markers in a reconstruction's images; None where there is none to be trusted.
+
+    Args:
+        reconstruction: with images without lens distortion.
+        side: of the markers' black squares, metres.
+
+    Raises:
+        ImportError: without the extra ``capture``.
+    """
+    return scale_by_corners(reconstruction, find_markers(reconstruction.paths), side)
+
+
+def find_markers(paths: list[Path]) -> dict[int, dict[int, Floats]]:
+    """Look for markers in images.
+
+    Returns:
+        For each marker's number, for each image that it was found in, its corners [4, 2], pixels from the image's
+        upper left corner, clockwise from the marker's own upper left.
+
+    Raises:
+        ImportError: without the extra ``capture``.
+    """
+    cv2 = _opencv()
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    detector = cv2.aruco.ArucoDetector(_dictionary(cv2), parameters)
+    found: dict[int, dict[int, Floats]] = {}
+    for number, path in enumerate(paths):
+        with Image.open(path) as image:
+            corners, ids, _ = detector.detectMarkers(np.array(image.convert("L")))
+        for marker, square in zip([] if ids is None else np.ravel(ids).tolist(), corners, strict=True):
+            found.setdefault(marker, {})[number] = np.reshape(square, (4, 2)).astype(np.float64) + HALF_PIXEL
+    return found
+
+
+def scale_by_corners(
+    reconstruction: Reconstruction, found: dict[int, dict[int, Floats]], side: float
+) -> MarkerScale | None:
+    """Metres per unit from the corners that ``find_markers`` found; markers count by their views."""
+    lengths, views = [], []
+    for squares in found.values():
+        measured = _lengths(reconstruction, squares)
+        if measured is not None:
+            lengths.append(measured)
+            views.append(len(squares))
+    if not lengths:
+        return None
+    units = np.average([np.mean(values) for values in lengths], weights=views)
+    deviation = np.concatenate([values / units - 1.0 for values in lengths])
+    return MarkerScale(
+        float(side / units),
+        float(np.clip(2 * deviation.std() / np.sqrt(len(deviation)), 0.005, MAX_UNEVEN)),
+        len(lengths),
+        sum(views),
+    )
+
+
+def _lengths(reconstruction: Reconstruction, squares: dict[int, Floats]) -> Floats | None:
+    """The four sides of a marker and its diagonals / √2, in units; None for what is no square seen often enough."""
+    poses, K = reconstruction.camera_to_world.numpy(), reconstruction.K.numpy()
+    images = sorted(squares)
+    for _ in range(3):
+        if len(images) < MIN_VIEWS:
+            return None
+        pixels = np.stack([squares[image] for image in images])  # [V, 4, 2]
+        try:
+            corners = np.stack([triangulate(poses[images], K, pixels[:, corner]) for corner in range(4)])
+        except CaptureError:
+            return None
+        local = np.einsum("vji,vcj->vci", poses[images, :3, :3], corners - poses[images, None, :3, 3]) @ K.T
+        errors = np.linalg.norm(local[..., :2] / local[..., 2:] - pixels, axis=2).max(1)
+        limit = max(MAX_ERROR, 3 * float(np.median(errors)))
+        if (local[..., 2] <= 0).any() or not np.isfinite(errors).all():
+            return None
+        kept = [image for image, error in zip(images, errors, strict=True) if error <= limit]
+        if len(kept) == len(images):
+            break
+        images = kept
+    if np.median(errors) > MAX_ERROR:
+        return None
+    sides = np.linalg.norm(corners - np.roll(corners, -1, 0), axis=1)
+    diagonals = np.linalg.norm(corners[:2] - corners[2:], axis=1) / np.sqrt(2.0)
+    lengths = np.concatenate([sides, diagonals])
+    return lengths if np.ptp(lengths) <= 2 * MAX_UNEVEN * lengths.mean() else None
+
+
+def write_marker_page(path: Path, marker: int = 0, side: float = MARKER_SIDE) -> None:
+    """Write an A4 page with a marker to print, as PDF.
+
+    Args:
+        path: of the file; ends in .pdf.
+        marker: its number, 0 to 49.
+        side: of the black square, metres.
+
+    Raises:
+        ImportError: without the extra ``capture``.
+        ValueError: for a number out of range, or a side that does not fit the page.
+    """
+    if not 0 <= marker < 50:
+        raise ValueError(f"marker: expected a number from 0 to 49, got {marker}")
+    if not 0.02 <= side <= 0.18:
+        raise ValueError(f"side: expected 0.02 to 0.18 m, which fits an A4 page, got {side}")
+    cv2 = _opencv()
+    width, height = (round(length / 25.4 * _DPI) for length in _PAGE)
+    edge = round(side * 1000 / 25.4 * _DPI)
+    page = Image.new("L", (width, height), 255)
+    squares = Image.fromarray(cv2.aruco.generateImageMarker(_dictionary(cv2), marker, 6))
+    corner = ((width - edge) // 2, round(0.4 * height) - edge // 2)
+    page.paste(squares.resize((edge, edge), Image.Resampling.NEAREST), corner)
+    pen, below = ImageDraw.Draw(page), corner[1] + edge + round(0.06 * height)
+    for line, size in (
+        (f"The black square is {1000 * side:.0f} mm wide when this page is printed at 100 %.", 48),
+        ("Lay it flat where your video sees it whole, from several sides, and film.", 42),
+        (f"splatrl-capture, marker {marker} of DICT_4X4_50", 32),
+    ):
+        pen.text((width // 2, below), line, fill=0, anchor="mm", font=ImageFont.load_default(size))
+        below += 2 * size
+    with replacing(path) as stream:
+        page.save(stream, "PDF", resolution=_DPI)
+
+
+def _dictionary(cv2: ModuleType) -> object:
+    return cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+
+
+def _opencv() -> ModuleType:
+    try:
+        import cv2
+    except ImportError as error:
+        raise ImportError(
+            "markers need OpenCV: pip install 'splatrl[capture]', or tell the scale in another way (marker=None)"
+        ) from error
+    return cv2

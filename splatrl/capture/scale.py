@@ -1,0 +1,164 @@
+"""How many metres a reconstruction's unit is: from two points that somebody clicked, or from the cameras' height."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splatrl.capture.base import CaptureError, Reconstruction
+
+Floats = NDArray[np.float64]
+ScaleFrom = Literal["recorded", "marker", "distance", "camera_height", "unknown"]
+
+NEAREST = 12
+"""Points around a click that say how far away it is."""
+FARTHEST = 0.1
+"""Share of the image's width from a click within which they must lie."""
+
+
+@dataclass(frozen=True)
+class Click:
+    """A place in an image of a reconstruction, pixels from its upper left corner."""
+
+    image: int
+    x: float
+    y: float
+
+
+@dataclass(frozen=True)
+class Distance:
+    """Two points that are a known distance apart, each clicked in one image, or in several for more accuracy.
+
+    Attributes:
+        start: where one of them is seen.
+        end: where the other is.
+        metres: between them.
+
+    Raises:
+        ValueError: for a point without a click, or a distance that is not above 0.
+    """
+
+    start: tuple[Click, ...]
+    end: tuple[Click, ...]
+    metres: float
+
+    def __post_init__(self) -> None:
+        if not (self.start and self.end):
+            raise ValueError("distance: expected at least one click for each point, got none")
+        if not (np.isfinite(self.metres) and self.metres > 0):
+            raise ValueError(f"distance: expected metres above 0, got {self.metres}")
+
+    @classmethod
+    def in_image(cls, image: int, x0: float, y0: float, x1: float, y1: float, metres: float) -> "Distance":
+        """Two points clicked in one image."""
+        return cls((Click(image, x0, y0),), (Click(image, x1, y1),), metres)
+
+
+def scale_by_distance(reconstruction: Reconstruction, distance: Distance) -> float:
+    """Metres per unit from two clicked points.
+
+    Raises:
+        CaptureError: where a click has no depth, or the two are one point.
+    """
+    start, end = (clicked_point(reconstruction, clicks) for clicks in (distance.start, distance.end))
+    apart = float(np.linalg.norm(end - start))
+    if apart < 1e-9:
+        raise CaptureError("distance: expected two different points, got one; click points that are far apart")
+    return distance.metres / apart
+
+
+def clicked_point(reconstruction: Reconstruction, clicks: Sequence[Click]) -> Floats:
+    """The point [3] that was clicked: as deep as the points around it, and near to where rays of several images meet.
+
+    Raises:
+        CaptureError: for an image that does not exist, rays that do not meet, or a click without points around it.
+    """
+    count = len(reconstruction.paths)
+    for click in clicks:
+        if not 0 <= click.image < count:
+            raise CaptureError(f"distance: expected an image from 0 to {count - 1}, got {click.image}")
+    if len({click.image for click in clicks}) == 1:
+        return _by_points(reconstruction, clicks[0])
+    poses = reconstruction.camera_to_world[[click.image for click in clicks]].numpy()
+    met = triangulate(poses, reconstruction.K.numpy(), np.array([[click.x, click.y] for click in clicks]))
+    estimates = [met]
+    for click in clicks:
+        with suppress(CaptureError):  # where there are no points, the rays alone tell
+            estimates.append(_by_points(reconstruction, click))
+    return met if len(estimates) == 2 else np.median(estimates, axis=0)
+
+
+def triangulate(camera_to_world: Floats, K: Floats, pixels: Floats) -> Floats:
+    """The point [3] that comes nearest to where V cameras see it, by least squares over pixels.
+
+    Args:
+        camera_to_world: [V, 4, 4].
+        K: [3, 3].
+        pixels: [V, 2].
+
+    Raises:
+        CaptureError: where the rays are parallel.
+    """
+    centers = camera_to_world[:, :3, 3]
+    rays = rays_through(camera_to_world, K, pixels)
+    across = np.eye(3) - rays[:, :, None] * rays[:, None]
+    system = across.sum(0)
+    if np.linalg.eigvalsh(system)[0] < 1e-6 * len(rays):
+        raise CaptureError("distance: the two images see the point from one direction; click it from another place")
+    point = np.linalg.solve(system, (across @ centers[..., None])[..., 0].sum(0))
+    for _ in range(5):  # Gauss-Newton
+        seen = np.einsum("vji,vj->vi", camera_to_world[:, :3, :3], point - centers) @ K.T
+        error = seen[:, :2] / seen[:, 2:] - pixels
+        turned = np.einsum("ij,vkj->vik", K, camera_to_world[:, :3, :3])
+        slope = (turned[:, :2] - (seen[:, :2] / seen[:, 2:])[..., None] * turned[:, 2:]) / seen[:, 2:, None]
+        point = point - np.linalg.lstsq(slope.reshape(-1, 3), error.reshape(-1), rcond=None)[0]
+    return point
+
+
+def rays_through(camera_to_world: Floats, K: Floats, pixels: Floats) -> Floats:
+    """Unit directions [V, 3] in the world of pixels [V, 2], one a camera."""
+    local = np.concatenate([pixels, np.ones((len(pixels), 1))], 1) @ np.linalg.inv(K).T
+    rays = np.einsum("vij,vj->vi", camera_to_world[:, :3, :3], local)
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def _by_points(reconstruction: Reconstruction, click: Click) -> Floats:
+    """The point [3] on the ray of a click where the surface through the points around it is."""
+    pose, K = reconstruction.camera_to_world[click.image].numpy(), reconstruction.K.numpy()
+    seen = reconstruction.seen_point[reconstruction.seen_by == click.image].unique()
+    local = (reconstruction.points[seen].numpy() - pose[:3, 3]) @ pose[:3, :3]
+    local = local[local[:, 2] > 0]
+    offsets = (local @ K.T)[:, :2] / local[:, 2:] - [click.x, click.y]
+    apart = np.linalg.norm(offsets, axis=1)
+    order = np.argsort(apart, kind="stable")[:NEAREST]
+    order = order[apart[order] <= FARTHEST * reconstruction.width]
+    if len(order) < 3:
+        raise CaptureError(
+            f"distance: found {len(order)} points of the reconstruction around ({click.x:g}, {click.y:g}) in image "
+            f"{click.image}; click where there is texture, or click the point in a second image as well"
+        )
+    inverse = _plane_at_zero(offsets[order], 1.0 / local[order, 2])
+    ray = np.linalg.inv(K) @ [click.x, click.y, 1.0]
+    point: Floats = pose[:3, 3] + pose[:3, :3] @ (ray / inverse)
+    return point
+
+
+def _plane_at_zero(offsets: Floats, inverse: Floats) -> float:
+    """Inverse depth at the click: a plane's, which is linear in pixels, reweighted against what lies elsewhere."""
+    middle = float(np.median(inverse))
+    width = np.median(np.linalg.norm(offsets, axis=1)) + 1e-9
+    near = 1.0 / (1.0 + (np.linalg.norm(offsets, axis=1) / width) ** 2)
+    terms = np.concatenate([offsets / width, np.ones((len(offsets), 1))], 1)
+    pull = np.diag([0.3, 0.3, 0.0])  # towards a plane that faces the camera
+    weights = near / (1.0 + ((inverse - middle) / (0.1 * middle)) ** 2)
+    value = middle
+    for _ in range(10):
+        normal = (terms * weights[:, None]).T @ terms + 0.1 * weights.sum() * pull
+        solved = np.linalg.solve(normal, terms.T @ (weights * inverse))
+        value = float(solved[2])
+        residual = np.abs(terms @ solved - inverse)
+        weights = near / (1.0 + (residual / (np.median(residual) + 0.005 * middle)) ** 2)
+    return value if value > 0.2 * middle else middle

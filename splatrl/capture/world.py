@@ -1,0 +1,195 @@
+"""The world stage: a reconstruction turned upright, scaled to metres, and put on its floor."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from splatrl.capture.base import CaptureError, Reconstruction
+from splatrl.capture.ground import ERROR_DEG, Ground, UpFrom, find_ground
+from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
+from splatrl.capture.scale import Distance, ScaleFrom, scale_by_distance
+
+Floats = NDArray[np.float64]
+
+USUAL_HEIGHT = 1.5
+"""Metres: where people hold a camera. A place of unknown scale is drawn as if they had."""
+SCALE_ERROR = {"recorded": 0.01, "distance": 0.03, "camera_height": 0.05}
+"""Largest relative errors found in trials; a marker's own views tell its error."""
+_TURNS = np.radians(np.arange(0.0, 90.0, 0.5))
+_CELLS = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A reconstruction in the world: z up, floor at z = 0, x along the longest wall, x = y = 0 in mid-walk.
+
+    Attributes:
+        reconstruction: in that frame, in metres where ``metric``.
+        world_from_capture: [4, 4] float64 similarity that brought it there.
+        scale_from: what told the scale.
+        scale_error: how far off the scale may be, as a share; None where it is unknown.
+        up_from: what told which way is up.
+        up_error_deg: how far off that may be, degrees.
+        camera_height: median height of the cameras, metres.
+        floor_points: points of the reconstruction that lie on the floor.
+    """
+
+    reconstruction: Reconstruction
+    world_from_capture: Tensor
+    scale_from: ScaleFrom
+    scale_error: float | None
+    up_from: UpFrom
+    up_error_deg: float
+    camera_height: float
+    floor_points: int
+
+    @property
+    def metric(self) -> bool:
+        """Whether lengths are metres; otherwise they are what they would be of a camera 1.5 m above the floor."""
+        return self.scale_from != "unknown"
+
+
+def place(
+    reconstruction: Reconstruction,
+    up: Tensor | None = None,
+    metric: bool = False,
+    marker: float | None = MARKER_SIDE,
+    distance: Distance | None = None,
+    camera_height: float | None = None,
+) -> Placed:
+    """Place a reconstruction in the world.
+
+    The scale comes from the first of: recorded poses, a printed marker, a known distance, a known camera height.
+
+    Args:
+        reconstruction: in any frame and unit.
+        up: [3], the direction away from the earth in its frame, where it was recorded.
+        metric: whether its unit is the metre already.
+        marker: side of the printed markers to look for in the images, metres; None looks for none.
+        distance: two clicked points with the metres between them.
+        camera_height: median height of the cameras above the floor, metres.
+
+    Raises:
+        CaptureError: for too few cameras or points, or a distance that cannot be measured.
+        ImportError: where markers are looked for without the extra ``capture``.
+        ValueError: for a height or a side that is not above 0.
+    """
+    for name, value in (("camera_height", camera_height), ("marker", marker)):
+        if value is not None and not 0.0 < value < math.inf:
+            raise ValueError(f"{name}: expected finite metres above 0, got {value}")
+    poses, points = reconstruction.camera_to_world.numpy(), reconstruction.points.numpy()
+    if len(poses) < 2 or len(points) < 20:
+        raise CaptureError(
+            f"expected at least 2 cameras and 20 points to find the floor, got {len(poses)} and {len(points)}"
+        )
+    ground = find_ground(poses, points, None if up is None else up.double().numpy())
+    above = float(np.median(poses[:, :3, 3] @ ground.up)) - ground.height
+    if not above > 0:
+        raise CaptureError("found no floor below the cameras; film so that the floor is seen")
+    scale, scale_from, error = _scale(reconstruction, above, metric, marker, distance, camera_height)
+    transform = _world_from_capture(poses, points, ground, scale)
+    return Placed(
+        moved(reconstruction, transform),
+        torch.from_numpy(transform),
+        scale_from,
+        error,
+        ground.up_from,
+        ERROR_DEG[ground.up_from],
+        scale * above,
+        ground.inliers,
+    )
+
+
+def moved(reconstruction: Reconstruction, transform: Floats) -> Reconstruction:
+    """A reconstruction in another frame, by a 4×4 similarity."""
+    scale = float(np.linalg.det(transform[:3, :3]) ** (1 / 3))
+    linear, shift = torch.from_numpy(transform[:3, :3]), torch.from_numpy(transform[:3, 3])
+    poses = reconstruction.camera_to_world.clone()
+    poses[:, :3, :3] = (linear / scale) @ poses[:, :3, :3]
+    poses[:, :3, 3] = poses[:, :3, 3] @ linear.T + shift
+    return replace(reconstruction, camera_to_world=poses, points=reconstruction.points @ linear.T + shift)
+
+
+def _scale(
+    reconstruction: Reconstruction,
+    above: float,
+    metric: bool,
+    marker: float | None,
+    distance: Distance | None,
+    camera_height: float | None,
+) -> tuple[float, ScaleFrom, float | None]:
+    """Metres per unit, what told it, and how far off it may be."""
+    if metric:
+        return 1.0, "recorded", SCALE_ERROR["recorded"]
+    found = None if marker is None else scale_by_marker(reconstruction, marker)
+    if found is not None:
+        return found.metres_per_unit, "marker", found.error
+    if distance is not None:
+        return scale_by_distance(reconstruction, distance), "distance", SCALE_ERROR["distance"]
+    if camera_height is not None:
+        return camera_height / above, "camera_height", SCALE_ERROR["camera_height"]
+    return USUAL_HEIGHT / above, "unknown", None
+
+
+def _world_from_capture(poses: Floats, points: Floats, ground: Ground, scale: float) -> Floats:
+    turn = _standing(ground.up)
+    cameras, flat = poses[:, :3, 3] @ turn.T, points @ turn.T
+    heights = flat[:, 2] - ground.height
+    above = float(np.median(cameras[:, 2])) - ground.height
+    yaw = wall_direction(flat[(heights > 0.1 * above) & (heights < 1.5 * above), :2])
+    spin = np.array([[math.cos(yaw), math.sin(yaw), 0.0], [-math.sin(yaw), math.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+    turn = spin @ turn
+    if (turn @ poses[0, :3, 2])[0] < 0:  # of the two ways along the wall, the one that the first camera looks
+        turn = np.diag([-1.0, -1.0, 1.0]) @ turn
+    walked = poses[:, :3, 3] @ turn.T
+    middle = 0.5 * (walked.min(0) + walked.max(0))
+    middle[2] = ground.height
+    transform = np.eye(4)
+    transform[:3, :3] = scale * turn
+    transform[:3, 3] = -scale * middle
+    return transform
+
+
+def wall_direction(places: Floats) -> float:
+    """The direction of the longest wall, radians in (−π/2, π/2].
+
+    Walls at right angles make the two histograms of the points' coordinates sharp: the turn that has the least entropy
+    is taken, and of its two directions the one in which the points reach farther.
+
+    Args:
+        places: [P, 2] of points on walls and things.
+    """
+    if len(places) < 10:
+        return 0.0
+    low, high = np.quantile(places, [0.02, 0.98], axis=0)
+    places = places[((places >= low) & (places <= high)).all(1)]
+    size = float(np.linalg.norm(high - low)) or 1.0
+    middle = np.median(places, 0)
+
+    def spread(yaw: float) -> float:
+        along = (places - middle) @ np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+        cells = np.clip((along / size + 0.5) * _CELLS, 0, _CELLS - 1).astype(int)
+        counts = np.stack([np.bincount(cells[:, axis], minlength=_CELLS) for axis in (0, 1)]) / len(places)
+        return float(-(counts * np.log(np.maximum(counts, 1e-12))).sum())
+
+    coarse = float(_TURNS[int(np.argmin([spread(yaw) for yaw in _TURNS]))])
+    fine = coarse + np.radians(np.arange(-0.5, 0.51, 0.1))
+    yaw = float(fine[int(np.argmin([spread(turn) for turn in fine]))])
+    first = np.quantile(places @ [math.cos(yaw), math.sin(yaw)], [0.05, 0.95])
+    second = np.quantile(places @ [-math.sin(yaw), math.cos(yaw)], [0.05, 0.95])
+    if second[1] - second[0] > first[1] - first[0]:
+        yaw += 0.5 * math.pi
+    return yaw - math.pi if yaw > 0.5 * math.pi else yaw
+
+
+def _standing(up: Floats) -> Floats:
+    """The smallest rotation [3, 3] that turns ``up`` to +z."""
+    if up[2] < -0.999999:
+        return np.diag([1.0, -1.0, -1.0])
+    x, y, z = up
+    slant = -x * y / (1 + z)
+    return np.array([[1 - x * x / (1 + z), slant, -x], [slant, 1 - y * y / (1 + z), -y], [x, y, z]])
