@@ -1,6 +1,7 @@
 """Hydra configs: composing them, checking them, and keeping them in run folders."""
 
 import difflib
+import itertools
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -10,10 +11,13 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import QuotedString
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from splatrl.files import replacing
+from splatrl.scene_overrides import scene_overrides
+from splatrl.scenes.description import SCENE_FILE, read_description
 
 OmegaConf.register_new_resolver("splatrl.run_dir", lambda resume, fresh: resume or fresh, replace=True)
 
@@ -50,16 +54,22 @@ def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfi
         name: name of the root config.
     """
     with _hydra():
-        return compose(name, with_scene_paths(overrides))
+        return compose(name, with_scene_paths(overrides, name))
 
 
-def with_scene_paths(overrides: Sequence[str]) -> list[str]:
+def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]:
     """Overrides in which a path after ``scene=`` is rewritten as ``scene=file scene.path=...``.
 
-    The name of a scene's config takes precedence over a file of the same name in the working folder.
+    The name of a scene's config takes precedence over a file of the same name in the working folder. What the
+    ``scene.yaml`` of a folder proposes for training in it stands before all other overrides, so that each of them has
+    the last word.
+
+    Args:
+        overrides: overrides in Hydra's grammar.
+        name: name of the root config.
 
     Raises:
-        ValueError: for what looks like a path but does not exist.
+        ValueError: for what looks like a path but does not exist, or for a wrong ``scene.yaml``.
     """
     result: list[str] = []
     for override in overrides:
@@ -71,7 +81,43 @@ def with_scene_paths(overrides: Sequence[str]) -> list[str]:
             raise ValueError(f"scene: expected {', '.join(options('scene'))} or a path that exists, got {path}")
         else:
             result.append(override)
-    return result
+    return [*_proposals(result, name), *result]
+
+
+def _proposals(overrides: Sequence[str], name: str) -> list[str]:
+    """What the folder of the chosen scene proposes for the chosen task, as overrides; nothing without such a folder."""
+    paths = [override for override in overrides if override.startswith("scene.path=")]
+    if "scene=file" not in overrides or not paths:
+        return []
+    try:
+        path = OverridesParser.create().parse_override(paths[-1]).value()
+        folder = Path(path.text if isinstance(path, QuotedString) else str(path)).expanduser()
+        stated = read_description(folder) if (folder / SCENE_FILE).is_file() else {}
+        configs = _choices(overrides, name) if stated else []
+    except HydraException:
+        return []  # Hydra itself tells what is wrong with the overrides
+    return scene_overrides(stated, lambda key: all(_has(cfg, key) for cfg in configs))
+
+
+def _has(cfg: DictConfig, key: str) -> bool:
+    """Whether a config has a key, with or without a value."""
+    parent, _, leaf = key.rpartition(".")
+    node = OmegaConf.select(cfg, parent)
+    return isinstance(node, DictConfig) and leaf in list(node)  # "in node" leaves out what still has no value
+
+
+def _choices(overrides: Sequence[str], name: str) -> list[DictConfig]:
+    """The configs that the groups of some overrides make, one for each combination of a sweep."""
+    plain = [one for one in overrides if "=" in one and not one.startswith(("-", "+", "~", "hydra"))]
+    groups = []
+    for text, parsed in zip(plain, OverridesParser.create().parse_overrides(plain), strict=True):
+        key = text.partition("=")[0]
+        if is_group(key):
+            swept = parsed.is_sweep_override()
+            values = list(parsed.sweep_string_iterator()) if swept else [parsed.get_value_element_as_str()]
+            groups.append([f"{key}={value}" for value in values])
+    with _hydra():
+        return [compose(name, list(chosen)) for chosen in itertools.product(*groups)]
 
 
 def quoted(value: object) -> str:
@@ -93,7 +139,7 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
         SystemExit: for a key that does not exist, with the closest valid key and all valid keys.
     """
     try:
-        result = with_scene_paths(arguments)
+        result = with_scene_paths(arguments, name)
     except ValueError as error:
         sys.exit(str(error))
     plain = [a for a in result if "=" in a and not a.startswith(("-", "+", "~", "hydra"))]

@@ -31,6 +31,8 @@ ORDER = [
     {"envs"},
     {"training"},
     {"evaluation"},
+    {"capture"},
+    {"scene_overrides"},
     {"configuration"},
     {"build"},
     {"runs"},

@@ -1,6 +1,7 @@
 """``scene.yaml``, the file that says where a splat lies in the world: reading and writing it."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,24 @@ from yaml import YAMLError
 
 from splatrl.files import replacing
 from splatrl.scenes.placement import Frame
+from splatrl.scenes.proposals import PROPOSALS, check_proposals
 from splatrl.scenes.scene import Bounds
 
 SCENE_FILE = "scene.yaml"
-SCENE_KEYS = ("splat", "name", "world_from_splat", "bounds")
+SCENE_KEYS = ("splat", "name", "world_from_splat", "bounds", *PROPOSALS)
 COMMENTS = {
     "axes": "the file's axis that becomes the world's x, y and z (up)",
     "scale": "metres per unit of the file",
     "translation": "metres, added last",
     "matrix": "from the file's coordinates to world metres: a rotation times one scale, and a shift",
+    "metric": "whether a unit is a metre; false: nothing told the scale",
+    "robot_height": "of the robot's camera, metres: that of the camera that filmed",
+    "walk": "lower and upper corner of where robots walk, x and y in metres: where people walked",
+    "step": "of a robot and between its starts, metres; null takes the task's own",
+    "voxel_size": "edge of the voxels that say what is solid, metres",
+    "goal": "x, y in metres and yaw in degrees of a free pose that sees something",
+    "object": "x, y, z in metres of a free place for a thing to find",
+    "quality": "figures of the capture, for people to read",
 }
 
 
@@ -50,10 +60,19 @@ def read_description(folder: Path) -> dict[str, Any]:
         raise ValueError(f"{path}: name: expected text, got {stated['name']!r}")
     if not isinstance(stated.get("world_from_splat", {}), dict):
         raise ValueError(f"{path}: world_from_splat: expected keys and values, got {stated['world_from_splat']!r}")
+    check_proposals(path, stated)
     return stated
 
 
-def write_description(folder: Path, splat: str, name: str, frame: Frame, bounds: Bounds, force: bool = False) -> Path:
+def write_description(
+    folder: Path,
+    splat: str,
+    name: str,
+    frame: Frame,
+    bounds: Bounds,
+    force: bool = False,
+    proposals: Mapping[str, Any] | None = None,
+) -> Path:
     """Write a ``scene.yaml`` for ``read_scene`` to read and people to edit, with a comment on every line.
 
     Args:
@@ -63,12 +82,15 @@ def write_description(folder: Path, splat: str, name: str, frame: Frame, bounds:
         frame: arguments of ``similarity``.
         bounds: lower and upper corner, world, metres.
         force: whether to overwrite an existing file.
+        proposals: keys of ``PROPOSALS`` and their values; None proposes nothing.
 
     Raises:
         FileExistsError: for an existing file, without ``force``.
+        ValueError: for proposals that ``read_description`` would refuse.
     """
     path = folder / SCENE_FILE
     check_absent(folder, force)
+    check_proposals(path, {key: value for key, value in (proposals or {}).items() if value is not None})
     lines = [
         (f"splat: {json.dumps(splat, ensure_ascii=False)}", "the splat file in this folder"),
         (f"name: {json.dumps(name, ensure_ascii=False)}", "for captions and file names"),
@@ -80,7 +102,11 @@ def write_description(folder: Path, splat: str, name: str, frame: Frame, bounds:
         lines.append((f"bounds: {json.dumps(corners)}", "lower and upper corner of what counts, world, metres"))
     else:
         lines.append(("bounds: null", "null takes the box around the opaque Gaussians"))
-    text = "".join(f"{line}  # {comment}\n" for line, comment in lines)
+    for key, value in (proposals or {}).items():
+        lines += [(f"{key}:" if isinstance(value, dict) else f"{key}: {json.dumps(value)}", COMMENTS[key])]
+        if isinstance(value, dict):
+            lines += [(f"  {figure}: {json.dumps(each)}", "") for figure, each in value.items()]
+    text = "".join(f"{line}  # {comment}\n" if comment else f"{line}\n" for line, comment in lines)
     with replacing(path) as stream:
         stream.write(text.encode())
     return path

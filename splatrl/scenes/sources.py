@@ -2,6 +2,7 @@
 
 import math
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -50,7 +51,8 @@ def read_scene(
     """Read a scene from a splat file or from a folder.
 
     A folder holds the splat file and a ``scene.yaml`` with the keys ``splat`` (the file's name), ``name``,
-    ``world_from_splat`` and ``bounds``. Arguments override what it says, key by key.
+    ``world_from_splat`` and ``bounds``, and those of ``PROPOSALS``, which say how to train in it. Arguments override
+    what it says, key by key. A folder that says ``metric: false`` is warned of.
 
     Example:
         >>> read_scene("kitchen.spz", world_from_splat={"axes": ["x", "-z", "y"]})  # doctest: +SKIP
@@ -71,6 +73,8 @@ def read_scene(
     fallback = splat.stem
     if splat.is_dir():
         stated, fallback = read_description(splat), splat.resolve().name
+        if stated.get("metric") is False:
+            warnings.warn(f"{splat}: not metric: nothing told its scale, so its lengths are not metres", stacklevel=2)
         splat = splat / stated["splat"]
     gaussians = read_gaussians(splat)
     transform = _transform(stated.get("world_from_splat"), world_from_splat)

@@ -1,0 +1,103 @@
+"""Where a capture is: its bounds, where people walked in it, and what is solid there."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from splatrl.bodies import Sphere
+from splatrl.capture.world import Placed
+from splatrl.collision import NativeChecker
+from splatrl.collision.occupancy import Occupancy
+from splatrl.geometry import rigid
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.scene import Bounds
+
+Floats = NDArray[np.float64]
+
+GRID = 0.2
+"""Metres: sides of the area to walk in are whole numbers of it, as lattices need."""
+LEAST = 1.0
+"""Metres: shortest side of that area."""
+MOST_STEPS = 40
+"""Along its longer side: beyond them a robot's step grows with the place."""
+TRIM = 0.01
+_VOXELS = (256, 50)
+"""Along the diagonal, at most and at least, where the usual voxel does not fit the place."""
+VOXEL = 0.05
+"""Metres: edge of a voxel in places the size of a room or a garden."""
+
+
+@dataclass(frozen=True, eq=False)
+class Area:
+    """A captured place, world frame, metres.
+
+    Attributes:
+        bounds: lower and upper corner of what counts.
+        walk: lower and upper corner [x, y] of where people walked.
+        step: of a robot; None where the usual ones do.
+        robot_height: of the robot's camera, which is where the camera was.
+        occupancy: what is solid within the bounds.
+    """
+
+    bounds: Bounds
+    walk: tuple[tuple[float, float], tuple[float, float]]
+    step: float | None
+    robot_height: float
+    occupancy: Occupancy
+
+
+def survey_area(gaussians: Gaussians, placed: Placed) -> Area:
+    """Find where a placed capture is, and what is solid in it.
+
+    Args:
+        gaussians: in the world frame.
+        placed: the cameras and points.
+    """
+    poses, points = placed.reconstruction.camera_to_world.numpy(), placed.reconstruction.points.numpy()
+    bounds = _bounds(poses[:, :3, 3], points)
+    lower, upper = np.array(bounds)
+    diagonal = float(np.linalg.norm(upper - lower))
+    edge = float(f"{np.clip(VOXEL, diagonal / _VOXELS[0], diagonal / _VOXELS[1]):.2g}")
+    walk, step = _walk(poses[:, :2, 3])
+    margin = 0.1 * float((upper - lower).max())
+    crop = ((lower - margin).tolist(), (upper + margin).tolist())
+    occupancy = Occupancy.from_gaussians(gaussians, edge, crop=crop)
+    return Area(bounds, walk, step, round(float(np.median(poses[:, 2, 3])), 2), occupancy)
+
+
+def path_is_free(occupancy: Occupancy, camera_to_world: Tensor, radius: float = 0.05) -> Tensor:
+    """Whether a sphere around each camera touches nothing solid: [N, 4, 4] -> [N] bool."""
+    places = camera_to_world[:, :3, 3].float()
+    turns = torch.eye(3).expand(len(places), 3, 3)
+    return ~NativeChecker(occupancy, Sphere(radius)).collides(rigid(turns, places))
+
+
+def _bounds(cameras: Floats, points: Floats) -> Bounds:
+    """The box around the cameras and the points near them, without the country beyond."""
+    low, high = cameras.min(0), cameras.max(0)
+    reach = max(float((high - low)[:2].max()), 2 * float(np.median(cameras[:, 2])))
+    near = points[((points >= low - reach) & (points <= high + reach)).all(1)]
+    if len(near) >= 20:
+        first, last = np.quantile(near, [TRIM, 1 - TRIM], axis=0)
+        low, high = np.minimum(low, first), np.maximum(high, last)
+    low[2] = min(0.0, max(low[2], -0.5 * float(np.median(cameras[:, 2]))))
+    lower, upper = ([float(f"{value:.3f}") for value in corner] for corner in (low - 0.01, high + 0.01))
+    return (lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])
+
+
+def _walk(places: Floats) -> tuple[tuple[tuple[float, float], tuple[float, float]], float | None]:
+    """The area around where cameras were [N, 2], in whole steps, and the step where it is large."""
+    low, high = np.quantile(places, [TRIM, 1 - TRIM], axis=0)
+    widest = float((high - low).max())
+    step = GRID * math.ceil(widest / GRID / MOST_STEPS - 1e-9) if widest > GRID * MOST_STEPS else None
+    edge = step or GRID
+    sides = edge * np.maximum(np.round((high - low) / edge), math.ceil(LEAST / edge - 1e-9))
+    lower = np.round(0.5 * (low + high) - 0.5 * sides, 2)
+    upper = np.round(lower + sides, 2)
+    corners = lower.tolist(), upper.tolist()
+    step = None if step is None else round(step, 2)
+    return ((corners[0][0], corners[0][1]), (corners[1][0], corners[1][1])), step

@@ -1,0 +1,154 @@
+"""The check of a fitted capture: images that were never fitted, the camera's own path, and floaters."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from scipy import ndimage
+
+from splatrl.cameras import Cameras
+from splatrl.capture.area import Area, path_is_free, survey_area
+from splatrl.capture.base import CaptureError, Reconstruction
+from splatrl.capture.floaters import seen_through
+from splatrl.capture.pictures import draw_comparison, draw_map
+from splatrl.capture.world import Placed
+from splatrl.renderers import NativeRenderer
+from splatrl.scenes.gaussians import Gaussians
+
+Floats = NDArray[np.float64]
+
+COMPARISON, MAP = "held_out.png", "map.png"
+SIGMA = 1.5
+"""Pixels: of the window of the structural similarity (Wang et al. 2004), 11 × 11 pixels."""
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How good a capture is.
+
+    Attributes:
+        psnr: of the images that were never fitted, dB, mean.
+        ssim: of these, mean.
+        psnr_corrected: the same once each channel of a render has been fitted to its photo by a factor and a shift.
+        ssim_corrected: likewise.
+        held_out: number of these images; without any the four are None.
+        path_free: share of the cameras around which a sphere of 5 cm is free.
+        solid: voxels.
+        floating: solid voxels that many cameras saw through.
+        voxel_size: metres.
+    """
+
+    psnr: float | None
+    ssim: float | None
+    psnr_corrected: float | None
+    ssim_corrected: float | None
+    held_out: int
+    path_free: float
+    solid: int
+    floating: int
+    voxel_size: float
+
+    def figures(self) -> dict[str, float | int | None]:
+        """The attributes by name, short enough to read."""
+        return {
+            name: float(f"{value:.4g}") if isinstance(value, float) else value for name, value in asdict(self).items()
+        }
+
+
+def check(
+    gaussians: Gaussians, placed: Placed, held_out: Sequence[int], folder: Path, area: Area | None = None
+) -> Quality:
+    """Compare a fitted capture with what its cameras saw, and draw ``held_out.png`` and ``map.png``.
+
+    Args:
+        gaussians: fitted, in the world frame.
+        placed: cameras and points in the world.
+        held_out: which of its images were never fitted.
+        folder: for the pictures; it exists.
+        area: what ``survey_area`` found, where that is known already.
+
+    Raises:
+        CaptureError: for an image that cannot be read, or of another size than the reconstruction says.
+    """
+    area = survey_area(gaussians, placed) if area is None else area
+    free = path_is_free(area.occupancy, placed.reconstruction.camera_to_world)
+    scores = []
+    photos, renders = _views(gaussians, placed.reconstruction, held_out)
+    for photo, render in zip(photos, renders, strict=True):
+        corrected = colour_corrected(render, photo)
+        scores.append(
+            (psnr(render, photo), ssim(render, photo), psnr(corrected, photo), ssim(corrected, photo)),
+        )
+    if scores:
+        draw_comparison(photos, renders, [score[0] for score in scores], folder / COMPARISON)
+    draw_map(gaussians, placed, area, free.numpy(), folder / MAP)
+    plain, structure, corrected_plain, corrected_structure = np.mean(scores, 0).tolist() if scores else [None] * 4
+    return Quality(
+        psnr=plain,
+        ssim=structure,
+        psnr_corrected=corrected_plain,
+        ssim_corrected=corrected_structure,
+        held_out=len(scores),
+        path_free=float(free.double().mean()),
+        solid=area.occupancy.count,
+        floating=int(seen_through(area.occupancy, placed.reconstruction).sum()),
+        voxel_size=area.occupancy.resolution,
+    )
+
+
+def psnr(image: Floats, reference: Floats) -> float:
+    """Peak signal-to-noise ratio of images [H, W, 3] in [0, 1], dB; 100 at most."""
+    return float(-10 * np.log10(max(float(np.mean((image - reference) ** 2)), 1e-10)))
+
+
+def ssim(image: Floats, reference: Floats) -> float:
+    """Mean structural similarity of images [H, W, 3] in [0, 1] (Wang et al. 2004, eq. 13), a channel at a time."""
+
+    def local(values: Floats) -> Floats:
+        blurred: Floats = ndimage.gaussian_filter(values, (SIGMA, SIGMA, 0.0), radius=(5, 5, 0))
+        return blurred
+
+    a, b = local(image), local(reference)
+    covariance = local(image * reference) - a * b
+    variances = local(image**2) - a**2 + local(reference**2) - b**2
+    c1, c2 = 0.01**2, 0.03**2
+    return float(np.mean((2 * a * b + c1) * (2 * covariance + c2) / ((a**2 + b**2 + c1) * (variances + c2))))
+
+
+def colour_corrected(image: Floats, reference: Floats) -> Floats:
+    """An image whose channels have each been fitted to a reference by a factor and a shift, by least squares."""
+    result = np.empty_like(image)
+    for channel in range(3):
+        x, y = image[..., channel], reference[..., channel]
+        variance = float(x.var())
+        factor = float(((x - x.mean()) * (y - y.mean())).mean()) / variance if variance > 1e-9 else 0.0
+        result[..., channel] = np.clip(factor * (x - x.mean()) + y.mean(), 0.0, 1.0)
+    return result
+
+
+def _views(
+    gaussians: Gaussians, reconstruction: Reconstruction, rows: Sequence[int]
+) -> tuple[list[Floats], list[Floats]]:
+    """Photos and renders of some cameras, each [H, W, 3] in [0, 1]."""
+    renderer = NativeRenderer(gaussians)
+    width, height = reconstruction.width, reconstruction.height
+    photos, renders = [], []
+    for row in rows:
+        path = reconstruction.paths[row]
+        try:
+            with Image.open(path) as image:
+                photo = np.asarray(image.convert("RGB"), np.float64) / 255.0
+        except OSError as error:
+            raise CaptureError(f"{path}: expected an image, got {error}") from error
+        if photo.shape != (height, width, 3):
+            raise CaptureError(f"{path}: expected {width} × {height} pixels, got {photo.shape[1]} × {photo.shape[0]}")
+        pose = reconstruction.camera_to_world[row : row + 1].float()
+        with torch.no_grad():
+            pixels = renderer.pixels(Cameras(pose, reconstruction.K.float(), width, height))[0]
+        photos.append(photo)
+        renders.append(pixels.numpy().astype(np.float64) / 255.0)
+    return photos, renders

@@ -1,0 +1,156 @@
+"""The last stage: a folder that is a scene to train in, with a report, written whole or not at all."""
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+
+from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.capture.area import Area, path_is_free, survey_area
+from splatrl.capture.check import COMPARISON, MAP, Quality, check
+from splatrl.capture.page import report_page
+from splatrl.capture.pictures import draw_cameras, draw_map
+from splatrl.capture.suggestions import Suggestions, suggest
+from splatrl.capture.world import Placed
+from splatrl.files import replacing
+from splatrl.renderers import NativeRenderer
+from splatrl.scenes import write_gaussians
+from splatrl.scenes.description import SCENE_FILE, write_description
+from splatrl.scenes.gaussians import Gaussians
+
+SPLAT, REPORT, CAMERAS, GOALS = "splat.ply", "report.html", "cameras.png", "goals.png"
+GOOD_PATH, GOOD_PSNR, FEW_FLOATERS, MOST_MISSING = 0.97, 22.0, 0.005, 0.1
+"""A worse capture's report says so."""
+FRAME: dict[str, Any] = {"axes": ["x", "y", "z"], "scale": 1.0, "translation": [0.0, 0.0, 0.0]}
+THUMBNAIL = 320
+FOV_DEG = 90.0
+"""Of the robot's camera in ``conf/robot/box.yaml``."""
+
+
+def write_scene(
+    folder: Path,
+    gaussians: Gaussians,
+    placed: Placed,
+    held_out: Sequence[int] = (),
+    name: str | None = None,
+    notes: Sequence[str] = (),
+    force: bool = False,
+) -> Quality:
+    """Check a fitted capture and write it as a scene's folder: splat, ``scene.yaml``, report and pictures.
+
+    Args:
+        folder: to write; what else is in it stays.
+        gaussians: fitted, in the world frame.
+        placed: cameras and points in the world.
+        held_out: which of its images were never fitted.
+        name: of the scene; None takes the folder's.
+        notes: what earlier stages have to say in the report, a sentence each.
+        force: whether to replace a ``scene.yaml`` that is there.
+
+    Raises:
+        CaptureError: for a held-out image that cannot be read.
+        FileExistsError: for an existing ``scene.yaml``, without ``force``.
+    """
+    name = name or folder.resolve().name
+    if (folder / SCENE_FILE).exists() and not force:
+        raise FileExistsError(f"{folder / SCENE_FILE}: already exists; name another folder, or replace it by force")
+    area = survey_area(gaussians, placed)
+    found = suggest(placed, area)
+    with _whole(folder) as fresh:
+        quality = check(gaussians, placed, held_out, fresh, area)
+        free = path_is_free(area.occupancy, placed.reconstruction.camera_to_world).numpy()
+        draw_map(gaussians, placed, area, free, fresh / MAP, found.goals, found.thing)
+        draw_cameras(placed, area, fresh / CAMERAS)
+        if found.goals:
+            _draw_goals(gaussians, area, found, fresh / GOALS)
+        write_gaussians(fresh / SPLAT, gaussians)
+        proposals = _proposals(placed, area, found, quality)
+        write_description(fresh, SPLAT, name, FRAME, area.bounds, proposals=proposals)
+        pictures = [file for file in (COMPARISON, MAP, GOALS, CAMERAS) if (fresh / file).exists()]
+        page = report_page(name, placed, area, found, quality, [*notes, *problems(placed, found, quality)], pictures)
+        (fresh / REPORT).write_text(page, encoding="utf-8")
+    return quality
+
+
+def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
+    """What is wrong with a capture, a sentence each; nothing for a good one."""
+    missing, floating = placed.reconstruction.missing, quality.floating / max(quality.solid, 1)
+    corrected = quality.psnr_corrected
+    checks = {
+        "It is not metric: nothing told its scale. Film a printed marker, or state a distance or the camera's height; "
+        "until then lengths are those of a camera 1.5 m above the floor.": not placed.metric,
+        "Up comes from how the camera was held, because too little of a floor was seen.": placed.up_from == "cameras",
+        f"{100 * missing:.0f} % of the images have no pose.": missing > MOST_MISSING,
+        f"Something is solid where the camera was, on {100 * (1 - quality.path_free):.0f} % of its path "
+        "(red in the map).": quality.path_free < GOOD_PATH,
+        f"{quality.floating} of {quality.solid} solid voxels are where cameras saw through.": floating > FEW_FLOATERS,
+        f"Images that were never fitted are drawn at {corrected or 0:.1f} dB: the pictures are poor.": corrected
+        is not None
+        and corrected < GOOD_PSNR,
+        "No image was held out, so nothing says how good the pictures are.": quality.held_out == 0,
+        "No pose on the path is free and sees something: give landmarks.goal yourself.": not found.goals,
+    }
+    return [text for text, wrong in checks.items() if wrong]
+
+
+def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality) -> dict[str, Any]:
+    error = placed.scale_error
+    return {
+        "metric": placed.metric,
+        "robot_height": area.robot_height,
+        "walk": [list(corner) for corner in area.walk],
+        "step": area.step,
+        "voxel_size": area.occupancy.resolution,
+        "goal": list(found.goals[0]) if found.goals else None,
+        "object": list(found.thing) if found.thing else None,
+        "quality": {
+            "scale_from": placed.scale_from,
+            "scale_error": None if error is None else float(f"{error:.2g}"),
+            "up_from": placed.up_from,
+            "up_error_deg": placed.up_error_deg,
+            **quality.figures(),
+        },
+    }
+
+
+def _draw_goals(gaussians: Gaussians, area: Area, found: Suggestions, path: Path) -> None:
+    """What a robot sees at each goal, side by side."""
+    poses = []
+    for x, y, yaw in found.goals:
+        turn = np.radians(yaw)
+        eye = [x, y, area.robot_height]
+        poses.append(look_at(eye, [x + np.cos(turn), y + np.sin(turn), area.robot_height]))
+    cameras = Cameras(torch.stack(poses), intrinsics(np.radians(FOV_DEG), THUMBNAIL, THUMBNAIL), THUMBNAIL, THUMBNAIL)
+    page = Image.new("RGB", (len(poses) * (THUMBNAIL + 4) - 4, THUMBNAIL), "white")
+    for column, view in enumerate(NativeRenderer(gaussians).pixels(cameras).numpy()):
+        page.paste(Image.fromarray(view), (column * (THUMBNAIL + 4), 0))
+    with replacing(path) as stream:
+        page.save(stream, "PNG")
+
+
+@contextmanager
+def _whole(folder: Path) -> Iterator[Path]:
+    """A new folder to write to, whose files come into ``folder`` once the block ends well, ``scene.yaml`` last.
+
+    A folder without ``scene.yaml`` is no scene, so one that was cut off half-way is never taken for one.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    fresh = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}.tmp")
+    fresh.mkdir()
+    try:
+        yield fresh
+        if folder.exists():
+            (folder / SCENE_FILE).unlink(missing_ok=True)
+            for file in sorted(fresh.iterdir(), key=lambda file: file.name == SCENE_FILE):
+                os.replace(file, folder / file.name)
+        else:
+            os.rename(fresh, folder)
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)

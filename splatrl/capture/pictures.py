@@ -1,0 +1,148 @@
+"""Pictures by which a person judges a capture: photos beside renders, maps, cameras and points."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from splatrl.capture.area import Area
+from splatrl.capture.world import Placed
+from splatrl.collision.pictures import FREE, SOLID
+from splatrl.evaluation.topdown import footprint, top_down
+from splatrl.files import replacing
+from splatrl.scenes.gaussians import Gaussians
+
+Floats = NDArray[np.float64]
+
+ROWS = 6
+"""Photos in a comparison, at most."""
+WIDTH = 480
+"""Pixels of a photo in it."""
+BODY = 0.1
+"""Metres above and below the robot's height within which solid things are drawn."""
+PATH, BLOCKED, POINTS = "#1f6feb", "#d1242f", "#8a6d3b"
+_MOST_POINTS = 20_000
+
+
+def draw_comparison(photos: Sequence[Floats], renders: Sequence[Floats], scores: Sequence[float], path: Path) -> None:
+    """Draw photos, renders of the same cameras and four times their difference side by side, as PNG.
+
+    Args:
+        photos: at least one, each [H, W, 3] in [0, 1].
+        renders: as many.
+        scores: PSNR of each, dB.
+        path: where to; ends in .png.
+    """
+    rows = np.unique(np.linspace(0, len(photos) - 1, ROWS).round().astype(int)).tolist()
+    height, width = photos[0].shape[:2]
+    size = WIDTH, max(1, round(WIDTH * height / width))
+    page = Image.new("RGB", (3 * size[0] + 8, len(rows) * (size[1] + 4) + 20), "white")
+    pen, font = ImageDraw.Draw(page), ImageFont.load_default(14)
+    for column, title in enumerate(("photo, never fitted", "render", "difference × 4")):
+        pen.text((column * (size[0] + 4) + 4, 2), title, fill="black", font=font)
+    for line, row in enumerate(rows):
+        images = photos[row], renders[row], np.clip(4 * np.abs(photos[row] - renders[row]), 0.0, 1.0)
+        top = 20 + line * (size[1] + 4)
+        for column, values in enumerate(images):
+            image = Image.fromarray((255 * values + 0.5).astype(np.uint8)).resize(size, Image.Resampling.LANCZOS)
+            page.paste(image, (column * (size[0] + 4), top))
+        pen.text(
+            (size[0] + 10, top + 4), f"{scores[row]:.1f} dB", fill="white", font=font, stroke_width=2, stroke_fill=0
+        )
+    with replacing(path) as stream:
+        page.save(stream, "PNG")
+
+
+def draw_map(
+    gaussians: Gaussians,
+    placed: Placed,
+    area: Area,
+    free: NDArray[np.bool_],
+    path: Path,
+    goals: Sequence[Sequence[float]] = (),
+    thing: Sequence[float] | None = None,
+) -> None:
+    """Draw the place from above with the camera's path, and free space and points beside it, as PNG.
+
+    Args:
+        gaussians: world frame.
+        placed: cameras and points.
+        area: bounds, walk and what is solid.
+        free: [N] bool, whether the path is free at each camera.
+        path: where to; ends in .png.
+        goals: x, y and yaw in degrees of poses to mark, the first of them largest.
+        thing: x, y, z of a place to mark.
+    """
+    lower, upper = area.bounds[0][:2], area.bounds[1][:2]
+    ground = top_down(gaussians, lower, upper, area.robot_height + 0.3)
+    solid = footprint(area.occupancy, area.robot_height - BODY, area.robot_height + BODY, ground).numpy()
+    cameras, points = (
+        placed.reconstruction.camera_to_world[:, :3, 3].numpy(),
+        _some(placed.reconstruction.points.numpy()),
+    )
+    shape = (upper[0] - lower[0]) / (upper[1] - lower[1])
+    width = 6.0 * min(1.6, max(0.7, shape))
+    figure = Figure(figsize=(2 * width + 0.8, 6.4), dpi=110, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+    left.imshow(ground.image.numpy(), extent=ground.extent)
+    left.set_title("from above, and the camera's path")
+    colors = np.array([[int(tone[i : i + 2], 16) for i in (1, 3, 5)] for tone in (FREE, SOLID)], np.uint8)
+    right.imshow(colors[solid.astype(int)], extent=ground.extent)
+    right.scatter(*points[:, :2].T, s=0.3, c=POINTS, linewidths=0, alpha=0.5)
+    right.set_title(f"free (green) at {area.robot_height:.2f} m, and the points")
+    (x0, y0), (x1, y1) = area.walk
+    for axis in (left, right):
+        axis.plot(*cameras[:, :2].T, color=PATH, linewidth=1.2)
+        axis.scatter(*cameras[~free, :2].T, s=14, c=BLOCKED, zorder=3)
+        axis.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="white" if axis is left else "black", ls="--", lw=1)
+        for rank, (x, y, yaw) in enumerate(goals):
+            ahead = (
+                np.array([np.cos(np.radians(yaw)), np.sin(np.radians(yaw))])
+                * (0.06 if rank else 0.09)
+                * (x1 - x0 + y1 - y0)
+            )
+            axis.annotate(
+                "",
+                (x + ahead[0], y + ahead[1]),
+                (x, y),
+                arrowprops={"color": "#bf3989", "width": 2 - 1.2 * (rank > 0), "headwidth": 8 - 3 * (rank > 0)},
+            )
+        if thing is not None:
+            axis.plot(*thing[:2], marker="*", color="#e3b341", markeredgecolor="black", markersize=12)
+        axis.set(xlim=ground.extent[:2], ylim=ground.extent[2:], xlabel="x, m")
+    left.set_ylabel("y, m")
+    with replacing(path) as stream:
+        canvas.print_png(stream)
+
+
+def draw_cameras(placed: Placed, area: Area, path: Path) -> None:
+    """Draw cameras and points from above and from the side, as PNG."""
+    reconstruction = placed.reconstruction
+    points, colors = (_some(values.numpy()) for values in (reconstruction.points, reconstruction.colors))
+    poses = reconstruction.camera_to_world.numpy()
+    (x0, y0, z0), (x1, y1, z1) = area.bounds
+    tall = max((y1 - y0) + (z1 - z0), 0.3 * (x1 - x0))
+    figure = Figure(figsize=(8.0, min(14.0, 1.2 + 7.0 * tall / (x1 - x0))), dpi=110, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    above, beside = figure.subplots(2, 1, sharex=True, height_ratios=[y1 - y0, z1 - z0])
+    for axis, other, (low, high) in ((above, 1, (y0, y1)), (beside, 2, (min(z0, -0.2), z1))):
+        axis.scatter(points[:, 0], points[:, other], s=1.0, c=colors / 255.0, linewidths=0)
+        axis.plot(poses[:, 0, 3], poses[:, other, 3], color=PATH, linewidth=1.2)
+        some = poses[:: max(1, len(poses) // 40)]
+        axis.quiver(
+            some[:, 0, 3], some[:, other, 3], some[:, 0, 2], some[:, other, 2], color=PATH, width=0.002, scale=30
+        )
+        axis.set(xlim=(x0, x1), ylim=(low, high), aspect="equal", ylabel=f"{'xyz'[other]}, m")
+    beside.axhline(0.0, color=BLOCKED, linewidth=0.8)
+    beside.set_xlabel("x, m")
+    with replacing(path) as stream:
+        canvas.print_png(stream)
+
+
+def _some(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    return values[:: max(1, -(-len(values) // _MOST_POINTS))]

@@ -1,0 +1,36 @@
+"""What a scene's folder proposes for training in it, as overrides that stand before those of the command line."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+TARGETS = {
+    "robot_height": ("robot.height",),
+    "voxel_size": ("collision.occupancy.resolution",),
+    "goal": ("landmarks.goal",),
+    "object": ("landmarks.object",),
+    "step": ("task.motion.step", "task.motion.spacing"),
+}
+"""Keys of a ``scene.yaml``, and the keys of a config that take their values."""
+CORNERS = ("task.motion.lower", "task.motion.upper")
+"""Keys that take the corners of ``walk``."""
+
+
+def scene_overrides(stated: Mapping[str, Any], has: Callable[[str], bool]) -> list[str]:
+    """Overrides in Hydra's grammar that say what a ``scene.yaml`` proposes.
+
+    They hold numbers and lists of numbers and nothing else, so that a file from elsewhere can neither name a class to
+    build nor refer to other values.
+
+    Args:
+        stated: keys and values that ``read_description`` read and checked.
+        has: whether the config has a key: a robot that circles a thing has no bounds.
+    """
+    values = {target: stated[key] for key, targets in TARGETS.items() if key in stated for target in targets}
+    values.update(zip(CORNERS, stated.get("walk", ()), strict=False))
+    return [f"{key}={_written(value)}" for key, value in values.items() if has(key)]
+
+
+def _written(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{','.join(map(_written, value))}]"
+    return repr(float(value))

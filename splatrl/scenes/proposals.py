@@ -1,0 +1,56 @@
+"""What a ``scene.yaml`` proposes for training in its scene: which keys there are, and what their values must be."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+
+def check_proposals(source: object, stated: Mapping[str, Any]) -> None:
+    """Refuse values that are not of their key's kind; other keys are left alone.
+
+    Args:
+        source: what they came from, for the messages.
+        stated: keys and values of a ``scene.yaml``; none is null.
+
+    Raises:
+        ValueError: names the key, what was expected and what came.
+    """
+    for key, (expected, fits) in PROPOSALS.items():
+        if key in stated and not fits(stated[key]):
+            raise ValueError(f"{source}: {key}: expected {expected}, got {stated[key]!r}")
+
+
+def _number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _positive(value: Any) -> bool:
+    return _number(value) and value > 0
+
+
+def _numbers(count: int) -> Callable[[object], bool]:
+    return lambda value: isinstance(value, list) and len(value) == count and all(map(_number, value))
+
+
+def _area(value: object) -> bool:
+    if not (isinstance(value, list) and len(value) == 2 and all(map(_numbers(2), value))):
+        return False
+    return all(low < high for low, high in zip(*value, strict=True))
+
+
+def _figures(value: object) -> bool:
+    plain = isinstance(value, dict) and all(isinstance(key, str) for key in value)
+    return plain and all(v is None or isinstance(v, bool | str) or _number(v) for v in value.values())  # type: ignore[attr-defined]
+
+
+PROPOSALS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "robot_height": ("metres above 0", _positive),
+    "voxel_size": ("metres above 0", _positive),
+    "walk": ("[[x, y], [x, y]] in metres, the first below the second", _area),
+    "step": ("metres above 0", _positive),
+    "goal": ("[x, y, yaw], two in metres and one in degrees", _numbers(3)),
+    "object": ("[x, y, z] in metres", _numbers(3)),
+    "metric": ("true or false", lambda value: isinstance(value, bool)),
+    "quality": ("names of figures with a number, text, true or false each", _figures),
+}
+"""For each key, what it takes in words, and whether a value is that."""

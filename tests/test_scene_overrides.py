@@ -1,0 +1,141 @@
+"""A scene's folder is all that a training needs, what it says is data, and the command line has the last word."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import DictConfig
+
+from splatrl.build import build_trainer, build_world
+from splatrl.configuration import command_line, load_config, run_config, save_config, with_scene_paths
+from splatrl.scenes import read_scene, write_gaussians
+from splatrl.scenes.description import read_description, write_description
+from tests.tiny import HEIGHT, tiny_gaussians
+
+PROPOSALS = {
+    "metric": True,
+    "robot_height": HEIGHT,
+    "walk": [[-1.0, -1.5], [1.0, 1.5]],
+    "step": 0.5,
+    "voxel_size": 0.06,
+    "goal": [0.5, 1.0, 0.0],
+    "object": [0.75, 1.0, 0.5],
+    "quality": {"psnr": 27.5, "scale_from": "marker", "trusted": True, "ssim": None},
+}
+SMALL = ["device=cpu", "robot.image_width=16", "robot.image_height=12", "network.pool=1"]
+
+
+@pytest.fixture
+def garden(tmp_path: Path) -> Path:
+    """The tiny room as a captured place."""
+    folder = tmp_path / "garden"
+    folder.mkdir()
+    write_gaussians(folder / "splat.ply", tiny_gaussians())
+    bounds = ((-1.5, -2.0, 0.0), (1.5, 2.0, 1.2))
+    write_description(folder, "splat.ply", "garden", {"scale": 1.0}, bounds, proposals=PROPOSALS)
+    return folder
+
+
+def test_what_is_written_is_read_and_each_line_says_what_it_is(garden: Path) -> None:
+    assert {key: read_description(garden)[key] for key in PROPOSALS} == {
+        **PROPOSALS,
+        "quality": {**PROPOSALS["quality"], "ssim": None},  # type: ignore[dict-item]
+    }
+    lines = (garden / "scene.yaml").read_text().splitlines()
+    figures = [line for line in lines if line.startswith("  ") and "#" not in line]
+    assert len(figures) == 4 and all("#" in line for line in lines if line not in figures)
+
+
+def test_a_folder_says_all_that_a_training_needs(garden: Path, tmp_path: Path) -> None:
+    cfg = load_config([f"scene={garden}", *SMALL])
+    assert cfg.robot.height == cfg.task.motion.height == HEIGHT
+    assert (cfg.task.motion.lower, cfg.task.motion.upper) == ([-1.0, -1.5], [1.0, 1.5])
+    assert (cfg.task.motion.step, cfg.collision.occupancy.resolution) == (0.5, 0.06)
+    assert (cfg.task.goal, cfg.landmarks.object) == ([0.5, 1.0, 0.0], [0.75, 1.0, 0.5])
+    save_config(cfg, tmp_path)
+    assert run_config(tmp_path) == load_config([f"scene={garden.absolute()}", *SMALL])
+
+
+def trained(cfg: DictConfig, folder: Path) -> int:
+    """Frames that a training of a few batches saw."""
+    world = build_world(cfg)
+    assert len(world.plan.start_rows) > 10
+    build_trainer(cfg, world, folder).fit()
+    return int(cfg.collector.total_frames)
+
+
+def test_a_policy_trains_in_a_folder_and_nothing_else_is_said(garden: Path, tmp_path: Path) -> None:
+    few = ["collector.total_frames=256", "collector.frames_per_batch=128", "env.num_envs=16", "logger.video=false"]
+    arguments = command_line("train", [f"scene={garden}/", *SMALL, *few, "logger.num_test_episodes=8"])
+    assert trained(load_config(arguments), tmp_path) == 256
+
+
+def test_the_command_line_has_the_last_word(garden: Path) -> None:
+    own = ["robot.height=0.7", "landmarks.goal=[0.0,1.0,90.0]", "task.motion.lower=[-0.5,-0.5]"]
+    for overrides in ([*own, f"scene={garden}"], [f"scene={garden}", *own]):
+        cfg = load_config(command_line("train", overrides))
+        assert (cfg.robot.height, cfg.task.goal, cfg.task.motion.lower) == (0.7, [0.0, 1.0, 90.0], [-0.5, -0.5])
+        assert cfg.task.motion.upper == [1.0, 1.5]
+
+
+def test_a_folder_named_in_full_proposes_the_same(garden: Path) -> None:
+    short, full = (load_config(said) for said in ([f"scene={garden}"], ["scene=file", f"scene.path='{garden}'"]))
+    assert short == full
+    assert load_config(with_scene_paths([f"scene={garden}"])) == short
+
+
+@pytest.mark.parametrize("task", ["circle", "fps", "sim2real", "snake", "drive", "grid,circle"])
+def test_a_task_takes_only_what_it_has(task: str, garden: Path) -> None:
+    proposed = with_scene_paths([f"task={task}", f"scene={garden}"])[:-3]  # without those given, "scene" being two
+    keys = {override.partition("=")[0] for override in proposed}
+    always = {"robot.height", "collision.occupancy.resolution", "landmarks.goal", "landmarks.object"}
+    bounds = set() if "circle" in task else {"task.motion.lower", "task.motion.upper"}
+    assert always | bounds <= keys and keys - always - bounds <= {"task.motion.step", "task.motion.spacing"}
+    for one in task.split(","):
+        load_config([*proposed, f"task={one}", "scene=file", f"scene.path={garden}"])
+
+
+def test_a_motion_of_the_command_line_takes_the_bounds(garden: Path) -> None:
+    cfg = load_config(["task=fps", "motion@task.motion=drive", f"scene={garden}"])
+    assert cfg.task.motion.upper == [1.0, 1.5] and "time_step" in cfg.task.motion
+
+
+def test_a_folder_that_proposes_nothing_changes_nothing(garden: Path) -> None:
+    (garden / "scene.yaml").write_text("splat: splat.ply\nrobot_height: null\n")
+    assert with_scene_paths([f"scene={garden}"]) == ["scene=file", f"scene.path='{garden}'"]
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("robot_height: ${oc.env:HOME}", r"robot_height: expected metres above 0, got '\$\{oc.env:HOME\}'"),
+        ("robot_height: -1.0", "robot_height: expected metres above 0, got -1.0"),
+        ("robot_height: .inf", "robot_height: expected metres above 0, got inf"),
+        ("voxel_size: true", "voxel_size: expected metres above 0, got True"),
+        ("step: {_target_: os.system}", "step: expected metres above 0, got {'_target_': 'os.system'}"),
+        ("goal: [1.0, 2.0]", r"goal: expected \[x, y, yaw\].* got \[1.0, 2.0\]"),
+        ("object: ['${seed}', 0, 0]", r"object: expected \[x, y, z\] in metres"),
+        ("walk: [[1, 0], [0, 1]]", "walk: .*the first below the second, got"),
+        ("walk: [0, 1]", "walk: expected"),
+        ("metric: 1", "metric: expected true or false, got 1"),
+        ("quality: {psnr: {_target_: os.system}}", "quality: expected names of figures"),
+        ("collector: {total_frames: 1}", "expected the keys splat, .*quality, got collector"),
+    ],
+)
+def test_values_that_are_not_what_their_key_takes_are_refused(line: str, message: str, garden: Path) -> None:
+    (garden / "scene.yaml").write_text(f"splat: splat.ply\n{line}\n")
+    with pytest.raises(ValueError, match=message):
+        load_config([f"scene={garden}"])
+    with pytest.raises(SystemExit, match=message):
+        command_line("train", [f"scene={garden}"])
+    key, _, value = line.partition(": ")
+    if key == "robot_height":
+        with pytest.raises(ValueError, match="robot_height"):
+            write_description(garden, "splat.ply", "x", {}, ((0, 0, 0), (1, 1, 1)), True, {key: value})
+
+
+def test_a_scene_of_unknown_scale_is_warned_of(garden: Path) -> None:
+    (garden / "scene.yaml").write_text("splat: splat.ply\nmetric: false\n")
+    with pytest.warns(UserWarning, match="not metric: nothing told its scale"):
+        scene = read_scene(garden)
+    assert torch.isfinite(scene.gaussians.means).all()
