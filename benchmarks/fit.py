@@ -23,7 +23,7 @@ from tqdm import tqdm
 import splatrl
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.capture.base import Reconstruction
-from splatrl.capture.fit import Fitting, FitSettings, fit, held_out
+from splatrl.capture.fit import FitSettings, Fitting, fit, held_out
 from splatrl.capture.fit_pictures import frame_of, pictures
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes.gaussians import Gaussians
@@ -112,7 +112,7 @@ def capture_of(args: argparse.Namespace, folder: Path) -> Reconstruction:
     if args.scene == "backyard":
         scene = splatrl.backyard()
     else:
-        turn = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+        turn = {"axes": ["x", "-z", "y"]}
         scene = splatrl.read_scene(args.splat, world_from_splat=turn)
     if args.video is not None:
         return filmed_capture(scene, args.video, args.frames, args.photo_width, folder)

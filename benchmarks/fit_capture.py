@@ -1,4 +1,4 @@
-"""Captures whose truth is known, as a fit takes them: a walk through a scene, and points as structure from motion has."""
+"""Captures whose truth is known, as a fit takes them: walks through a scene, and points on its surfaces."""
 
 from pathlib import Path
 
@@ -77,6 +77,12 @@ def surveyed(
         seen_point.append(sees)
         seen_by.append(torch.full_like(sees, row))
     return Reconstruction(
-        paths, *size, K.double(), poses.double(), world, torch.from_numpy(colors.copy()), torch.cat(seen_point),
+        paths,
+        *size,
+        K.double(),
+        poses.double(),
+        world,
+        torch.from_numpy(colors.copy()),
+        torch.cat(seen_point),
         torch.cat(seen_by),
     )

@@ -85,7 +85,7 @@ def pictures(reconstruction: Reconstruction, frame: Frame, width: int) -> Pictur
             if image.size != (reconstruction.width, reconstruction.height):
                 expected = f"{reconstruction.width} × {reconstruction.height}"
                 raise CaptureError(f"{path}: expected {expected} pixels, got {image.size[0]} × {image.size[1]}")
-            read[row] = image.convert("RGB").resize((width, height), Image.Resampling.BOX)
+            read[row] = np.asarray(image.convert("RGB").resize((width, height), Image.Resampling.BOX))
     seen, camera, _ = sightings(reconstruction, frame)
     scale = torch.tensor([[width / reconstruction.width], [height / reconstruction.height], [1.0]])
     poses = reconstruction.camera_to_world.double().clone()
