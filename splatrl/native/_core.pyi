@@ -128,3 +128,75 @@ class Renderer:
         efforts: Tensor,  # [B, 6] float32, written
         threads: int,
     ) -> None: ...
+
+class Fitter:
+    """Draws views of Gaussians that are being fitted, and pulls slopes back to their parameters.
+
+    ``values`` are [R, C] float32, aligned to 64 bytes, C a multiple of 16: means, log-scales, quaternions (wxyz, of
+    any length), opacity logits and harmonics by coefficient and colour; R is 14 or 23, of degree 0 or 1. The first
+    ``count`` columns are drawn, antialiased, on black, unless nearer than ``near`` (at least 0.01). Each view is the
+    work of one thread: results do not depend on ``threads``. Not for several threads at once.
+    """
+
+    def __init__(self) -> None: ...
+    def render(
+        self,
+        values: Tensor,
+        count: int,
+        near: float,
+        camera_to_world: Tensor,  # [V, 4, 4] float32
+        K: Tensor,  # [V, 3, 3] float32
+        rgb: Tensor,  # [V, H, W, 3] float32, written, not clamped
+        depth: Tensor,  # [V, H, W] float32, written: the sum of depths by their shares
+        alpha: Tensor,  # [V, H, W] float32, written
+        threads: int,
+    ) -> None: ...
+    def pull(
+        self,
+        values: Tensor,
+        count: int,
+        near: float,
+        camera_to_world: Tensor,  # [V, 4, 4] float32
+        K: Tensor,  # [V, 3, 3] float32
+        slopes: Tensor,  # [V, H, W, 5] float32, by red, green, blue, depth and alpha as above
+        gradients: Tensor,  # [V, R, C] float32, written up to count
+        threads: int,
+    ) -> None: ...
+    def compare(
+        self,
+        values: Tensor,
+        count: int,
+        near: float,
+        camera_to_world: Tensor,  # [V, 4, 4] float32
+        K: Tensor,  # [V, 3, 3] float32
+        pixels: Tensor,  # [N, H, W, 3] uint8
+        chosen: Tensor,  # [V] int64, which of the photos each view is compared with
+        exposure: Tensor,  # [N, 3, 2] float32, gain and offset of each channel
+        soundings: Tensor,  # [S, 3] float32, photo by photo: column, row, inverse depth
+        firsts: Tensor,  # [N + 1] int64, where those of each photo begin
+        ssim_weight: float,
+        depth_weight: float,
+        gradients: Tensor,  # [V, R, C] float32, written up to count
+        losses: Tensor,  # [V, 10] float32, written: total, L1, SSIM, depth, slopes by the exposure
+        threads: int,
+    ) -> None:
+        """Compare views with photos by (1 - w) L1 + w (1 - SSIM) + the depth weight times L1 of inverse depth."""
+
+    def update(
+        self,
+        values: Tensor,
+        gradients: Tensor,  # [V, R, C] float32, of which the mean is taken
+        first: Tensor,  # [R, C] float32, moments, written
+        second: Tensor,  # [R, C] float32, written
+        rates: Tensor,  # [R] float32
+        step: int,  # from 1
+        beta1: float,
+        beta2: float,
+        epsilon: float,
+        opacity_slope: float,  # of each opacity
+        scale_slope: float,  # of each standard deviation
+        noise: float,  # times the covariance, for the transparent
+        seed: int,
+        threads: int,
+    ) -> None:
+        """One step of Adam on ``values``, with regularisers and noise."""

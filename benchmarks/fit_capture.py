@@ -1,0 +1,88 @@
+"""Captures whose truth is known, as a fit takes them: walks through a scene, and points on its surfaces."""
+
+from pathlib import Path
+
+import av
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from splatrl.cameras import Cameras
+from splatrl.capture.base import Reconstruction
+from splatrl.renderers import NativeRenderer
+from splatrl.scenes.scene import Scene
+
+NOISE = 0.002
+"""Of the depth of points, as a share."""
+AGREES = 0.02
+"""A camera sees a point whose depth is off by at most this share."""
+
+
+def rendered_capture(scene: Scene, poses: Tensor, K: Tensor, size: tuple[int, int], folder: Path) -> Reconstruction:
+    """Photos of a scene from these poses [N, 4, 4], rendered into a folder, with points on its surfaces."""
+    cameras = Cameras(poses.float(), K.float(), *size)
+    renderer = NativeRenderer(scene)
+    paths = []
+    for row in range(len(poses)):
+        image = renderer.pixels(cameras[row : row + 1])[0].numpy()
+        paths.append(folder / f"{row:05d}.png")
+        Image.fromarray(image).save(paths[-1])
+    return surveyed(scene, paths, poses, K, size)
+
+
+def filmed_capture(scene: Scene, video: Path, frames: int, width: int, folder: Path) -> Reconstruction:
+    """Frames of a video whose poses lie in a .npz beside it, with points on the surfaces of the scene that it shows."""
+    known = np.load(video.with_suffix(".npz"))
+    count = len(known["camera_to_world"])
+    chosen = sorted({round(i) for i in np.linspace(0, count - 1, frames)})
+    paths = []
+    with av.open(str(video)) as container:
+        for number, frame in enumerate(container.decode(video=0)):
+            if number not in chosen:
+                continue
+            image = frame.to_image()
+            full = image.size
+            height = round(image.height * width / image.width)
+            paths.append(folder / f"{number:05d}.png")
+            image.resize((width, height), Image.Resampling.BOX).save(paths[-1])
+    K = torch.from_numpy(known["K"]) * torch.tensor([[width / full[0]], [height / full[1]], [1.0]])
+    return surveyed(scene, paths, torch.from_numpy(known["camera_to_world"])[chosen], K, (width, height))
+
+
+def surveyed(
+    scene: Scene, paths: list[Path], poses: Tensor, K: Tensor, size: tuple[int, int], points: int = 3000
+) -> Reconstruction:
+    """A reconstruction with points at random pixels, a little off in depth, and who sees them."""
+    random = torch.Generator().manual_seed(0)
+    cameras = Cameras(poses.float(), K.float(), *size)
+    rendered = NativeRenderer(scene)
+    depths = torch.stack([rendered.render(cameras[row : row + 1]).depth[0] for row in range(len(poses))]).double()
+    rows = torch.randint(0, len(poses), (points,), generator=random)
+    columns, lines = (torch.randint(0, bound, (points,), generator=random) for bound in size)
+    far = depths[rows, lines, columns] * (1 + NOISE * torch.randn(points, generator=random, dtype=torch.float64))
+    rays = torch.stack([(columns + 0.5 - K[0, 2]) / K[0, 0], (lines + 0.5 - K[1, 2]) / K[1, 1], torch.ones(points)], 1)
+    placed = poses.double()[rows]
+    world = (placed[:, :3, :3] @ (rays * far[:, None]).double().unsqueeze(-1)).squeeze(-1) + placed[:, :3, 3]
+    images = [np.asarray(Image.open(path)) for path in paths]
+    colors = np.stack([images[row][line, column] for row, line, column in zip(rows, lines, columns, strict=True)])
+    world, colors = world[far > 0], colors[(far > 0).numpy()]
+    seen_point, seen_by = [], []
+    for row, pose in enumerate(poses.double()):
+        x, y, z = ((world - pose[:3, 3]) @ pose[:3, :3]).unbind(1)
+        across, down = (K[0, 0] * x / z + K[0, 2]).long(), (K[1, 1] * y / z + K[1, 2]).long()
+        inside = (z > 0.05) & (across >= 0) & (down >= 0) & (across < size[0]) & (down < size[1])
+        found = depths[row, down.clamp(0, size[1] - 1), across.clamp(0, size[0] - 1)]
+        sees = (inside & ((found - z).abs() < AGREES * z)).nonzero().squeeze(1)
+        seen_point.append(sees)
+        seen_by.append(torch.full_like(sees, row))
+    return Reconstruction(
+        paths,
+        *size,
+        K.double(),
+        poses.double(),
+        world,
+        torch.from_numpy(colors.copy()),
+        torch.cat(seen_point),
+        torch.cat(seen_by),
+    )

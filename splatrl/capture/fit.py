@@ -1,0 +1,230 @@
+"""Gaussians from photos with known poses, on a CPU.
+
+Every step draws a few views with ``splatrl.native``, one thread each, compares them with their photos by L1 and
+structural similarity, pulls the slopes back to all parameters and takes a step of Adam. Gaussians that became
+transparent are moved to where opaque ones are (MCMC, Kheradmand et al. 2024). Results do not depend on the number of
+threads.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from splatrl.capture.base import CaptureError, Reconstruction
+from splatrl.capture.fit_model import Model
+from splatrl.capture.fit_pictures import Frame, Pictures, frame_of, pictures
+from splatrl.capture.fit_start import start
+from splatrl.native import _core
+from splatrl.native.threads import usable_cores
+from splatrl.scenes.gaussians import Gaussians
+
+HELD_OUT = 8
+"""Every how many views one is never trained on."""
+NEAR = 0.02
+"""Nearer than this no Gaussian is drawn; in the extent of the cameras."""
+BETAS = (0.9, 0.999)
+EPSILON = 1e-15
+
+Progress = Callable[[int, int, float], None]
+"""Is told how many views were drawn, of how many, and the loss of the last."""
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How Gaussians are fitted.
+
+    Attributes:
+        width: of the images that are compared, pixels; at most that of the photos.
+        cap: the most Gaussians.
+        views: how many are drawn in all; the time that a fit takes is proportional to it.
+        views_a_step: drawn between two steps of the optimiser, each by a thread of its own.
+        sh_degree: of the harmonics, 0 or 1.
+        levels: at which share of the views the images change to which share of the width.
+        start_share: share of the cap that is there from the start.
+        refine: the shares of the views at which Gaussians begin and cease to be moved and added.
+        refine_every: steps between that.
+        ssim_weight: of the structural similarity in the loss, against L1.
+        depth_weight: of the inverse depth at points that a camera saw.
+        opacity_weight: of the regulariser of the opacities.
+        scale_weight: of the regulariser of the sizes.
+        noise: of MCMC.
+        exposure: whether each photo has a brightness and a tint of its own.
+        seed: of everything that is random.
+        threads: None takes all cores that this process may use.
+    """
+
+    width: int = 320
+    cap: int = 60_000
+    views: int = 7_000
+    views_a_step: int = 2
+    sh_degree: int = 1
+    levels: tuple[tuple[float, float], ...] = ((0.0, 0.25), (0.3, 0.5), (0.7, 1.0))
+    start_share: float = 0.5
+    refine: tuple[float, float] = (0.04, 0.8)
+    refine_every: int = 100
+    ssim_weight: float = 0.2
+    depth_weight: float = 0.1
+    opacity_weight: float = 0.01
+    scale_weight: float = 0.01
+    noise: float = 5e5
+    exposure: bool = True
+    seed: int = 0
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("width", "cap", "views", "views_a_step", "refine_every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
+        if self.sh_degree not in (0, 1):
+            raise ValueError(f"sh_degree: expected 0 or 1, got {self.sh_degree}")
+        if self.threads is not None and self.threads < 1:
+            raise ValueError(f"threads: expected at least 1, or None for all cores, got {self.threads}")
+
+
+def held_out(count: int) -> Tensor:
+    """Which of so many views are never trained on: [n] int64."""
+    return torch.arange(0, count, HELD_OUT)
+
+
+def fit(reconstruction: Reconstruction, settings: FitSettings, progress: Progress | None = None) -> Gaussians:
+    """Fit Gaussians to the photos of a reconstruction, all but those that ``held_out`` names.
+
+    Args:
+        reconstruction: the photos, in order, with their poses.
+        settings: how.
+        progress: is told after every step.
+
+    Returns:
+        Gaussians in the frame and unit of the reconstruction, to be drawn antialiased on black.
+
+    Raises:
+        CaptureError: for fewer than two photos, or no points.
+    """
+    count = len(reconstruction.paths)
+    if count < 2:
+        raise CaptureError(f"paths: expected at least 2 photos, got {count}")
+    fitting = Fitting(reconstruction, settings)
+    total = math.ceil(settings.views / settings.views_a_step)
+    for step in range(total):
+        loss = fitting.step(step, total)
+        if progress is not None:
+            progress(min((step + 1) * settings.views_a_step, settings.views), settings.views, loss)
+    return fitting.model.gaussians(fitting.frame)
+
+
+class Fitting:
+    """The state of a fit.
+
+    Attributes:
+        model: the Gaussians.
+        frame: in which they are.
+        trained: [n] int64, the views that are trained on.
+        exposure: [N, 3, 2] float32, gain and offset of each photo's channels.
+    """
+
+    def __init__(self, reconstruction: Reconstruction, settings: FitSettings) -> None:
+        self.settings = settings
+        self.frame: Frame = frame_of(reconstruction.camera_to_world)
+        self.generator = torch.Generator().manual_seed(settings.seed)
+        self.threads = settings.threads or usable_cores()
+        every = torch.arange(len(reconstruction.paths))
+        self.trained = every[~torch.isin(every, held_out(len(every)))]
+        widest = min(settings.width, reconstruction.width)
+        self.levels: dict[float, Pictures] = {}
+        for _, scale in settings.levels:
+            self.levels[scale] = pictures(reconstruction, self.frame, max(1, round(widest * scale)))
+        self.model = Model(settings.cap, settings.sh_degree)
+        finest = self.levels[max(self.levels)]
+        start(reconstruction, self.frame, finest, self.trained, self.model, settings.start_share, settings.seed)
+        self.exposure = torch.tensor([[[1.0, 0.0]] * 3] * len(every))
+        self._exposure_moments = torch.zeros(2, *self.exposure.shape)
+        self._core = _core.Fitter()
+        self._gradients = torch.zeros(settings.views_a_step, *self.model.values.shape)
+        self._order: list[int] = []
+
+    def level(self, done: float) -> Pictures:
+        """The pictures at a share of the whole work."""
+        return self.levels[[scale for begins, scale in self.settings.levels if begins <= done][-1]]
+
+    def step(self, step: int, total: int) -> float:
+        """Draw the next views and improve the Gaussians; returns the mean loss."""
+        settings, done = self.settings, step / total
+        losses, chosen = self.compare(self.level(done))
+        self.update(step, done)
+        if settings.exposure and done > 0.1:
+            self.expose(chosen, losses[:, 4:].view(-1, 3, 2), step)
+        begins, ends = settings.refine
+        if begins <= done < ends and (step + 1) % settings.refine_every == 0:
+            self.model.refine(self.generator)
+        return float(losses[:, 0].mean())
+
+    def compare(self, seen: Pictures) -> tuple[Tensor, Tensor]:
+        """Compare the next views with their photos: the losses [V, 10], and which views they were [V]."""
+        settings, model = self.settings, self.model
+        while len(self._order) < settings.views_a_step:
+            shuffled = torch.randperm(len(self.trained), generator=self.generator)
+            self._order += self.trained[shuffled].tolist()
+        chosen = torch.tensor(self._order[: settings.views_a_step])
+        del self._order[: settings.views_a_step]
+        losses = torch.empty(len(chosen), 10)
+        self._core.compare(
+            model.values,
+            model.count,
+            NEAR,
+            seen.camera_to_world[chosen],
+            seen.K.expand(len(chosen), 3, 3).contiguous(),
+            seen.pixels,
+            chosen,
+            self.exposure,
+            seen.soundings,
+            seen.firsts,
+            settings.ssim_weight,
+            settings.depth_weight,
+            self._gradients,
+            losses,
+            self.threads,
+        )
+        return losses, chosen
+
+    def update(self, step: int, done: float) -> None:
+        """One step of Adam, whose rates and memory are scaled to the number of views (as gsplat scales them)."""
+        settings, model = self.settings, self.model
+        views = settings.views_a_step
+        rates = self.rates(done)
+        self._core.update(
+            model.values,
+            self._gradients,
+            model.first,
+            model.second,
+            rates * math.sqrt(views),
+            step + 1,
+            1.0 - views * (1.0 - BETAS[0]),
+            1.0 - views * (1.0 - BETAS[1]),
+            EPSILON / math.sqrt(views),
+            settings.opacity_weight / model.count,
+            settings.scale_weight / (3 * model.count),
+            settings.noise * float(rates[0]) * views,
+            (settings.seed << 40) + step * 0x9E3779B1,
+            self.threads,
+        )
+
+    def rates(self, done: float) -> Tensor:
+        """The learning rate of each row of the parameters."""
+        rates = torch.full((self.model.values.shape[0],), 2.5e-3 / 20)
+        rates[0:3] = 1.6e-4 * 0.01**done
+        rates[3:6] = 5e-3
+        rates[6:10] = 1e-3
+        rates[10] = 5e-2
+        rates[11:14] = 2.5e-3
+        return rates
+
+    def expose(self, chosen: Tensor, slopes: Tensor, step: int) -> None:
+        """Fit gains and offsets; on average over the photos they stay 1 and 0."""
+        first, second = self._exposure_moments
+        first[chosen] = 0.9 * first[chosen] + 0.1 * slopes
+        second[chosen] = 0.99 * second[chosen] + 0.01 * slopes**2
+        self.exposure[chosen] -= 1e-3 * first[chosen] / (second[chosen].sqrt() + 1e-12)
+        self.exposure -= self.exposure[self.trained].mean(0) - torch.tensor([1.0, 0.0])

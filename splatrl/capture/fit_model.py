@@ -1,0 +1,103 @@
+"""The Gaussians of a fit: their parameters in memory, and how they are born, move and die."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from splatrl.capture.fit_pictures import Frame
+from splatrl.scenes.gaussians import Gaussians
+
+MEAN, LOG_SCALE, QUAT, LOGIT, SH = slice(0, 3), slice(3, 6), slice(6, 10), 10, 11
+"""Rows of the parameters."""
+LANES = 16
+DEAD = 0.005
+"""Opacity at and below which a Gaussian is given another place."""
+GROWTH = 1.05
+MOST_COPIES = 51
+
+
+class Model:
+    """Parameters of up to ``cap`` Gaussians, each row contiguous, as the native fit reads them.
+
+    Attributes:
+        values: [11 + 3 (degree + 1)², C] float32: means, log-scales, quaternions, opacity logits, harmonics by
+            coefficient and colour.
+        first: likewise, the first moments of Adam.
+        second: likewise, the second.
+        count: Gaussians there are.
+        cap: the most there may be.
+    """
+
+    def __init__(self, cap: int, degree: int) -> None:
+        stride = -(-cap // LANES) * LANES
+        rows = SH + 3 * (degree + 1) ** 2
+        self.values, self.first, self.second = (torch.zeros(rows, stride) for _ in range(3))
+        self.values[QUAT.start] = 1.0  # what is not there yet is well-defined, too
+        self.count = 0
+        self.cap = cap
+        self.degree = degree
+
+    def add(self, columns: Tensor) -> None:
+        """Add Gaussians: [rows, n]."""
+        end = self.count + columns.shape[1]
+        assert end <= self.cap, (end, self.cap)
+        self.values[:, self.count : end] = columns
+        self.first[:, self.count : end] = 0.0
+        self.second[:, self.count : end] = 0.0
+        self.count = end
+
+    def gaussians(self, frame: Frame) -> Gaussians:
+        """Those that show, in the frame of the reconstruction."""
+        values = self.values[:, : self.count]
+        values = values[:, values[LOGIT].sigmoid() > DEAD].clone()
+        return Gaussians(
+            means=(values[MEAN].T.double() * frame.extent + frame.middle).float(),
+            quats=torch.nn.functional.normalize(values[QUAT].T, dim=1),
+            scales=(values[LOG_SCALE].T + math.log(frame.extent)).exp(),
+            opacities=values[LOGIT].sigmoid(),
+            sh=values[SH:].T.reshape(values.shape[1], -1, 3).contiguous(),
+            batch_size=[values.shape[1]],
+        )
+
+    def refine(self, generator: torch.Generator) -> None:
+        """Give dead Gaussians the places of live ones, and grow towards the cap (Kheradmand et al. 2024, MCMC)."""
+        opacities = self.values[LOGIT, : self.count].sigmoid()
+        dead = (opacities <= DEAD).nonzero().squeeze(1)
+        if 0 < len(dead) < self.count:
+            parents = self._parents(torch.where(opacities <= DEAD, 0.0, opacities), len(dead), generator)
+            self.values[:, dead] = self.values[:, parents]
+            self.first[:, dead] = 0.0
+            self.second[:, dead] = 0.0
+        born = min(self.cap, int(self.count * GROWTH)) - self.count
+        if born > 0:
+            opacities = self.values[LOGIT, : self.count].sigmoid()
+            self.add(self.values[:, self._parents(opacities, born, generator)])
+
+    def _parents(self, chances: Tensor, children: int, generator: torch.Generator) -> Tensor:
+        """Choose parents by opacity, and share each one's opacity and size among it and its children."""
+        parents = torch.multinomial(chances, children, replacement=True, generator=generator)
+        copies = torch.bincount(parents, minlength=self.count) + 1
+        shared = (copies > 1).nonzero().squeeze(1)
+        opacities, factors = share(self.values[LOGIT, shared].double().sigmoid(), copies[shared].clamp_max(MOST_COPIES))
+        self.values[LOGIT, shared] = torch.logit(opacities.clamp(DEAD, 1 - 1e-6)).float()
+        self.values[LOG_SCALE, shared] += factors.log().float()
+        self.first[:, shared] = 0.0
+        self.second[:, shared] = 0.0
+        return parents
+
+
+def share(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
+    """Opacities, and factors of the scales, of copies in one place that look like one (eq. 9 of the MCMC paper).
+
+    Args:
+        opacities: [n] float64.
+        copies: [n] int64, from 1 to ``MOST_COPIES``.
+    """
+    each = 1.0 - (1.0 - opacities) ** (1.0 / copies)
+    total = torch.zeros_like(each)
+    term = torch.ones_like(each)  # the binomial coefficient times the power
+    for k in range(int(copies.max()) if len(copies) else 0):
+        term = term * each * ((copies - k).clamp_min(0) / (k + 1))
+        total += (-1) ** k / math.sqrt(k + 1) * term
+    return each, opacities / total

@@ -1,0 +1,99 @@
+"""What a fit compares its views with: the photos at one size, their cameras, and known depths."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from splatrl.capture.base import CaptureError, Reconstruction
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where the fit computes: the middle of the cameras is the origin, and their extent the unit.
+
+    Attributes:
+        middle: [3] float64, in the frame of the reconstruction.
+        extent: how far the cameras reach from there, in its unit.
+    """
+
+    middle: Tensor
+    extent: float
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """N photos of one size and what is known of them, in the frame of the fit.
+
+    Attributes:
+        pixels: [N, H, W, 3] uint8.
+        K: [3, 3] float32.
+        camera_to_world: [N, 4, 4] float32.
+        soundings: [S, 3] float32, camera by camera: column, row, inverse depth.
+        firsts: [N + 1] int64, where the soundings of each camera begin.
+    """
+
+    pixels: Tensor
+    K: Tensor
+    camera_to_world: Tensor
+    soundings: Tensor
+    firsts: Tensor
+
+
+def frame_of(camera_to_world: Tensor) -> Frame:
+    """The frame of a fit to cameras [N, 4, 4]."""
+    positions = camera_to_world[:, :3, 3].double()
+    middle = positions.mean(0)
+    extent = float((positions - middle).norm(dim=1).max())
+    if not extent > 0.0:
+        raise CaptureError("camera_to_world: expected cameras in more than one place, got all in one")
+    return Frame(middle, extent)
+
+
+def sightings(reconstruction: Reconstruction, frame: Frame) -> tuple[Tensor, Tensor, Tensor]:
+    """Where cameras saw points, camera by camera.
+
+    Returns:
+        [S, 3] float64: column and row as shares of the image's size, depth in the unit of the fit; [S] int64, the
+        camera; [S] int64, the point.
+    """
+    order = reconstruction.seen_by.argsort(stable=True)
+    camera, point = reconstruction.seen_by[order], reconstruction.seen_point[order]
+    poses = reconstruction.camera_to_world.double()[camera]
+    away = reconstruction.points.double()[point] - poses[:, :3, 3]
+    x, y, z = (poses[:, :3, :3].mT @ away.unsqueeze(-1)).squeeze(-1).unbind(-1)
+    K = reconstruction.K.double()
+    across = (K[0, 0] * x / z + K[0, 2]) / reconstruction.width
+    down = (K[1, 1] * y / z + K[1, 2]) / reconstruction.height
+    kept = (z > 0) & (across >= 0) & (across < 1) & (down >= 0) & (down < 1)
+    seen = torch.stack([across, down, z / frame.extent], 1)
+    return seen[kept], camera[kept], point[kept]
+
+
+def pictures(reconstruction: Reconstruction, frame: Frame, width: int) -> Pictures:
+    """Read the photos at a width, as close as whole pixels allow to their shape.
+
+    Raises:
+        CaptureError: for a photo of another size than the reconstruction states.
+    """
+    height = max(1, round(reconstruction.height * width / reconstruction.width))
+    read = np.empty((len(reconstruction.paths), height, width, 3), np.uint8)
+    for row, path in enumerate(reconstruction.paths):
+        with Image.open(path) as image:
+            if image.size != (reconstruction.width, reconstruction.height):
+                expected = f"{reconstruction.width} × {reconstruction.height}"
+                raise CaptureError(f"{path}: expected {expected} pixels, got {image.size[0]} × {image.size[1]}")
+            read[row] = np.asarray(image.convert("RGB").resize((width, height), Image.Resampling.BOX))
+    seen, camera, _ = sightings(reconstruction, frame)
+    scale = torch.tensor([[width / reconstruction.width], [height / reconstruction.height], [1.0]])
+    poses = reconstruction.camera_to_world.double().clone()
+    poses[:, :3, 3] = (poses[:, :3, 3] - frame.middle) / frame.extent
+    return Pictures(
+        pixels=torch.from_numpy(read),
+        K=(reconstruction.K.double() * scale).float(),
+        camera_to_world=poses.float(),
+        soundings=torch.stack([seen[:, 0] * width, seen[:, 1] * height, 1.0 / seen[:, 2]], 1).float(),
+        firsts=torch.searchsorted(camera, torch.arange(len(reconstruction.paths) + 1)),
+    )

@@ -1,0 +1,137 @@
+"""All stages of a capture, one after the other; what each has made is kept, so a second call continues."""
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import torch
+
+from splatrl.capture.base import CaptureError, Photos, Reconstruction
+from splatrl.capture.check import Quality
+from splatrl.capture.fit import FitSettings, fit, held_out
+from splatrl.capture.folder import write_scene
+from splatrl.capture.frames import read_photos
+from splatrl.capture.look import look
+from splatrl.capture.marker import MARKER_SIDE
+from splatrl.capture.poses import find_poses
+from splatrl.capture.progress import Progress, silent
+from splatrl.capture.scale import Distance
+from splatrl.capture.world import Placed, place
+from splatrl.files import replacing
+from splatrl.scenes import Gaussians, read_gaussians, write_gaussians
+from splatrl.scenes.description import SCENE_FILE
+
+STAGES = "stages"
+"""Sub-folder of a capture in which stages keep what they have made; it can be deleted once the scene is there."""
+
+
+@dataclass(frozen=True)
+class CaptureSettings:
+    """How a capture is made.
+
+    Attributes:
+        count: fewest and most images that are taken of a video.
+        longest: the most pixels along the longer side of these images.
+        force: whether to go on with a capture that a first look refuses, and to replace a scene that is there.
+        seed: of everything that is random.
+        camera_height: of the camera above the floor on average, metres, where that tells the scale.
+        distance: between two points in an image, where that tells the scale.
+        marker: side of a printed marker's black square, metres.
+        fit: how Gaussians are fitted.
+    """
+
+    count: tuple[int, int] = (120, 200)
+    longest: int = 960
+    force: bool = False
+    seed: int = 0
+    camera_height: float | None = None
+    distance: Distance | None = None
+    marker: float = MARKER_SIDE
+    fit: FitSettings = field(default_factory=FitSettings)
+
+
+def capture(
+    source: Path,
+    folder: Path,
+    settings: CaptureSettings,
+    progress: Progress = silent,
+    say: Callable[[str], object] = print,
+) -> Quality:
+    """Make a scene to train in of a video or a folder of photos.
+
+    Args:
+        source: a video, or a folder of photos.
+        folder: of the scene; what stages have made is kept in its sub-folder ``stages``.
+        settings: how.
+        progress: told how far each stage is.
+        say: told what came of each stage, in a line.
+
+    Returns:
+        How good the capture is; the report in ``folder`` says more.
+
+    Raises:
+        CaptureError: for a capture that cannot work; says why, and what to do.
+        FileExistsError: for a scene that is there already, without ``force``.
+        ImportError: without the extra ``capture``.
+    """
+    if (folder / SCENE_FILE).exists() and not settings.force:
+        raise FileExistsError(f"{folder / SCENE_FILE}: already exists; name another folder by --out, or give --force")
+    stages = folder / STAGES
+    stages.mkdir(parents=True, exist_ok=True)
+    photos = read_photos(source, stages, settings.count, settings.longest, progress)
+    say(f"frames      {len(photos.paths)} of {photos.width} × {photos.height} pixels")
+    notes = _first_look(photos, settings.force, progress, say)
+    found = find_poses(photos, stages, settings.seed, progress)
+    say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points")
+    placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
+    say(f"world       up by {placed.up_from}, scale by {placed.scale_from}, camera {placed.camera_height:.2f} m high")
+    gaussians = _fitted(placed, stages, settings.fit, progress)
+    say(f"fit         {gaussians.numel():,} Gaussians")
+    unseen = held_out(len(placed.reconstruction.paths)).tolist()
+    quality = write_scene(folder, gaussians, placed, unseen, notes=notes, force=settings.force)
+    say(f"check       {_words(quality)}")
+    return quality
+
+
+def _first_look(photos: Photos, force: bool, progress: Progress, say: Callable[[str], object]) -> list[str]:
+    """Refuse a capture that cannot work, or with force say so in the report."""
+    seen = look(photos, progress)
+    cause = seen.cause()
+    if cause is None:
+        say("look        nothing speaks against it")
+        return []
+    if not force:
+        raise CaptureError(f"{cause} --force goes on all the same.")
+    say(f"look        {cause}")
+    return [cause]
+
+
+def _fitted(placed: Placed, stages: Path, settings: FitSettings, progress: Progress) -> Gaussians:
+    """The Gaussians of a placed reconstruction, fitted once and kept."""
+    path, digest = stages / "fit.ply", _digest(placed.reconstruction, settings)
+    stamp = stages / "fit.txt"
+    if path.exists() and stamp.exists() and stamp.read_text() == digest:
+        return read_gaussians(path)
+    stamp.unlink(missing_ok=True)
+    gaussians = fit(placed.reconstruction, settings, lambda done, total, loss: progress("fit", done, total))
+    write_gaussians(path, gaussians)
+    with replacing(stamp) as stream:
+        stream.write(digest.encode())
+    return gaussians
+
+
+def _digest(reconstruction: Reconstruction, settings: FitSettings) -> str:
+    """Fingerprint of all that a fit depends on."""
+    digest = hashlib.blake2b(json.dumps(asdict(settings) | {"threads": None}, sort_keys=True).encode(), digest_size=16)
+    for values in (reconstruction.K, reconstruction.camera_to_world, reconstruction.points, reconstruction.seen_by):
+        digest.update(torch.as_tensor(values).contiguous().numpy().tobytes())
+    for path in reconstruction.paths:
+        digest.update(path.name.encode() + str(path.stat().st_size).encode())
+    return digest.hexdigest()
+
+
+def _words(quality: Quality) -> str:
+    pictures = "no image held out" if quality.psnr is None else f"{quality.psnr:.1f} dB on images never fitted"
+    return f"{pictures}, {100 * quality.path_free:.0f} % of the camera's path is free"

@@ -1,0 +1,115 @@
+"""``splatrl-capture``: make a scene to train in of a phone video or a folder of photos."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from tqdm import tqdm
+
+from splatrl.capture.fit import FitSettings
+from splatrl.capture.marker import MARKER_SIDE, write_marker_page
+from splatrl.capture.pipeline import CaptureSettings, capture
+from splatrl.capture.scale import Distance
+
+INTERRUPTED = 130
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the command line."""
+    result = argparse.ArgumentParser(prog="splatrl-capture", description=__doc__)
+    result.add_argument("source", type=Path, nargs="?", help="a video, or a folder of photos")
+    result.add_argument("--out", type=Path, help="folder of the scene; by default the source's name without its ending")
+    result.add_argument("--force", action="store_true", help="go on where a first look says no; replace a scene")
+    result.add_argument("--camera-height", type=float, metavar="M", help="of the camera above the floor, metres")
+    result.add_argument(
+        "--distance",
+        type=float,
+        nargs=6,
+        metavar=("IMAGE", "X0", "Y0", "X1", "Y1", "M"),
+        help="two points in an image of stages/undistorted, pixels, and the metres between them",
+    )
+    result.add_argument(
+        "--marker-side", type=float, default=MARKER_SIDE, metavar="M", help="of a printed marker, metres"
+    )
+    result.add_argument("--marker", type=Path, metavar="PDF", help="write a page with a marker to print, and stop")
+    result.add_argument("--width", type=int, default=FitSettings.width, help="of the images that are fitted, pixels")
+    result.add_argument("--gaussians", type=int, default=FitSettings.cap, help="at most")
+    result.add_argument("--views", type=int, default=FitSettings.views, help="drawn in the fit: more takes longer")
+    result.add_argument("--seed", type=int, default=0)
+    return result
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point of the command."""
+    command = parser()
+    options = command.parse_args(arguments)
+    if options.marker is not None:
+        write_marker_page(options.marker, side=options.marker_side)
+        print(f"{options.marker}: print it at its true size, and lay it where the camera sees it")
+        return
+    if options.source is None:
+        command.error("expected a video or a folder of photos, or --marker")
+    source = options.source.expanduser()
+    folder = (options.out or Path(source.stem)).expanduser()
+    try:
+        with Bars() as bars:
+            capture(source, folder, _settings(options), bars, bars.say)
+    except (ImportError, OSError, ValueError) as error:
+        sys.exit(f"splatrl-capture: {error}")
+    except KeyboardInterrupt:
+        print("\nstopped; the same command continues", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    print(f"report in {folder / 'report.html'}\ntrain in it: splatrl-train scene={folder}/")
+
+
+def _settings(options: argparse.Namespace) -> CaptureSettings:
+    distance = None
+    if options.distance is not None:
+        image, *rest = options.distance
+        distance = Distance.in_image(int(image), *rest)
+    fit = FitSettings(width=options.width, cap=options.gaussians, views=options.views, seed=options.seed)
+    return CaptureSettings(
+        force=options.force,
+        seed=options.seed,
+        camera_height=options.camera_height,
+        distance=distance,
+        marker=options.marker_side,
+        fit=fit,
+    )
+
+
+class Bars:
+    """A progress bar for each thing that a stage does, with the time left."""
+
+    def __init__(self) -> None:
+        self._bar: tqdm[object] | None = None
+        self._what = ""
+
+    def __enter__(self) -> "Bars":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._close()
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        """Show how far a stage is."""
+        if self._bar is None or what != self._what:
+            self._close()
+            self._bar, self._what = tqdm(total=total, desc=what, dynamic_ncols=True, leave=False), what
+        self._bar.total = total
+        self._bar.update(done - self._bar.n)
+
+    def say(self, line: str) -> None:
+        """Print a line above the bars."""
+        self._close()
+        print(line, flush=True)
+
+    def _close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+
+if __name__ == "__main__":
+    main()

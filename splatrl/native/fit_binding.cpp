@@ -1,0 +1,108 @@
+#include <nanobind/nanobind.h>
+
+#include <cmath>
+#include <stdexcept>
+
+#include "arrays.h"
+#include "bindings.h"
+#include "fitter.h"
+
+namespace nb = nanobind;
+
+namespace splatrl {
+
+namespace {
+
+using Values = Tensor<float, -1, -1>;
+using Poses = Tensor<const float, -1, 4, 4>;
+using Lenses = Tensor<const float, -1, 3, 3>;
+using Slopes = Tensor<float, -1, -1, -1>;
+
+FitBatch batch_of(const Values& values, size_t count, float near, const Poses& poses, const Lenses& K, size_t width,
+                  size_t height) {
+    if (values.shape(0) != 14 && values.shape(0) != 23) throw std::invalid_argument("values: expected 14 or 23 rows");
+    if (values.shape(1) % FIT_LANES != 0 || count > values.shape(1) || uintptr_t(values.data()) % 64 != 0)
+        throw std::invalid_argument("values: expected aligned rows of a multiple of sixteen");
+    if (width > 8192 || height > 8192) throw std::invalid_argument("images: expected at most 8192 pixels a side");
+    const FitModel model{values.data(), values.shape(1), uint32_t(count), values.shape(0) == 14 ? 0 : 1, near};
+    return {model, poses.data(), K.data(), poses.shape(0), int(width), int(height)};
+}
+
+void render(Fitter& fitter, Values values, size_t count, float near, Poses poses, Lenses K,
+            Tensor<float, -1, -1, -1, 3> rgb, Slopes depth, Slopes alpha, size_t threads) {
+    const FitBatch batch = batch_of(values, count, near, poses, K, rgb.shape(2), rgb.shape(1));
+    const nb::gil_scoped_release release;
+    fitter.render(batch, threads, rgb.data(), depth.data(), alpha.data());
+}
+
+void pull(Fitter& fitter, Values values, size_t count, float near, Poses poses, Lenses K,
+          Tensor<const float, -1, -1, -1, 5> slopes, Slopes gradients, size_t threads) {
+    const FitBatch batch = batch_of(values, count, near, poses, K, slopes.shape(2), slopes.shape(1));
+    const nb::gil_scoped_release release;
+    fitter.pull(batch, threads, slopes.data(), gradients.data());
+}
+
+// `soundings` are those of all views, view by view: x, y, inverse depth; `firsts` says where each view's begin.
+void compare(Fitter& fitter, Values values, size_t count, float near, Poses poses, Lenses K,
+             Tensor<const uint8_t, -1, -1, -1, 3> pixels, Tensor<const int64_t, -1> chosen,
+             Tensor<const float, -1, 3, 2> exposure, Tensor<const float, -1, 3> soundings,
+             Tensor<const int64_t, -1> firsts, float ssim_weight, float depth_weight, Slopes gradients,
+             Tensor<float, -1, 10> losses, size_t threads) {
+    const FitBatch batch = batch_of(values, count, near, poses, K, pixels.shape(2), pixels.shape(1));
+    const nb::gil_scoped_release release;
+    std::vector<FitTarget> targets;
+    std::vector<std::vector<FitSounding>> known(batch.views);
+    std::vector<FitLoss> found(batch.views);
+    const size_t image = pixels.shape(1) * pixels.shape(2) * 3;
+    for (size_t view = 0; view < batch.views; ++view) {
+        const size_t photo = size_t(chosen.data()[view]);
+        for (int64_t i = firsts.data()[photo]; i < firsts.data()[photo + 1]; ++i) {
+            const float* at = soundings.data() + 3 * i;
+            if (at[0] >= 0.0f && at[1] >= 0.0f && at[0] < float(batch.width) && at[1] < float(batch.height))
+                known[view].push_back({int32_t(at[0]), int32_t(at[1]), at[2]});
+        }
+        targets.push_back({pixels.data() + photo * image, exposure.data() + 6 * photo, known[view].data(),
+                           known[view].size(), ssim_weight, depth_weight});
+    }
+    fitter.compare(batch, threads, targets.data(), gradients.data(), found.data());
+    float* to = losses.data();
+    for (const FitLoss& loss : found) {
+        *to++ = loss.total, *to++ = loss.l1, *to++ = loss.ssim, *to++ = loss.depth;
+        for (float slope : loss.exposure) *to++ = slope;
+    }
+}
+
+void update(Fitter& fitter, Values values, Slopes gradients, Values first, Values second,
+            Tensor<const float, -1> rates, int step, float beta1, float beta2, float epsilon, float opacity_slope,
+            float scale_slope, float noise, uint64_t seed, size_t threads) {
+    const nb::gil_scoped_release release;
+    std::vector<const float*> views;
+    for (size_t view = 0; view < gradients.shape(0); ++view)
+        views.push_back(gradients.data() + view * gradients.shape(1) * gradients.shape(2));
+    const float correction1 = float(1.0 / (1.0 - std::pow(double(beta1), step)));
+    const float correction2 = float(1.0 / (1.0 - std::pow(double(beta2), step)));
+    fitter.update({values.data(), views.data(), views.size(), first.data(), second.data(), rates.data(),
+                   values.shape(0), values.shape(1), beta1, beta2, epsilon, correction1, correction2, opacity_slope,
+                   scale_slope, noise, seed},
+                  threads);
+}
+
+}  // namespace
+
+void bind_fit(nb::module_& m) {
+    using nb::arg;
+    nb::class_<Fitter>(m, "Fitter")
+        .def("__init__", [](Fitter* self) { new (self) Fitter(choose_isa()); })
+        .def("render", &render, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"), arg("rgb"),
+             arg("depth"), arg("alpha"), arg("threads"))
+        .def("pull", &pull, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"), arg("slopes"),
+             arg("gradients"), arg("threads"))
+        .def("compare", &compare, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"),
+             arg("pixels"), arg("chosen"), arg("exposure"), arg("soundings"), arg("firsts"), arg("ssim_weight"),
+             arg("depth_weight"), arg("gradients"), arg("losses"), arg("threads"))
+        .def("update", &update, arg("values"), arg("gradients"), arg("first"), arg("second"), arg("rates"),
+             arg("step"), arg("beta1"), arg("beta2"), arg("epsilon"), arg("opacity_slope"), arg("scale_slope"),
+             arg("noise"), arg("seed"), arg("threads"));
+}
+
+}  // namespace splatrl

@@ -1,0 +1,115 @@
+// The plain memory that the portable part of the fit and its kernels share.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "splat.h"
+
+namespace splatrl {
+
+constexpr int FIT_BLOCK = 4;   // a block is 4×4 pixels: the lanes of a vector
+constexpr int FIT_LANES = FIT_BLOCK * FIT_BLOCK;
+constexpr int SSIM_RADIUS = 5;  // of the window, which has 11×11 pixels
+
+// The rows of the parameters; each has `stride` floats, one for each Gaussian. Harmonics follow by coefficient, colour.
+enum FitRow { FIT_MEAN = 0, FIT_LOG_SCALE = 3, FIT_QUAT = 6, FIT_LOGIT = 10, FIT_SH = 11 };
+
+struct FitModel {
+    const float* values;  // [rows, stride], aligned to 64 bytes
+    size_t stride;        // a multiple of sixteen
+    uint32_t count;       // Gaussians; those from here to the stride are not drawn
+    int degree;           // of the harmonics, 0 or 1
+    float near;           // nearer Gaussians are not drawn
+};
+
+// A visible Gaussian as blending reads it.
+struct alignas(64) FitSplat {
+    float x, y, l11, l12, l22, log2_opacity;
+    float red, green, blue, depth;
+    float extent_x, extent_y;
+    uint32_t source;              // which Gaussian
+    int32_t first_row, last_row;  // of blocks
+    uint32_t unused;
+};
+
+// What a splat's moments are over all pixels, of v = dL / d ln(alpha) and of its share.
+enum FitMoment { M_V, M_VX, M_VY, M_VXX, M_VXY, M_VYY, M_RED, M_GREEN, M_BLUE, M_DEPTH, FIT_MOMENTS = 16 };
+
+enum FitChannel { F_RED, F_GREEN, F_BLUE, F_DEPTH, F_ALPHA, FIT_CHANNELS };
+
+// A place in an image whose distance along the optical axis is known.
+struct FitSounding {
+    int32_t x, y;
+    float inverse_depth;
+};
+
+// The blocks of an image, and how its planes lie in memory: [rows of whole blocks, stride].
+struct FitGrid {
+    int width, height, across, down, stride;
+
+    size_t area() const { return size_t(down) * FIT_BLOCK * size_t(stride); }
+    size_t blocks() const { return size_t(across) * size_t(down); }
+};
+
+struct FitScratch {
+    FitSplat* projected;   // [capacity + 16] visible ones, in the order of the model
+    FitSplat* splats;      // [capacity] the same, nearest first
+    uint32_t* ranks;       // [capacity] of each Gaussian in `splats`; ~0 where it is not visible
+    uint64_t *keys, *sorted;  // [capacity]: depth in the high, place in `projected` in the low half
+    float* moments;        // [capacity, FIT_MOMENTS]
+    uint32_t* starts;      // [blocks + 1] where the list of each block begins
+    uint32_t* taken;       // [blocks] how many of its list were blended
+    uint32_t* spans;       // [rows of blocks of all splats]: first block and last block of a row
+    uint32_t* list;        // [pairs of splat and block]
+    float* image;          // [FIT_CHANNELS, area]
+    float* slopes;         // [FIT_CHANNELS, area]: the loss by the image
+    float* maps;           // [11, area] of the structural similarity
+};
+
+struct FitTarget {
+    const uint8_t* pixels;          // [height, width, 3]
+    const float* exposure;          // [3, 2]: gain and offset of each channel
+    const FitSounding* soundings;
+    size_t sounding_count;
+    float ssim_weight, depth_weight;
+};
+
+// The loss, its parts, and its slopes by the exposure.
+struct FitLoss {
+    float total, l1, ssim, depth;
+    float exposure[6];
+};
+
+// One step of Adam over Gaussians [first, last), sixteen-aligned.
+struct FitUpdate {
+    float* values;                    // [rows, stride]
+    const float* const* gradients;    // of each view, [rows, stride]
+    size_t views;
+    float *first_moments, *second_moments;  // [rows, stride]
+    const float* rates;               // [rows]
+    size_t rows, stride;
+    float beta1, beta2, epsilon, correction1, correction2;
+    float opacity_slope, scale_slope;  // regularisers: of each opacity, and of each standard deviation
+    float noise;                       // 0 adds none
+    uint64_t seed;
+};
+
+struct FitKernels {
+    // Project and sort. Returns how many are visible; `rows` is how many rows of blocks they touch.
+    uint32_t (*project)(const FitModel&, const Camera&, const FitGrid&, const FitScratch&, size_t* rows);
+    // Write the spans and where each block's list begins. Returns the length of all lists.
+    size_t (*count_pairs)(const FitGrid&, const FitScratch&, uint32_t visible);
+    void (*fill_lists)(const FitGrid&, const FitScratch&, uint32_t visible);
+    void (*blend)(const FitGrid&, const FitScratch&);
+    FitLoss (*loss)(const FitGrid&, const FitScratch&, const FitTarget&);
+    void (*backward)(const FitModel&, const Camera&, const FitGrid&, const FitScratch&, uint32_t visible, float* out);
+    void (*update)(const FitUpdate&, size_t first, size_t last);
+};
+
+namespace portable { extern const FitKernels fit_kernels; }
+namespace baseline { extern const FitKernels fit_kernels; }
+namespace avx2 { extern const FitKernels fit_kernels; }
+namespace avx512 { extern const FitKernels fit_kernels; }
+
+}  // namespace splatrl
