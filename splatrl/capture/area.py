@@ -20,6 +20,8 @@ Floats = NDArray[np.float64]
 
 GRID = 0.2
 """Metres: sides of the area to walk in are whole numbers of it, as lattices need."""
+BESIDE = 0.3
+"""Metres of the place around that area, at least."""
 LEAST = 1.0
 """Metres: shortest side of that area."""
 MOST_STEPS = 40
@@ -58,11 +60,11 @@ def survey_area(gaussians: Gaussians, placed: Placed) -> Area:
         placed: the cameras and points.
     """
     poses, points = placed.reconstruction.camera_to_world.numpy(), placed.reconstruction.points.numpy()
-    bounds = _bounds(poses[:, :3, 3], points)
+    walk, step = _walk(poses[:, :2, 3])
+    bounds = _bounds(poses[:, :3, 3], points, np.array(walk))
     lower, upper = np.array(bounds)
     diagonal = float(np.linalg.norm(upper - lower))
     edge = float(f"{np.clip(VOXEL, diagonal / _VOXELS[0], diagonal / _VOXELS[1]):.2g}")
-    walk, step = _walk(poses[:, :2, 3])
     margin = 0.1 * float((upper - lower).max())
     crop = ((lower - margin).tolist(), (upper + margin).tolist())
     occupancy = Occupancy.from_gaussians(gaussians, edge, crop=crop)
@@ -76,14 +78,15 @@ def path_is_free(occupancy: Occupancy, camera_to_world: Tensor, radius: float = 
     return ~NativeChecker(occupancy, Sphere(radius)).collides(rigid(turns, places))
 
 
-def _bounds(cameras: Floats, points: Floats) -> Bounds:
-    """The box around the cameras and the points near them, without the country beyond."""
+def _bounds(cameras: Floats, points: Floats, walk: Floats) -> Bounds:
+    """The box around the cameras, where robots walk and the points near them, without the country beyond."""
     low, high = cameras.min(0), cameras.max(0)
     reach = max(float((high - low)[:2].max()), 2 * float(np.median(cameras[:, 2])))
     near = points[((points >= low - reach) & (points <= high + reach)).all(1)]
     if len(near) >= 20:
         first, last = np.quantile(near, [TRIM, 1 - TRIM], axis=0)
         low, high = np.minimum(low, first), np.maximum(high, last)
+    low[:2], high[:2] = np.minimum(low[:2], walk[0] - BESIDE), np.maximum(high[:2], walk[1] + BESIDE)
     low[2] = min(0.0, max(low[2], -0.5 * float(np.median(cameras[:, 2]))))
     lower, upper = ([float(f"{value:.3f}") for value in corner] for corner in (low - 0.01, high + 0.01))
     return (lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])

@@ -14,8 +14,8 @@ LOWEST = 0.12
 """Share of the points, the lowest ones, from which floors are drawn."""
 TOLERANCE = 0.025
 """Half the thickness of a floor, in heights of the cameras above it."""
-LARGEST_TILT = math.radians(20.0)
-"""Between the floor and what the cameras say: further apart it is a slope, or no floor."""
+LARGEST_TILT = math.radians(10.0)
+"""Between the floor and what the cameras say, twice the error of these: further apart it is a slope, or no floor."""
 MIN_INLIERS = 100
 MIN_WIDTH = 0.15
 """Second in-plane deviation of a floor's points, in heights of the cameras: a narrower strip says little about up."""
@@ -63,8 +63,7 @@ def find_ground(camera_to_world: Floats, points: Floats, recorded_up: Floats | N
     found = _floor(points, sample, up, TOLERANCE * above)
     if found is not None:
         normal, on_floor = found
-        deviations = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(on_floor.T)), 0.0))
-        if len(on_floor) >= MIN_INLIERS and deviations[1] >= MIN_WIDTH * above:
+        if len(on_floor) >= MIN_INLIERS and _width(on_floor) >= MIN_WIDTH * above:
             return Ground(normal, float(np.median(on_floor @ normal)), "floor", len(on_floor))
     return Ground(up, level, "cameras", count)
 
@@ -122,6 +121,13 @@ def _floor(points: Floats, sample: Floats, up: Floats, thickness: float) -> tupl
     )
     best = int(scores.argmax())
     return _refined(points, normals[best], float(offsets[best]), up, thickness)
+
+
+def _width(on_floor: Floats) -> float:
+    """Second in-plane deviation of a floor's points, by quantiles: a few things far away do not widen a strip."""
+    across = np.linalg.eigh(np.cov(on_floor.T))[1][:, 1]
+    low, high = np.quantile(on_floor @ across, [0.16, 0.84])
+    return 0.5 * float(high - low)
 
 
 def _score(distances: Floats, thickness: float) -> int:

@@ -42,7 +42,7 @@ def draw_comparison(photos: Sequence[Floats], renders: Sequence[Floats], scores:
     size = WIDTH, max(1, round(WIDTH * height / width))
     page = Image.new("RGB", (3 * size[0] + 8, len(rows) * (size[1] + 4) + 20), "white")
     pen, font = ImageDraw.Draw(page), ImageFont.load_default(14)
-    for column, title in enumerate(("photo, never fitted", "render", "difference × 4")):
+    for column, title in enumerate(("photo, never fitted", "render", "four times their difference")):
         pen.text((column * (size[0] + 4) + 4, 2), title, fill="black", font=font)
     for line, row in enumerate(rows):
         images = photos[row], renders[row], np.clip(4 * np.abs(photos[row] - renders[row]), 0.0, 1.0)
@@ -127,7 +127,7 @@ def draw_cameras(placed: Placed, area: Area, path: Path) -> None:
     poses = reconstruction.camera_to_world.numpy()
     (x0, y0, z0), (x1, y1, z1) = area.bounds
     tall = max((y1 - y0) + (z1 - z0), 0.3 * (x1 - x0))
-    figure = Figure(figsize=(8.0, min(14.0, 1.2 + 7.0 * tall / (x1 - x0))), dpi=110, layout="constrained")
+    figure = Figure(figsize=(8.0, min(16.0, 1.6 + 7.6 * tall / (x1 - x0))), dpi=110, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     above, beside = figure.subplots(2, 1, sharex=True, height_ratios=[y1 - y0, z1 - z0])
     for axis, other, (low, high) in ((above, 1, (y0, y1)), (beside, 2, (min(z0, -0.2), z1))):

@@ -1,5 +1,6 @@
 """How many metres a reconstruction's unit is: from two points that somebody clicked, or from the cameras' height."""
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ ScaleFrom = Literal["recorded", "marker", "distance", "camera_height", "unknown"
 
 NEAREST = 12
 """Points around a click that say how far away it is."""
+CLICK_ERROR = 6.0
+"""Pixels that clicks are off, at worst."""
 FARTHEST = 0.1
 """Share of the image's width from a click within which they must lie."""
 
@@ -85,10 +88,23 @@ def clicked_point(reconstruction: Reconstruction, clicks: Sequence[Click]) -> Fl
     poses = reconstruction.camera_to_world[[click.image for click in clicks]].numpy()
     met = triangulate(poses, reconstruction.K.numpy(), np.array([[click.x, click.y] for click in clicks]))
     estimates = [met]
+    reach = _uncertainty(poses[:, :3, 3], met, float(reconstruction.K[0, 0]))
     for click in clicks:
         with suppress(CaptureError):  # where there are no points, the rays alone tell
-            estimates.append(_by_points(reconstruction, click))
-    return met if len(estimates) == 2 else np.median(estimates, axis=0)
+            point = _by_points(reconstruction, click)
+            if np.linalg.norm(point - met) <= reach:  # otherwise they lie before or behind what was clicked
+                estimates.append(point)
+    middle: Floats = np.median(estimates, axis=0)
+    return middle
+
+
+def _uncertainty(centers: Floats, point: Floats, focal: float) -> float:
+    """How far along their rays clicks that are ``CLICK_ERROR`` off may move the point where these meet."""
+    ways = point - centers
+    lengths = np.linalg.norm(ways, axis=1)
+    cosine = float(((ways / lengths[:, None]) @ (ways / lengths[:, None]).T).min())
+    sine = math.sqrt(max(1.0 - cosine**2, 1e-12))
+    return float(np.median(lengths)) * max(0.02, CLICK_ERROR / (focal * sine))
 
 
 def triangulate(camera_to_world: Floats, K: Floats, pixels: Floats) -> Floats:

@@ -1,0 +1,155 @@
+"""A walk whose frame was lost is found upright, to scale and on its floor, however it lay."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from splatrl.capture.base import CaptureError
+from splatrl.capture.ground import cameras_up, find_ground
+from splatrl.capture.scale import Click, Distance, ScaleFrom, clicked_point
+from splatrl.capture.world import Placed, place, wall_direction
+from tests.capture.walks import ABOVE, K, strewn, walk, without_points
+
+
+def up_error_deg(placed: Placed, transform: np.ndarray) -> float:
+    """Between the world's z and the true one."""
+    whole = placed.world_from_capture.numpy() @ transform
+    return math.degrees(math.acos(min(1.0, whole[2, 2] / float(np.linalg.norm(whole[2, :3])))))
+
+
+def scale_error(placed: Placed, transform: np.ndarray) -> float:
+    whole = placed.world_from_capture.numpy() @ transform
+    return float(abs(np.cbrt(np.linalg.det(whole[:3, :3])) - 1.0))
+
+
+def pixels(image: int, points: torch.Tensor) -> torch.Tensor:
+    """Where a camera of the walk sees points [P, 3] of the true world: [P, 2]."""
+    pose = walk().camera_to_world[image]
+    local = (points - pose[:3, 3]) @ pose[:3, :3] @ K.T
+    return local[:, :2] / local[:, 2:]
+
+
+def two_points(image: int) -> torch.Tensor:
+    """Two points of the lawn that an image sees, far apart: [2, 3]."""
+    seen = walk().points[walk().seen_point[walk().seen_by == image]]
+    seen = seen[(seen[:, :2].abs().amax(1) < 2.0) & (seen[:, 2].abs() < 0.05)]
+    far = (seen - seen[0]).norm(dim=1).argmax()
+    return torch.stack([seen[0], seen[far]])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_up_the_floor_and_the_scale_are_found_however_the_walk_lay(seed: int) -> None:
+    lying, transform = strewn(seed)
+    placed = place(lying, marker=None, camera_height=ABOVE)
+    assert (placed.scale_from, placed.up_from, placed.metric) == ("camera_height", "floor", True)
+    assert up_error_deg(placed, transform) < 0.5
+    assert scale_error(placed, transform) < 0.02
+    whole = placed.world_from_capture.numpy() @ transform
+    assert abs(whole[2, 3]) < 0.03 and placed.camera_height == pytest.approx(ABOVE)
+    cameras = placed.reconstruction.camera_to_world
+    axes = cameras[:, :3, :3]
+    torch.testing.assert_close(axes @ axes.mT, torch.eye(3).double().expand_as(axes), atol=1e-6, rtol=0)
+    middle = 0.5 * (cameras[:, :2, 3].amin(0) + cameras[:, :2, 3].amax(0))
+    torch.testing.assert_close(middle, torch.zeros(2).double(), atol=1e-9, rtol=0)
+    yaw = math.degrees(math.atan2(whole[1, 0], whole[0, 0])) % 90.0
+    assert min(yaw, 90.0 - yaw) < 2.0, "x runs along a fence of the yard"
+
+
+def test_the_same_reconstruction_is_placed_the_same_to_the_last_bit() -> None:
+    first, again = (place(strewn(1)[0], marker=None) for _ in range(2))
+    assert torch.equal(first.world_from_capture, again.world_from_capture)
+    assert torch.equal(first.reconstruction.points, again.reconstruction.points)
+
+
+def test_cameras_alone_tell_up_where_the_floor_is_a_narrow_strip() -> None:
+    points = walk().points
+    strip = (points[:, 2] > 0.4) | (points[:, 0].abs() < 0.05)
+    assert find_ground(walk().camera_to_world.numpy(), points.numpy()).up_from == "floor"
+    ground = find_ground(walk().camera_to_world.numpy(), points[strip].numpy())
+    assert ground.up_from == "cameras" and ground.up[2] > math.cos(math.radians(3.0))
+    assert abs(ground.height) < 0.05
+
+
+def test_reflections_below_the_floor_do_not_draw_it_down() -> None:
+    points = walk().points
+    mirrored = points[(points[:, 2] > 0.1) & (points[:, 2] < 0.6)][::12] * torch.tensor([1.0, 1.0, -1.0])
+    ground = find_ground(walk().camera_to_world.numpy(), torch.cat([points, mirrored]).numpy())
+    assert abs(ground.height) < 0.05 and ground.up[2] > math.cos(math.radians(1.0))
+
+
+def test_cameras_that_all_look_one_way_still_have_an_up() -> None:
+    poses = walk().camera_to_world.numpy()[:1].repeat(5, 0)
+    own = -poses[0, :3, 1]
+    assert cameras_up(poses) @ own > math.cos(math.radians(5.0))
+
+
+def test_recorded_gravity_and_metres_go_first() -> None:
+    lying, transform = strewn(2)
+    scale = np.cbrt(np.linalg.det(transform[:3, :3]))
+    up = torch.from_numpy(transform[:3, 2] / scale)
+    placed = place(lying, up=up, metric=True, marker=None, camera_height=9.0)
+    assert (placed.up_from, placed.scale_from) == ("recorded", "recorded")
+    assert up_error_deg(placed, transform) < 1e-4
+    assert np.cbrt(np.linalg.det(placed.world_from_capture[:3, :3].numpy())) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("image", [3, 17, 30])
+def test_two_clicks_in_one_image_tell_the_scale(image: int) -> None:
+    points = two_points(image)
+    (x0, y0), (x1, y1) = pixels(image, points).tolist()
+    lying, transform = strewn(image)
+    distance = Distance.in_image(image, x0, y0, x1, y1, float((points[0] - points[1]).norm()))
+    placed = place(lying, marker=None, distance=distance, camera_height=9.0)
+    assert placed.scale_from == "distance" and scale_error(placed, transform) < 0.05
+
+
+def test_clicks_in_two_images_meet_where_no_point_is() -> None:
+    bare = without_points(walk(), (walk().points - torch.tensor([0.0, 0.0, 0.5])).norm(dim=1) > 1.0)
+    target = torch.tensor([[0.1, 0.2, 0.5]]).double()
+    clicks = [Click(image, *pixels(image, target)[0].tolist()) for image in (2, 12)]
+    np.testing.assert_allclose(clicked_point(bare, clicks), target[0], atol=0.1)
+    poses = bare.camera_to_world.clone()
+    poses[12] = poses[2]
+    beside = [clicks[0], replace(clicks[0], image=12)]
+    with pytest.raises(CaptureError, match="one direction; click it from another place"):
+        clicked_point(replace(bare, camera_to_world=poses), beside)
+
+
+def test_without_any_means_it_is_not_metric() -> None:
+    placed = place(strewn(0)[0], marker=None)
+    assert (placed.scale_from, placed.scale_error, placed.metric) == ("unknown", None, False)
+    assert placed.camera_height == pytest.approx(1.5)
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"camera_height: expected finite metres above 0, got -1\.0"):
+        place(walk(), marker=None, camera_height=-1.0)
+    with pytest.raises(ValueError, match=r"distance: expected metres above 0, got 0\.0"):
+        Distance.in_image(0, 0, 0, 1, 1, 0.0)
+    with pytest.raises(CaptureError, match="expected an image from 0 to 39, got 99"):
+        place(walk(), marker=None, distance=Distance.in_image(99, 0, 0, 1, 1, 1.0))
+    with pytest.raises(CaptureError, match=r"found \d points of the reconstruction around \(-900, 0\) in image 3"):
+        place(walk(), marker=None, distance=Distance.in_image(3, -900, 0, 1, 1, 1.0))
+    with pytest.raises(CaptureError, match="at least 2 cameras and 20 points"):
+        place(without_points(walk(), torch.arange(len(walk().points)) < 5), marker=None)
+
+
+@pytest.mark.parametrize("yaw_deg", [-80.0, -30.0, 0.0, 12.5, 45.0, 90.0])
+def test_x_runs_along_the_longest_wall(yaw_deg: float) -> None:
+    generator = np.random.default_rng(0)
+    along = generator.uniform(-1, 1, 900)
+    wall = generator.normal(0, 0.01, 900)
+    room = np.concatenate([np.stack([3 * along, 1 + wall], 1), np.stack([3 * along, wall - 1], 1)])
+    room = np.concatenate([room, np.stack([3 + wall[:300], along[:300]], 1)])
+    yaw = math.radians(yaw_deg)
+    turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+    found = math.degrees(wall_direction(room @ turn.T))
+    off = (found - yaw_deg + 90.0) % 180.0 - 90.0
+    assert abs(off) < 0.5
+
+
+def test_every_means_has_a_name() -> None:
+    assert set(ScaleFrom.__args__) == {"recorded", "marker", "distance", "camera_height", "unknown"}
