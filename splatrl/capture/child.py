@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import queue
 import re
 import subprocess
@@ -37,6 +38,7 @@ def run_child(module: str, folder: Path, progress: Progress) -> None:
         stderr=subprocess.STDOUT,
         text=True,
         errors="replace",
+        env={**os.environ, "OMP_NUM_THREADS": "1"},  # sums in one order; COLMAP's own threads remain
         start_new_session=True,  # Ctrl-C reaches this process only, which then kills the other
     )
     assert process.stdout is not None and process.stdin is not None

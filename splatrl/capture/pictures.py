@@ -7,11 +7,12 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from splatrl.capture.area import Area
 from splatrl.capture.world import Placed
 from splatrl.collision.pictures import FREE, SOLID
+from splatrl.evaluation.chart import font
 from splatrl.evaluation.topdown import footprint, top_down
 from splatrl.files import replacing
 from splatrl.scenes.gaussians import Gaussians
@@ -41,9 +42,9 @@ def draw_comparison(photos: Sequence[Floats], renders: Sequence[Floats], scores:
     height, width = photos[0].shape[:2]
     size = WIDTH, max(1, round(WIDTH * height / width))
     page = Image.new("RGB", (3 * size[0] + 8, len(rows) * (size[1] + 4) + 20), "white")
-    pen, font = ImageDraw.Draw(page), ImageFont.load_default(14)
+    pen, letters = ImageDraw.Draw(page), font(14)
     for column, title in enumerate(("photo, never fitted", "render", "four times their difference")):
-        pen.text((column * (size[0] + 4) + 4, 2), title, fill="black", font=font)
+        pen.text((column * (size[0] + 4) + 4, 2), title, fill="black", font=letters)
     for line, row in enumerate(rows):
         images = photos[row], renders[row], np.clip(4 * np.abs(photos[row] - renders[row]), 0.0, 1.0)
         top = 20 + line * (size[1] + 4)
@@ -51,7 +52,7 @@ def draw_comparison(photos: Sequence[Floats], renders: Sequence[Floats], scores:
             image = Image.fromarray((255 * values + 0.5).astype(np.uint8)).resize(size, Image.Resampling.LANCZOS)
             page.paste(image, (column * (size[0] + 4), top))
         pen.text(
-            (size[0] + 10, top + 4), f"{scores[row]:.1f} dB", fill="white", font=font, stroke_width=2, stroke_fill=0
+            (size[0] + 10, top + 4), f"{scores[row]:.1f} dB", fill="white", font=letters, stroke_width=2, stroke_fill=0
         )
     with replacing(path) as stream:
         page.save(stream, "PNG")

@@ -114,9 +114,8 @@ def _match(pycolmap: Any, folder: Path, job: Job) -> None:
     pairing = pycolmap.ImportedPairingOptions(block_size=50, match_list_path=str(folder / PAIRS))
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = job.seed
-    pycolmap.match_image_pairs(
-        folder / DATABASE, pycolmap.FeatureMatchingOptions(), pairing, verification, pycolmap.Device.cpu
-    )
+    options = pycolmap.FeatureMatchingOptions(num_threads=1)  # with two, a pair in a thousand differs from run to run
+    pycolmap.match_image_pairs(folder / DATABASE, options, pairing, verification, pycolmap.Device.cpu)
 
 
 def _mapping_options(pycolmap: Any, job: Job) -> Any:

@@ -1,0 +1,119 @@
+"""Images of rooms with noise on their walls, cast ray by ray, and videos of them, for tests of the capture."""
+
+from functools import cache
+from pathlib import Path
+
+import av
+import numpy as np
+import torch
+
+from splatrl.capture.base import Photos
+
+WIDTH, HEIGHT = 320, 240
+K = np.array([[260.0, 0, 163], [0, 260, 118], [0, 0, 1]])
+HALF = np.array([2.5, 2.0, 1.3])
+"""Half the sides of a room, metres."""
+
+
+def room_image(camera_to_world: np.ndarray, seed: int = 0) -> np.ndarray:
+    """What a camera within a room sees.
+
+    Args:
+        camera_to_world: [4, 4], metres, OpenCV axes; the room's centre is the origin.
+        seed: of the walls' noise; each is another room.
+
+    Returns:
+        [240, 320, 3] uint8.
+    """
+    x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1) @ camera_to_world[:3, :3].T
+    origin = camera_to_world[:3, 3]
+    with np.errstate(divide="ignore"):
+        way = (np.sign(rays) * HALF - origin) / rays
+    axis = way.argmin(-1)
+    hit = origin + rays * np.take_along_axis(way, axis[..., None], -1)
+    wall = 2 * axis + (np.take_along_axis(rays, axis[..., None], -1)[..., 0] > 0)
+    u = np.where(axis == 0, hit[..., 1], hit[..., 0]) * 40
+    v = np.where(axis == 2, hit[..., 1], hit[..., 2]) * 40
+    return _sampled(_walls(seed), wall, u, v)
+
+
+def walk(count: int) -> np.ndarray:
+    """Poses of a camera that walks sideways along a wall and sways: [N, 4, 4]."""
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    for number, pose in enumerate(poses):
+        t = number / 23
+        turn = 0.25 * np.sin(3 * t)
+        right = np.array([np.cos(turn), np.sin(turn), 0])
+        forward = np.array([-np.sin(turn), np.cos(turn), 0])
+        pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], 1)
+        pose[:3, 3] = [-0.8 + 1.6 * t, -0.6 + 0.3 * np.sin(4 * t), 0.2 * np.cos(5 * t)]
+    return poses
+
+
+def turning(count: int) -> np.ndarray:
+    """Poses of a camera that turns on the spot: [N, 4, 4]."""
+    poses = walk(count)
+    for number, pose in enumerate(poses):
+        turn = 0.04 * number
+        forward = np.array([-np.sin(turn), np.cos(turn), 0])
+        right = np.array([np.cos(turn), np.sin(turn), 0])
+        pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], 1)
+        pose[:3, 3] = [0.1, -0.2, 0.1]
+    return poses
+
+
+def photos_of(folder: Path, images: list[np.ndarray], seconds: list[float] | None = None) -> Photos:
+    """Write images and say that they are photos."""
+    from PIL import Image
+
+    folder.mkdir(parents=True)
+    paths = [folder / f"{number:04}.png" for number in range(len(images))]
+    for path, image in zip(paths, images, strict=True):
+        Image.fromarray(image).save(path)
+    times = torch.tensor(seconds if seconds else list(range(len(images))), dtype=torch.float64)
+    return Photos(paths, images[0].shape[1], images[0].shape[0], times)
+
+
+def write_video(path: Path, images: list[np.ndarray], rate: int = 10, quarter_turn: bool = False) -> None:
+    """Write a video as H.264 in MP4.
+
+    Args:
+        path: of the file.
+        images: [H, W, 3] uint8 each.
+        rate: images a second.
+        quarter_turn: whether the file says that a player must turn the images clockwise by 90°, as phones do.
+    """
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("h264", rate=rate)
+        stream.height, stream.width = images[0].shape[:2]
+        stream.pix_fmt, stream.options = "yuv420p", {"crf": "12"}
+        for image in images:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode())
+    if quarter_turn:
+        header = bytearray(path.read_bytes())
+        matrix = np.array([0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000], ">i4").tobytes()
+        turned = np.array([0, 0x10000, 0, -0x10000, 0, 0, 0, 0, 0x40000000], ">i4").tobytes()
+        place = header.index(matrix, header.index(b"tkhd"))
+        header[place : place + len(matrix)] = turned
+        path.write_bytes(header)
+
+
+@cache
+def _walls(seed: int) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    walls = np.zeros((6, 256, 256, 3))
+    for cell in (1, 2, 4, 8, 16):
+        coarse = random.normal(size=(6, 256 // cell, 256 // cell, 3)) * cell**0.7
+        walls += np.repeat(np.repeat(coarse, cell, 1), cell, 2)
+    return np.clip(128 + 22 * walls, 0, 255)
+
+
+def _sampled(walls: np.ndarray, wall: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Bilinear samples, for nearest ones would crawl."""
+    left, top = np.floor(u).astype(int), np.floor(v).astype(int)
+    a, b = (u - left)[..., None], (v - top)[..., None]
+    corner = [[walls[wall, (left + i) % 256, (top + j) % 256] for j in (0, 1)] for i in (0, 1)]
+    rows = [corner[i][0] * (1 - b) + corner[i][1] * b for i in (0, 1)]
+    return (rows[0] * (1 - a) + rows[1] * a).astype(np.uint8)

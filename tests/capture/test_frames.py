@@ -1,0 +1,142 @@
+"""Frames of videos and photos: the sharpest, upright, kept, and nothing read but the source."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image, ImageFilter
+
+from splatrl.capture.base import CaptureError
+from splatrl.capture.frames import buckets, read_photos, sharpness
+from tests.capture.ray_cast import room_image, walk, write_video
+
+PLAYLISTS = {
+    "concat": "ffconcat version 1.0\nfile '{}'\n",
+    "hls": "#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\n{}\n#EXT-X-ENDLIST\n",
+}
+
+
+def _images(count: int) -> list[np.ndarray]:
+    return [room_image(pose) for pose in walk(count)]
+
+
+def _read(path: Path) -> np.ndarray:
+    return np.asarray(Image.open(path).convert("RGB")).astype(float)
+
+
+def test_the_sharpest_frame_of_each_stretch_is_taken(tmp_path: Path) -> None:
+    images = _images(24)
+    sharp = {1, 5, 9, 14, 16, 23}
+    blurred = [
+        image if number in sharp else np.asarray(Image.fromarray(image).filter(ImageFilter.GaussianBlur(3)))
+        for number, image in enumerate(images)
+    ]
+    write_video(tmp_path / "a.mp4", blurred)
+    photos = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(6, 6))
+    assert [round(10 * seconds) for seconds in photos.seconds.tolist()] == sorted(sharp)
+    assert (photos.width, photos.height) == (320, 240)
+    for number, path in zip(sorted(sharp), photos.paths, strict=True):
+        assert np.abs(_read(path) - images[number]).mean() < 12  # its colours are halved in resolution
+
+
+def test_a_frame_of_a_turned_phone_is_upright_and_scaled(tmp_path: Path) -> None:
+    image = np.full((240, 320, 3), 60, np.uint8)
+    image[:60, :80] = (250, 20, 20)  # top left as recorded: top right once turned clockwise
+    write_video(tmp_path / "a.mov", [image] * 8, quarter_turn=True)
+    photos = read_photos(tmp_path / "a.mov", tmp_path / "out", count=(4, 4), longest=160)
+    assert (photos.width, photos.height) == (120, 160)
+    shown = _read(photos.paths[0])
+    assert shown[10, 110, 0] > 200 and shown[10, 10, 0] < 100 and shown[150, 110, 0] < 100
+
+
+def test_a_second_call_reads_what_the_first_kept_and_other_settings_do_not(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", _images(8))
+    first = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(4, 4))
+    stamp = first.paths[0].stat().st_mtime_ns
+    told: list[str] = []
+    again = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(4, 4), progress=lambda what, *_: told.append(what))
+    assert again.paths == first.paths and again.paths[0].stat().st_mtime_ns == stamp and not told
+    assert torch.equal(again.seconds, first.seconds)
+    assert len(read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(5, 5)).paths) == 5
+    write_video(tmp_path / "a.mp4", _images(8)[::-1])
+    other = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(5, 5))
+    assert np.abs(_read(other.paths[0]) - _images(8)[0]).mean() > 10
+
+
+def test_a_read_that_breaks_leaves_nothing(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", _images(8))
+
+    def stop(what: str, done: int, total: int) -> None:
+        if done == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(8, 8), progress=stop)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_folder_that_is_not_ours_is_not_removed(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", _images(4))
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "frames" / "mine.txt").write_text("dear")
+    with pytest.raises(CaptureError, match="something else"):
+        read_photos(tmp_path / "a.mp4", tmp_path, count=(4, 4))
+    assert (tmp_path / "frames" / "mine.txt").exists()
+
+
+@pytest.mark.parametrize("kind", PLAYLISTS)
+def test_a_playlist_in_the_guise_of_a_video_reads_no_other_file(tmp_path: Path, kind: str) -> None:
+    write_video(tmp_path / "secret.mp4", _images(4))
+    (tmp_path / "a.mp4").write_text(PLAYLISTS[kind].format(tmp_path / "secret.mp4"))
+    with pytest.raises(CaptureError, match="expected a whole video"):
+        read_photos(tmp_path / "a.mp4", tmp_path / "out")
+
+
+@pytest.mark.parametrize("content", [b"", b"no video at all", b"\x00\x00\x00\x18ftypmp42" + bytes(64)])
+def test_what_is_no_video_is_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.mp4").write_bytes(content)
+    with pytest.raises(CaptureError, match=r"a\.mp4"):
+        read_photos(tmp_path / "a.mp4", tmp_path / "out")
+
+
+def test_photos_come_upright_in_the_order_of_their_numbers_with_the_focal_length_of_their_exif(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    for number in (9, 10):
+        image = np.full((60, 80, 3), 10 * number, np.uint8)
+        exif = Image.Exif()
+        exif[0x0112] = 6  # to be turned clockwise
+        exif.get_ifd(0x8769)[0xA405] = 26
+        Image.fromarray(image).save(tmp_path / "in" / f"IMG{number}.jpg", exif=exif)
+    photos = read_photos(tmp_path / "in", tmp_path / "out")
+    assert (photos.width, photos.height) == (60, 80) and photos.seconds.tolist() == [0, 1]
+    assert [round(_read(path).mean() / 10) for path in photos.paths] == [9, 10]
+    assert photos.K is not None
+    torch.testing.assert_close(photos.K[0, 0].item(), 26 / np.hypot(36, 24) * 100)
+    assert photos.K[:2, 2].tolist() == [30, 40]
+
+
+def test_photos_of_two_sizes_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    for name, size in (("a.png", (60, 80)), ("b.png", (80, 60))):
+        Image.new("RGB", size).save(tmp_path / "in" / name)
+    with pytest.raises(CaptureError, match="one size"):
+        read_photos(tmp_path / "in", tmp_path / "out")
+
+
+def test_photos_that_cannot_be_read_are_named_with_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "IMG1.HEIC").write_bytes(b"x")
+    with pytest.raises(CaptureError, match="convert them to JPEG"):
+        read_photos(tmp_path, tmp_path / "out")
+
+
+def test_buckets_are_three_a_second_within_the_bounds() -> None:
+    for length, expected in ((10, 120), (50, 150), (300, 200)):
+        times = np.arange(0, length, 1 / 30)
+        assert len(buckets(times, (120, 200))) + 1 == pytest.approx(expected, abs=1)
+    assert len(buckets(np.arange(7) / 30, (120, 200))) + 1 == 7
+
+
+def test_a_blurred_image_is_less_sharp() -> None:
+    image = Image.fromarray(_images(1)[0]).convert("L")
+    assert sharpness(np.asarray(image)) > 4 * sharpness(np.asarray(image.filter(ImageFilter.GaussianBlur(2))))

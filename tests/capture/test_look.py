@@ -1,0 +1,110 @@
+"""A look tells what is wrong with a capture, with its own cause for each fault, and lets good ones pass."""
+
+import dataclasses
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splatrl.capture.base import CaptureError, Photos
+from splatrl.capture.frames import read_photos
+from splatrl.capture.look import Look, look, summed
+from splatrl.capture.matches import Features, Pair, unlike_rotation
+from tests.capture.ray_cast import K, photos_of, room_image, turning, walk
+
+pytest.importorskip("cv2")
+pytest.importorskip("pycolmap")
+VIDEOS = Path(os.environ.get("SPLATRL_VIDEOS", "../shared/scenes/videos"))
+GOOD = Look(60, 120.0, 900.0, 0.98, 0.1, 0.2, math.radians(20))
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        ({"images": 2}, "too few images: 2"),
+        ({"brightness": 12.0}, "too dark: the mean grey of the images is 12 of 255"),
+        ({"keypoints": 80.0, "verified": 0.1}, "textureless: even the better images show 80"),
+        ({"verified": 0.56}, "moved too fast: .* in only 56%"),
+        ({"verified": 0.56, "few": True}, "photos too far apart"),
+        ({"turned": 0.99, "angle": 0.0}, "only turned on the spot: .* 99%"),
+        ({"turned": 0.99, "angle": 0.0, "shift": 0.001}, "hardly moved"),
+        ({"angle": math.radians(1.5)}, "hardly moved: .* under 1.5°"),
+    ],
+)
+def test_each_fault_has_its_own_cause_with_figures(change: dict, cause: str) -> None:
+    with pytest.raises(CaptureError, match=cause):
+        dataclasses.replace(GOOD, **change).refuse()
+
+
+def test_a_good_capture_passes() -> None:
+    GOOD.refuse()
+
+
+def test_figures_are_those_of_the_pairs() -> None:
+    seen = [
+        Features(np.zeros((count, 2)), np.zeros((count, 128)), 50.0, (64, 48)) for count in (100, 200, 300, 400, 500)
+    ]
+    found = {
+        (0, 1): Pair("none"),
+        (0, 3): Pair("none"),
+        (1, 4): Pair("moved", 0.2, 0.3),
+        (0, 4): Pair("turned", 0, 0.1),
+    }
+    figures = summed(seen, found, few=False)
+    assert (figures.verified, figures.turned, figures.keypoints) == (0.5, 0.5, 400)
+    assert figures.shift == pytest.approx(0.2) and figures.angle == pytest.approx(0.18)
+    assert summed(seen, found, few=True).verified == pytest.approx(1 / 5)
+
+
+def test_a_homography_of_a_turn_is_told_from_that_of_a_plane() -> None:
+    angle = 0.2
+    turn = np.array([[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]])
+    assert unlike_rotation(5 * K @ turn @ np.linalg.inv(K), (326, 236)) < 0.01
+    moved = turn + np.outer([0.4, 0.1, 0], [0, 0.2, 1])
+    assert unlike_rotation(K @ moved @ np.linalg.inv(K), (326, 236)) > 0.15
+
+
+def test_a_walk_passes_and_turning_and_standing_still_do_not(tmp_path: Path) -> None:
+    def seen(name: str, poses: np.ndarray) -> Look:
+        return look(photos_of(tmp_path / name, [room_image(pose) for pose in poses]))
+
+    assert seen("walk", walk(12)).cause() is None
+    assert "only turned" in (seen("turning", turning(12)).cause() or "")
+    assert "hardly moved" in (seen("still", walk(1).repeat(6, 0)).cause() or "")
+
+
+def test_dark_and_blank_images_are_told_apart(tmp_path: Path) -> None:
+    dark = photos_of(tmp_path / "dark", [room_image(pose) // 20 for pose in walk(4)])
+    blank = photos_of(tmp_path / "blank", [np.full((240, 320, 3), 128, np.uint8)] * 4)
+    assert "too dark" in (look(dark).cause() or "")
+    assert "textureless" in (look(blank).cause() or "")
+
+
+def _filmed(name: str, folder: Path) -> Photos:
+    path = VIDEOS / name / "video.mp4" if (VIDEOS / name).is_dir() else VIDEOS / f"{name}.mp4"
+    if not path.is_file():
+        pytest.skip(f"{path} is not here; set SPLATRL_VIDEOS to the folder of the videos")
+    return read_photos(path, folder)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "cause"),
+    [
+        ("kitchen_fast", "moved too fast"),
+        ("kitchen_rotation", "only turned on the spot"),
+        ("kitchen_rotation5cm", "only turned on the spot"),
+        ("kitchen_textureless", "textureless"),
+    ],
+)
+def test_bad_videos_are_refused_each_with_its_cause(tmp_path: Path, name: str, cause: str) -> None:
+    with pytest.raises(CaptureError, match=cause):
+        look(_filmed(name, tmp_path)).refuse()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["redkitchen", "kitchen_m", "kitchen_rs", "backyard_m"])
+def test_good_videos_pass(tmp_path: Path, name: str) -> None:
+    look(_filmed(name, tmp_path)).refuse()

@@ -1,0 +1,131 @@
+"""Poses and points found in images of a room, against the truth."""
+
+import dataclasses
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from splatrl.capture import poses as poses_module
+from splatrl.capture.base import CaptureError
+from splatrl.capture.child import run_child
+from splatrl.capture.optional import needed
+from splatrl.capture.poses import find_poses, missing_runs
+from splatrl.capture.structure import pairs
+from tests.capture.ray_cast import HALF, K, photos_of, room_image, walk
+
+pytest.importorskip("cv2")
+pytest.importorskip("pycolmap")
+
+
+def _similar(found: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
+    """Greatest distance (metres) and angle (radians) between cameras after a similarity (Umeyama 1991)."""
+    a, b = found[:, :3, 3] - found[:, :3, 3].mean(0), truth[:, :3, 3] - truth[:, :3, 3].mean(0)
+    u, _, vt = np.linalg.svd(np.einsum("nij,nkj->ik", truth[:, :3, :3], found[:, :3, :3]))
+    turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    a = a @ turn.T
+    distance = np.linalg.norm((a * b).sum() / (a * a).sum() * a - b, axis=1).max()
+    cosines = (np.einsum("nij,nij->n", turn @ found[:, :3, :3], truth[:, :3, :3]) - 1) / 2
+    return float(distance), float(np.arccos(np.clip(cosines, -1, 1)).max())
+
+
+def test_poses_of_a_walk_are_found_kept_and_the_same_again(tmp_path: Path) -> None:
+    truth = walk(24)[::2]
+    photos = photos_of(tmp_path / "in", [room_image(pose) for pose in truth])
+    told: list[str] = []
+    found = find_poses(photos, tmp_path / "a", progress=lambda what, *_: told.append(what))
+    assert {"extract", "match", "map", "undistort"} <= set(told)
+    distance, angle = _similar(found.camera_to_world.numpy(), truth)
+    assert distance < 0.02 and angle < 0.01 and found.missing == 0
+    assert found.K[0, 0].item() == pytest.approx(K[0, 0], rel=0.03)
+    assert len(found.points) > 300 and found.seen_point.max() == len(found.points) - 1
+    assert all(path.is_file() and path.parent.name == "undistorted" for path in found.paths)
+    told.clear()
+    again = find_poses(photos, tmp_path / "a", progress=lambda what, *_: told.append(what))
+    assert not told and torch.equal(again.points, found.points)
+    anew = find_poses(photos, tmp_path / "b")
+    assert torch.equal(anew.camera_to_world, found.camera_to_world) and torch.equal(anew.points, found.points)
+
+
+def test_known_poses_stay_and_points_lie_on_the_walls(tmp_path: Path) -> None:
+    truth = walk(24)[::4]
+    photos = photos_of(tmp_path / "in", [room_image(pose) for pose in truth])
+    known = dataclasses.replace(photos, K=torch.from_numpy(K), camera_to_world=torch.from_numpy(truth), metric=True)
+    found = find_poses(known, tmp_path / "out")
+    torch.testing.assert_close(found.camera_to_world, torch.from_numpy(truth))
+    torch.testing.assert_close(found.K, torch.from_numpy(K))
+    assert found.paths == photos.paths
+    off = (np.abs(found.points.numpy()) - HALF).max(1)
+    assert len(off) > 200 and np.median(np.abs(off)) < 0.02
+    # each sighting projects onto its image
+    world_to_camera = torch.linalg.inv(found.camera_to_world)[found.seen_by]
+    local = world_to_camera[:, :3] @ torch.nn.functional.pad(found.points[found.seen_point], (0, 1), value=1)[..., None]
+    pixel = (found.K @ local)[..., 0]
+    pixel = pixel[:, :2] / pixel[:, 2:]
+    assert (local[:, 2] > 0).all() and ((pixel > -1) & (pixel < torch.tensor([321.0, 241.0]))).all()
+
+
+def test_the_part_that_breaks_off_is_named(tmp_path: Path) -> None:
+    images = [room_image(pose) for pose in walk(24)[::2]] + [room_image(pose, seed=1) for pose in walk(24)[:20:4]]
+    photos = photos_of(tmp_path / "in", images, [0.5 * number for number in range(len(images))])
+    with pytest.raises(CaptureError, match=r"only 12 of 17 images .* Missing: 6\.0 s to 8\.0 s \(5 images\)"):
+        find_poses(photos, tmp_path / "out")
+    assert find_poses(photos, tmp_path / "out", least=0.5).missing == pytest.approx(5 / 17)
+
+
+def test_known_poses_without_intrinsics_are_refused(tmp_path: Path) -> None:
+    photos = photos_of(tmp_path / "in", [room_image(walk(1)[0])])
+    with pytest.raises(ValueError, match="expected intrinsics"):
+        find_poses(dataclasses.replace(photos, camera_to_world=torch.eye(4).double()[None]), tmp_path / "out")
+
+
+def test_a_missing_package_is_named_with_the_command_that_installs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(poses_module, "needed", lambda name: needed("a_package_that_is_not_here"))
+    with pytest.raises(ImportError, match=r"pip install 'splatrl\[capture\]'"):
+        find_poses(photos_of(tmp_path / "in", [room_image(walk(1)[0])]), tmp_path / "out")
+
+
+def test_pairs_are_near_far_and_every_tenth() -> None:
+    assert pairs(4) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
+    many = set(pairs(100))
+    assert {(0, 8), (7, 23), (7, 39), (0, 90), (10, 50)} <= many
+    assert not {(0, 9), (7, 17), (1, 91)} & many
+
+
+def test_stretches_without_a_pose_are_found() -> None:
+    assert missing_runs(np.array([2, 3, 7]), 9) == [(0, 1), (4, 6), (8, 8)]
+    assert missing_runs(np.array([2, 3, 7]), 9, most=1) == [(4, 6)]
+    assert missing_runs(np.arange(9), 9) == []
+
+
+def test_an_interrupt_kills_the_child_and_a_failure_shows_its_last_lines(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = tmp_path / "child_of_a_test.py"
+    module.write_text(
+        "import os, time\nprint([str(os.getpid()), 0, 1])\nprint(f'[\"{os.getpid()}\", 0, 1]', flush=True)\n"
+    )
+    with module.open("a") as stream:
+        stream.write("import sys\nif 'fail' in sys.argv[1]: sys.exit('no more rays')\ntime.sleep(60)\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    child: list[int] = []
+
+    def interrupt(what: str, done: int, total: int) -> None:
+        child.append(int(what))
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_child("child_of_a_test", tmp_path, interrupt)
+    if sys.platform != "win32":
+        with pytest.raises(ProcessLookupError):
+            os.kill(child[0], 0)
+    with pytest.raises(CaptureError, match="no more rays"):
+        run_child("child_of_a_test", tmp_path / "fail", lambda *_: None)
