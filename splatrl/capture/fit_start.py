@@ -8,6 +8,7 @@ from torch import Tensor
 from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.fit_model import LOGIT, SH, Model
 from splatrl.capture.fit_pictures import Frame, Pictures
+from splatrl.capture.sweep import AGREEING, neighbours_of, sweep
 from splatrl.spherical_harmonics import C0
 
 OPACITY = 0.3
@@ -66,7 +67,10 @@ def spacing(points: np.ndarray) -> np.ndarray:
 def between(
     seen: Pictures, rows: Tensor, count: int, random: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Random pixels at the depth that the nearest soundings of their image suggest; None without soundings."""
+    """Random pixels at depths at which photos agree, near to what the nearest soundings of their image suggest.
+
+    None where no image has soundings.
+    """
     usable = [row for row in rows.tolist() if seen.firsts[row + 1] - seen.firsts[row] > NEIGHBOURS]
     if not usable:
         return None
@@ -79,10 +83,14 @@ def between(
         places = random.random((wanted, 2)) * (width, height)
         distances, nearest = cKDTree(known[:, :2]).query(places, NEIGHBOURS)
         weights = 1.0 / (distances + 1.0)
-        depths = weights.sum(1) / (weights * known[nearest, 2]).sum(1)
+        inverses = (weights * known[nearest, 2]).sum(1) / weights.sum(1)
+        others = neighbours_of(seen, row, rows, float(np.median(1.0 / known[:, 2])))
+        if len(others) >= AGREEING and wanted > 0:
+            found = sweep(seen, row, others, torch.from_numpy(places).float(), torch.from_numpy(inverses).float())
+            inverses = found.double().numpy()
         rays = np.stack([(places[:, 0] - K[0, 2]) / K[0, 0], (places[:, 1] - K[1, 2]) / K[1, 1], np.ones(wanted)], 1)
         pose = seen.camera_to_world[row].double().numpy()
-        points.append((rays * depths[:, None]) @ pose[:3, :3].T + pose[:3, 3])
+        points.append((rays / inverses[:, None]) @ pose[:3, :3].T + pose[:3, 3])
         columns, lines = places[:, 0].astype(int), places[:, 1].astype(int)
         colors.append(seen.pixels[row].numpy()[lines, columns] / 255.0)
     return np.concatenate(points), np.concatenate(colors)
