@@ -29,8 +29,6 @@ MOST_STEPS = 40
 TRIM = 0.01
 _VOXELS = (256, 50)
 """Along the diagonal, at most and at least, where the usual voxel does not fit the place."""
-ROOM = 0.2
-"""Metres of the scene around where robots walk."""
 VOXEL = 0.05
 """Metres: edge of a voxel in places the size of a room or a garden."""
 
@@ -89,7 +87,6 @@ def _bounds(cameras: Floats, points: Floats, walk: Floats) -> Bounds:
         first, last = np.quantile(near, [TRIM, 1 - TRIM], axis=0)
         low, high = np.minimum(low, first), np.maximum(high, last)
     low[:2], high[:2] = np.minimum(low[:2], walk[0] - BESIDE), np.maximum(high[:2], walk[1] + BESIDE)
-    low[:2], high[:2] = np.minimum(low[:2], walk[0] - ROOM), np.maximum(high[:2], walk[1] + ROOM)
     low[2] = min(0.0, max(low[2], -0.5 * float(np.median(cameras[:, 2]))))
     lower, upper = ([float(f"{value:.3f}") for value in corner] for corner in (low - 0.01, high + 0.01))
     return (lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])
