@@ -1,0 +1,124 @@
+"""splatrl-capture, from photos to a folder in which robots can be trained; poses are known here, to be quick."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+import splatrl
+from splatrl.cameras import Cameras
+from splatrl.capture import pipeline
+from splatrl.capture.base import CaptureError, Photos, Reconstruction
+from splatrl.capture.look import Look
+from splatrl.capture.progress import Progress
+from splatrl.commands import capture
+from splatrl.renderers import NativeRenderer
+from tests.capture.walks import HEIGHT, WIDTH, K, strewn, walk
+
+GOOD = Look(images=40, brightness=120, keypoints=800, verified=1.0, turned=0.1, shift=0.2, angle=8.0)
+DARK = replace(GOOD, brightness=4.0)
+
+
+@pytest.fixture(scope="module")
+def photographed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Photos, Reconstruction]:
+    """Photos of the made-up walk, and what structure from motion would make of them."""
+    folder = tmp_path_factory.mktemp("photos")
+    found, _ = strewn(3)
+    true = walk()
+    cameras = Cameras(true.camera_to_world.float(), K.float(), WIDTH, HEIGHT)
+    views = NativeRenderer(splatrl.backyard().gaussians, tolerance=1.0).pixels(cameras).numpy()
+    paths = [folder / path.name for path in true.paths]
+    for path, view in zip(paths, views, strict=True):
+        Image.fromarray(view).save(path)
+    photos = Photos(paths, WIDTH, HEIGHT, torch.arange(len(paths), dtype=torch.float64))
+    return photos, replace(found, paths=paths)
+
+
+@pytest.fixture
+def stages(photographed: tuple[Photos, Reconstruction], monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Lets the stages that need a video give what is known; returns the names of those that were called."""
+    called: list[str] = []
+    photos, found = photographed
+
+    def read_photos(source: Path, folder: Path, count: object, longest: int, progress: Progress) -> Photos:
+        called.append("frames")
+        progress("frames", 1, 2)
+        return photos
+
+    def find_poses(photos: Photos, folder: Path, seed: int, progress: Progress) -> Reconstruction:
+        called.append("poses")
+        return found
+
+    real_fit = pipeline.fit
+
+    def fit(*arguments: object) -> object:
+        called.append("fit")
+        return real_fit(*arguments)
+
+    for name, stage in {"read_photos": read_photos, "find_poses": find_poses, "fit": fit}.items():
+        monkeypatch.setattr(pipeline, name, stage)
+    monkeypatch.setattr(pipeline, "look", lambda photos, progress: GOOD)
+    return called
+
+
+QUICK = ["--camera-height", "1.4", "--width", "80", "--gaussians", "3000", "--views", "200"]
+
+
+def test_photos_become_a_folder_that_is_all_a_training_needs(
+    tmp_path: Path, stages: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "garden"
+    capture.main(["garden.mp4", "--out", str(folder), *QUICK])
+    assert stages == ["frames", "poses", "fit"]
+    said = capsys.readouterr().out
+    assert "40 of 40 images" in said and "camera 1.40 m high" in said and f"splatrl-train scene={folder}/" in said
+    assert {"scene.yaml", "splat.ply", "report.html", "held_out.png", "map.png"} <= {p.name for p in folder.iterdir()}
+    env = splatrl.make_env([f"scene={folder}/", "device=cpu", "robot.image_width=16", "robot.image_height=16"], [2])
+    assert env.robot.height == pytest.approx(1.4, abs=0.15) and env.rollout(3)["pixels"].float().std() > 5
+    with pytest.raises(SystemExit, match=r"scene\.yaml: already exists; name another folder by --out, or give --force"):
+        capture.main(["garden.mp4", "--out", str(folder), *QUICK])
+    capture.main(["garden.mp4", "--out", str(folder), *QUICK, "--force"])
+    assert stages.count("fit") == 1  # what was fitted is kept
+
+
+def test_a_capture_that_cannot_work_is_refused_with_its_cause(
+    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "look", lambda photos, progress: DARK)
+    with pytest.raises(SystemExit, match=r"splatrl-capture: .*dark.* --force"):
+        capture.main(["night.mp4", "--out", str(tmp_path / "night"), *QUICK])
+    assert stages == ["frames"] and not (tmp_path / "night" / "scene.yaml").exists()
+
+
+def test_a_fault_of_a_stage_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*arguments: object) -> Photos:
+        raise CaptureError("walk.mp4: expected a video, found no stream of images")
+
+    monkeypatch.setattr(pipeline, "read_photos", broken)
+    with pytest.raises(SystemExit, match=r"^splatrl-capture: walk\.mp4: expected a video"):
+        capture.main(["walk.mp4", "--out", str(tmp_path / "walk")])
+
+
+def test_an_interrupt_says_how_to_continue(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*arguments: object) -> Photos:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pipeline, "read_photos", interrupted)
+    with pytest.raises(SystemExit) as ended:
+        capture.main(["walk.mp4", "--out", str(tmp_path / "walk")])
+    assert ended.value.code == capture.INTERRUPTED and "the same command continues" in capsys.readouterr().err
+
+
+def test_a_page_with_a_marker_is_written_on_its_own(tmp_path: Path) -> None:
+    capture.main(["--marker", str(tmp_path / "marker.pdf")])
+    assert (tmp_path / "marker.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_nothing_to_capture_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        capture.main([])
+    assert "expected a video or a folder of photos, or --marker" in capsys.readouterr().err
