@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from splatrl.commands import scene
+from splatrl.commands import capture, scene
 from splatrl.configuration import command_line, load_config
 
 ROOT = Path(__file__).parents[1]
@@ -53,9 +53,11 @@ def test_a_command_that_it_shows_is_understood(
     monkeypatch.chdir(tmp_path)
     for name in ("garden.ply", "kitchen.spz"):
         (tmp_path / name).touch()
+    (tmp_path / "garden").mkdir()
+    (tmp_path / "garden" / "scene.yaml").write_text("splat: splat.ply\n")
     name, arguments = words[0].removeprefix("splatrl-"), [word for word in words[1:] if word not in ("-m", "--help")]
-    if name == "scene":
-        scene.parser().parse_args(arguments)
+    if name in ("scene", "capture"):
+        {"scene": scene, "capture": capture}[name].parser().parse_args(arguments)
         return
     if "-m" in words:  # the first job of a sweep
         arguments = [word.split(",")[0] for word in arguments]
