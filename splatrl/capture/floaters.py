@@ -14,6 +14,8 @@ AGAINST_HITS = 2.0
 """And this many times as many as saw a point in it or beside it."""
 MARGIN = 3.0
 """Voxels before a point at which a ray ends: points are not exact, and surfaces are thick."""
+LONGEST = 20.0
+"""Metres of a ray that are followed."""
 RAYS = 1500
 """A camera, at most."""
 _STEP = 0.7
@@ -41,7 +43,7 @@ def seen_through(occupancy: Occupancy, reconstruction: Reconstruction) -> NDArra
         rows = rows[often[seen_point[rows]]]
         rows = rows[:: max(1, -(-len(rows) // RAYS))]
         aims = points[seen_point[rows]]
-        through += _touched(occupancy, _samples(center, aims, occupancy.resolution))
+        through += _touched(occupancy, _seen_places(occupancy, center, aims))
         hits += _touched(occupancy, _around(aims, occupancy.resolution))
     seen: NDArray[np.bool_] = occupancy.occupied & (through >= MIN_CAMERAS) & (through > AGAINST_HITS * hits)
     return seen
@@ -59,19 +61,24 @@ def without_floaters(
     return gaussians[~dropped], int(carved.sum())
 
 
-def _samples(center: NDArray[np.float64], aims: NDArray[np.float64], resolution: float) -> NDArray[np.float64]:
-    """Places [S, 3] along the rays from a camera towards points, ending before these."""
+def _seen_places(occupancy: Occupancy, center: NDArray[np.float64], aims: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Places [S, 3] along the rays from a camera towards points that it saw.
+
+    A ray ends before its point, and before all that is solid from there on towards the camera: a surface that it
+    meets at a low angle is no floater.
+    """
     ways = aims - center
-    lengths = np.linalg.norm(ways, axis=1) - MARGIN * resolution
-    kept = lengths > 0
-    ways, lengths = ways[kept], lengths[kept]
+    lengths = np.linalg.norm(ways, axis=1) - MARGIN * occupancy.resolution
+    ways, lengths = ways[lengths > 0], lengths[lengths > 0]
     if len(ways) == 0:
         return np.empty((0, 3))
     directions = ways / np.linalg.norm(ways, axis=1, keepdims=True)
-    along = np.arange(0.0, min(float(lengths.max()), 20.0), _STEP * resolution)
-    row, column = np.nonzero(along < lengths[:, None])
-    samples: NDArray[np.float64] = center + directions[row] * along[column, None]
-    return samples
+    along = np.arange(0.0, min(float(lengths.max()), LONGEST), _STEP * occupancy.resolution)
+    places = center + directions[:, None] * along[:, None]  # [rays, samples, 3]
+    free = ~occupancy.contains(places.reshape(-1, 3)).reshape(places.shape[:2]) & (along < lengths[:, None])
+    last = np.where(free.any(1), free.shape[1] - 1 - free[:, ::-1].argmax(1), -1)
+    seen: NDArray[np.float64] = places[np.arange(free.shape[1]) <= last[:, None]]
+    return seen
 
 
 def _around(points: NDArray[np.float64], resolution: float) -> NDArray[np.float64]:

@@ -87,7 +87,7 @@ def draw_map(
     )
     shape = (upper[0] - lower[0]) / (upper[1] - lower[1])
     width = 6.0 * min(1.6, max(0.7, shape))
-    figure = Figure(figsize=(2 * width + 0.8, 6.4), dpi=110, layout="constrained")
+    figure = Figure(figsize=(2 * width + 0.8, 7.4), dpi=110, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
     left.imshow(ground.image.numpy(), extent=ground.extent)

@@ -66,7 +66,8 @@ def test_the_same_reconstruction_is_placed_the_same_to_the_last_bit() -> None:
 
 def test_cameras_alone_tell_up_where_the_floor_is_a_narrow_strip() -> None:
     points = walk().points
-    strip = (points[:, 2] > 0.4) | (points[:, 0].abs() < 0.05)
+    thinned = torch.arange(len(points)) % 4 == 0
+    strip = (points[:, 2] > 0.4) & thinned | (points[:, 2] < 0.1) & (points[:, 0].abs() < 0.15)
     assert find_ground(walk().camera_to_world.numpy(), points.numpy()).up_from == "floor"
     ground = find_ground(walk().camera_to_world.numpy(), points[strip].numpy())
     assert ground.up_from == "cameras" and ground.up[2] > math.cos(math.radians(3.0))

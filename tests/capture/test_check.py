@@ -1,0 +1,103 @@
+"""The check tells a good capture from one with wrong colours, a blocked path or floaters."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from splatrl.capture.area import survey_area
+from splatrl.capture.base import CaptureError
+from splatrl.capture.check import check, colour_corrected, psnr, ssim
+from splatrl.capture.floaters import seen_through, without_floaters
+from splatrl.collision.occupancy import Occupancy
+from splatrl.scenes.gaussians import Gaussians
+from tests.capture.rooms import CAMERAS, tiny_capture
+from tests.tiny import tiny_gaussians
+
+HELD_OUT = range(3, CAMERAS, 8)
+FLOATER = (0.9, 0.0, 0.5)
+"""On the cameras' path, and nothing is there."""
+
+
+def with_floater() -> Gaussians:
+    """The room with a dense blob in mid-air."""
+    steps = 0.05 * torch.cartesian_prod(*[torch.arange(-1.0, 2.0)] * 3)
+    count = len(steps)
+    blob = Gaussians(
+        means=torch.tensor(FLOATER) + steps,
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        scales=torch.full((count, 3), 0.04),
+        opacities=torch.full((count,), 0.9),
+        sh=torch.zeros(count, 1, 3),
+        batch_size=[count],
+    )
+    return torch.cat([tiny_gaussians(), blob])
+
+
+def test_a_perfect_fit_scores_high_and_its_path_is_free(tmp_path: Path) -> None:
+    placed = tiny_capture(tmp_path / "images")
+    quality = check(tiny_gaussians(), placed, HELD_OUT, tmp_path)
+    assert quality.psnr is not None and quality.psnr > 50 and quality.ssim == pytest.approx(1.0, abs=1e-3)
+    assert (quality.held_out, quality.path_free) == (3, 1.0)
+    assert quality.floating < 5, "a few at the soft edge of the red thing, through which the wall is seen"
+    assert quality.figures()["voxel_size"] == quality.voxel_size == 0.05
+    for picture in ("held_out.png", "map.png"):
+        with Image.open(tmp_path / picture) as image:
+            assert min(image.size) > 100
+
+
+def test_a_darker_photo_is_forgiven_by_the_corrected_figures_alone(tmp_path: Path) -> None:
+    quality = check(tiny_gaussians(), tiny_capture(tmp_path / "images", exposure=0.7), HELD_OUT, tmp_path)
+    assert quality.psnr is not None and quality.psnr_corrected is not None
+    assert quality.psnr < 25 and quality.psnr_corrected > 40
+
+
+def test_something_solid_on_the_path_shows_in_the_figures(tmp_path: Path) -> None:
+    quality = check(with_floater(), tiny_capture(tmp_path / "images"), [], tmp_path)
+    assert 0.8 < quality.path_free < 1.0 and quality.floating >= 20
+    assert quality.psnr is None and not (tmp_path / "held_out.png").exists()
+
+
+def test_what_cameras_saw_through_is_found_and_what_they_saw_stays(tmp_path: Path) -> None:
+    placed = tiny_capture(tmp_path)
+    area = survey_area(with_floater(), placed)
+    carved = seen_through(area.occupancy, placed.reconstruction)
+    places = (np.argwhere(carved) + area.occupancy.origin_key + 0.5) * area.occupancy.resolution
+    near = np.abs(places - FLOATER).max(1) < 0.25
+    assert near.sum() > 15 and (~near).sum() < 5
+    kept, count = without_floaters(with_floater(), area.occupancy, placed.reconstruction)
+    assert count == len(places) and len(kept) < len(with_floater())
+    means = {tuple(row) for row in kept.means.tolist()}
+    assert sum(tuple(row) not in means for row in tiny_gaussians().means.tolist()) < 5
+
+
+def test_an_empty_place_has_nothing_to_see_through(tmp_path: Path) -> None:
+    assert seen_through(Occupancy.empty(), tiny_capture(tmp_path).reconstruction).sum() == 0
+
+
+def test_figures_of_images_are_those_of_their_definitions() -> None:
+    generator = np.random.default_rng(0)
+    image = generator.uniform(0.2, 0.8, (40, 30, 3))
+    assert psnr(image, image) == 100.0 and ssim(image, image) == pytest.approx(1.0)
+    assert psnr(image, image + 0.1) == pytest.approx(20.0)
+    assert ssim(image, generator.uniform(0.2, 0.8, image.shape)) < 0.2
+    flat = np.full((40, 30, 3), 0.5)
+    expected = (2 * 0.5 * 0.6 + 1e-4) / (0.25 + 0.36 + 1e-4)
+    assert ssim(flat, flat + 0.1) == pytest.approx(expected)
+    np.testing.assert_allclose(colour_corrected(image, 0.5 * image + [0.1, 0.2, 0.0]), 0.5 * image + [0.1, 0.2, 0.0])
+    np.testing.assert_allclose(colour_corrected(flat, image), np.broadcast_to(image.mean((0, 1)), image.shape))
+    assert math.isfinite(psnr(colour_corrected(flat, image), image))
+
+
+def test_an_image_of_another_size_or_none_is_named(tmp_path: Path) -> None:
+    placed = tiny_capture(tmp_path)
+    wrong = replace(placed, reconstruction=replace(placed.reconstruction, width=90))
+    with pytest.raises(CaptureError, match=r"03\.png: expected 90 × 64 pixels, got 96 × 64"):
+        check(tiny_gaussians(), wrong, HELD_OUT, tmp_path)
+    placed.reconstruction.paths[3].unlink()
+    with pytest.raises(CaptureError, match=r"03\.png: expected an image, got"):
+        check(tiny_gaussians(), placed, HELD_OUT, tmp_path)

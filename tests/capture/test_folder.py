@@ -1,0 +1,136 @@
+"""A capture's folder is a scene to train in at once, written whole or not at all, with a report that says what is."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from splatrl.build import build_trainer, build_world
+from splatrl.capture import folder as folder_module
+from splatrl.capture.area import survey_area
+from splatrl.capture.base import CaptureError
+from splatrl.capture.folder import write_scene
+from splatrl.capture.suggestions import suggest
+from splatrl.configuration import load_config
+from splatrl.scenes import read_scene
+from splatrl.scenes.description import read_description
+from tests.capture.rooms import ABOVE, CAMERAS, tiny_capture
+from tests.tiny import tiny_gaussians
+
+HELD_OUT = range(3, CAMERAS, 8)
+FILES = {"splat.ply", "scene.yaml", "report.html", "held_out.png", "map.png", "goals.png", "cameras.png"}
+SMALL = [
+    "device=cpu",
+    "robot.image_width=16",
+    "robot.image_height=12",
+    "network.pool=1",
+    "robot.body.size=[0.2,0.2,0.2]",
+    "collector.total_frames=256",
+    "collector.frames_per_batch=128",
+    "env.num_envs=16",
+    "logger.video=false",
+    "logger.num_test_episodes=8",
+]
+
+
+def test_a_policy_trains_in_a_written_folder_and_nothing_else_is_said(tmp_path: Path) -> None:
+    quality = write_scene(tmp_path / "garden", tiny_gaussians(), tiny_capture(tmp_path / "images"), HELD_OUT)
+    assert {file.name for file in (tmp_path / "garden").iterdir()} == FILES
+    assert quality.path_free == 1.0
+    stated = read_description(tmp_path / "garden")
+    assert stated["metric"] is True and stated["robot_height"] == ABOVE and stated["quality"]["psnr"] > 50
+    np.testing.assert_allclose(read_scene(tmp_path / "garden").gaussians.means, tiny_gaussians().means, atol=1e-6)
+    cfg = load_config([f"scene={tmp_path / 'garden'}/", *SMALL])
+    world = build_world(cfg)
+    assert len(world.plan.start_rows) > 50, "most free poses lead to the goal"
+    build_trainer(cfg, world, tmp_path / "run").fit()
+    assert (tmp_path / "run" / "checkpoints" / "last.pt").is_file()
+
+
+def test_a_goal_is_free_and_faces_something_and_the_thing_has_room(tmp_path: Path) -> None:
+    placed = tiny_capture(tmp_path)
+    area = survey_area(tiny_gaussians(), placed)
+    found = suggest(placed, area)
+    assert 1 <= len(found.goals) <= 4 and found.thing is not None
+    places = torch.tensor([[x, y, area.robot_height] for x, y, _ in found.goals] + [list(found.thing)])
+    assert not area.occupancy.contains(places).any()
+    (x0, y0), (x1, y1) = area.walk
+    assert all(x0 <= x <= x1 and y0 <= y <= y1 for x, y, _ in found.goals)
+    for (low, high), first, last in zip(zip(*area.walk, strict=True), *area.bounds, strict=False):
+        assert first < low < high < last
+        assert (high - low) / 0.2 == pytest.approx(round((high - low) / 0.2))
+
+
+def test_where_nothing_is_free_no_goal_is_made_up(tmp_path: Path) -> None:
+    placed = tiny_capture(tmp_path / "images")
+    solid = survey_area(tiny_gaussians(), placed).occupancy.with_boxes([[-2.0, -2.0, 0.0]], [[2.0, 2.0, 1.0]])
+    found = suggest(placed, replace(survey_area(tiny_gaussians(), placed), occupancy=solid))
+    assert found.goals == [] and found.thing is None
+
+
+def test_the_report_is_one_static_page_that_says_what_went_wrong(tmp_path: Path) -> None:
+    placed = replace(tiny_capture(tmp_path / "images"), scale_from="unknown", scale_error=None, up_from="cameras")
+    folder = tmp_path / "a <b> & c"
+    write_scene(folder, tiny_gaussians(), placed, notes=["The end of the video broke off."])
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    for words in ("It is not metric", "Up comes from how", "No image was held out", "The end of the video broke off."):
+        assert words in page
+    assert "a &lt;b&gt; &amp; c" in page and "<b>" not in page and "<script" not in page
+    pictures = re.findall(r'src="([^"]+)"', page)
+    assert pictures == ["map.png", "goals.png", "cameras.png"] and all((folder / file).is_file() for file in pictures)
+    with pytest.warns(UserWarning, match="not metric"):
+        assert read_scene(folder).name == "a <b> & c"
+
+
+def test_a_good_capture_has_nothing_to_complain_of(tmp_path: Path) -> None:
+    write_scene(tmp_path / "garden", tiny_gaussians(), tiny_capture(tmp_path / "images"), HELD_OUT)
+    assert "What went wrong" not in (tmp_path / "garden" / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_folder_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    placed = tiny_capture(tmp_path / "images")
+    folder = tmp_path / "garden"
+    broken = replace(placed, reconstruction=replace(placed.reconstruction, width=1))
+    with pytest.raises(CaptureError):
+        write_scene(folder, tiny_gaussians(), broken, HELD_OUT)
+    assert [file.name for file in tmp_path.iterdir()] == ["images"]
+    write_scene(folder, tiny_gaussians(), placed, HELD_OUT)
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    with pytest.raises(FileExistsError, match=r"scene\.yaml: already exists"):
+        write_scene(folder, tiny_gaussians(), placed, HELD_OUT)
+
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(folder_module, "write_description", stop)
+        with pytest.raises(KeyboardInterrupt):
+            write_scene(folder, tiny_gaussians(), placed, HELD_OUT, force=True)
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+    (folder / "mine.txt").write_text("kept")
+    write_scene(folder, tiny_gaussians(), placed, HELD_OUT, force=True)
+    after = {file.name: file.read_bytes() for file in folder.iterdir()}
+    assert after == {**before, "mine.txt": b"kept"}, "the same bytes again, and what else was there"
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["garden", "images"]
+
+
+def test_a_large_place_gets_larger_steps_and_voxels(tmp_path: Path) -> None:
+    placed = tiny_capture(tmp_path)
+    larger = replace(placed.reconstruction)
+    larger.camera_to_world[:, :2, 3] *= 10
+    larger.points[:, :2] *= 10
+    area = survey_area(tiny_gaussians(), replace(placed, reconstruction=larger))
+    assert area.step is not None and area.occupancy.resolution > 0.05
+    sides = np.subtract(area.walk[1], area.walk[0])
+    assert sides / area.step == pytest.approx(np.round(sides / area.step)) and (sides / area.step).max() <= 41
+
+
+def test_pictures_of_a_capture_show_something(tmp_path: Path) -> None:
+    write_scene(tmp_path / "garden", tiny_gaussians(), tiny_capture(tmp_path / "images"), HELD_OUT)
+    for file in (tmp_path / "garden").glob("*.png"):
+        with Image.open(file) as image:
+            assert np.asarray(image.convert("L"), float).std() > 10, file.name
