@@ -17,7 +17,7 @@ from splatrl.capture.progress import Progress, silent
 from splatrl.capture.undistort import undistorted
 
 LEAST = 0.8
-VERSION = 1
+VERSION = 2
 DIGEST = "digest.txt"
 
 
