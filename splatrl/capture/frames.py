@@ -133,8 +133,8 @@ def _write(made: Path, taken: Iterator[_Taken], source: Path, digest: str) -> No
         if photo.image.size != size:
             raise CaptureError(
                 f"{source}: expected images of one size and one camera, got {size[0]} × {size[1]} and, for image "
-                f"{number + 1}, {photo.image.size[0]} × {photo.image.size[1]}: take all upright or all across, or remove "
-                "those of the other size"
+                f"{number + 1}, {photo.image.size[0]} × {photo.image.size[1]}: take all upright or all across, or "
+                "remove those of the other size"
             )
         names.append(f"{number:04}.jpg")
         photo.image.convert("RGB").save(made / names[-1], quality=95, subsampling=0)

@@ -124,7 +124,7 @@ def look(photos: Photos, progress: Progress = silent) -> Look:
         ImportError: without the extra ``capture``.
     """
     chosen = np.unique(np.linspace(0, len(photos.paths) - 1, min(FRAMES, len(photos.paths))).round().astype(int))
-    seen = []
+    seen: list[Features] = []
     for number in chosen.tolist():
         progress("look", len(seen), 5 * len(chosen))
         seen.append(features(photos.paths[number]))

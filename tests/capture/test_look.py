@@ -41,8 +41,15 @@ def test_a_good_capture_passes() -> None:
 
 
 def test_figures_are_those_of_the_pairs() -> None:
-    seen = [Features(np.zeros((count, 2)), np.zeros((count, 128)), 50.0, (64, 48)) for count in (100, 200, 300, 400, 500)]
-    found = {(0, 1): Pair("none"), (0, 3): Pair("none"), (1, 4): Pair("moved", 0.2, 0.3), (0, 4): Pair("turned", 0, 0.1)}
+    seen = [
+        Features(np.zeros((count, 2)), np.zeros((count, 128)), 50.0, (64, 48)) for count in (100, 200, 300, 400, 500)
+    ]
+    found = {
+        (0, 1): Pair("none"),
+        (0, 3): Pair("none"),
+        (1, 4): Pair("moved", 0.2, 0.3),
+        (0, 4): Pair("turned", 0, 0.1),
+    }
     figures = summed(seen, found, few=False)
     assert (figures.verified, figures.turned, figures.keypoints) == (0.5, 0.5, 400)
     assert figures.shift == pytest.approx(0.2) and figures.angle == pytest.approx(0.18)

@@ -64,7 +64,7 @@ def test_known_poses_stay_and_points_lie_on_the_walls(tmp_path: Path) -> None:
     assert len(off) > 200 and np.median(np.abs(off)) < 0.02
     # each sighting projects onto its image
     world_to_camera = torch.linalg.inv(found.camera_to_world)[found.seen_by]
-    local = (world_to_camera[:, :3] @ torch.nn.functional.pad(found.points[found.seen_point], (0, 1), value=1)[..., None])
+    local = world_to_camera[:, :3] @ torch.nn.functional.pad(found.points[found.seen_point], (0, 1), value=1)[..., None]
     pixel = (found.K @ local)[..., 0]
     pixel = pixel[:, :2] / pixel[:, 2:]
     assert (local[:, 2] > 0).all() and ((pixel > -1) & (pixel < torch.tensor([321.0, 241.0]))).all()
@@ -109,7 +109,9 @@ def test_an_interrupt_kills_the_child_and_a_failure_shows_its_last_lines(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     module = tmp_path / "child_of_a_test.py"
-    module.write_text("import os, time\nprint([str(os.getpid()), 0, 1])\nprint(f'[\"{os.getpid()}\", 0, 1]', flush=True)\n")
+    module.write_text(
+        "import os, time\nprint([str(os.getpid()), 0, 1])\nprint(f'[\"{os.getpid()}\", 0, 1]', flush=True)\n"
+    )
     with module.open("a") as stream:
         stream.write("import sys\nif 'fail' in sys.argv[1]: sys.exit('no more rays')\ntime.sleep(60)\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
