@@ -31,6 +31,7 @@ ORDER = [
     {"envs"},
     {"training"},
     {"evaluation"},
+    {"capture"},
     {"configuration"},
     {"build"},
     {"runs"},
