@@ -12,7 +12,7 @@ LONGEST, FEATURES = 640, 1500
 MIN_INLIERS = 15
 GUESSED_FOCAL = 1.2
 """Of the longer side: COLMAP's guess where nothing is known."""
-SAME_CENTRE = 0.12
+SAME_CENTRE = 0.03
 """A homography is a rotation's up to here: √(σ₁/σ₃) − 1 with the best focal length, about the sideways move as a share
 of the distance."""
 
@@ -133,7 +133,7 @@ def unlike_rotation(homography: np.ndarray, size: tuple[int, int]) -> float:
     Returns:
         √(σ₁/σ₃) − 1 of K⁻¹ H K, 0 for a rotation.
     """
-    focals = max(size) * np.geomspace(0.5, 2.5, 25)
+    focals = max(size) * np.geomspace(0.4, 1.5, 20)
     K = np.zeros((len(focals), 3, 3))
     K[:, 0, 0] = K[:, 1, 1] = focals
     K[:, 0, 2], K[:, 1, 2], K[:, 2, 2] = size[0] / 2, size[1] / 2, 1

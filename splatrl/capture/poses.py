@@ -17,7 +17,7 @@ from splatrl.capture.progress import Progress, silent
 from splatrl.capture.undistort import undistorted
 
 LEAST = 0.8
-VERSION = 1
+VERSION = 2
 DIGEST = "digest.txt"
 
 
@@ -145,7 +145,8 @@ def _reconstruction(
     K = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
     paths = [photos.paths[number] for number in images]
     if not exact_camera:
-        paths, K = undistorted(paths, (photos.width, photos.height), K, model["camera"][4:], folder, progress)
+        size, made = (photos.width, photos.height), folder / "undistorted"
+        paths, K = undistorted(paths, size, K, model["camera"][4:], made, progress)
     return Reconstruction(
         paths=paths,
         width=photos.width,

@@ -92,11 +92,12 @@ def run(folder: Path) -> None:
 
 
 def _extract(pycolmap: Any, folder: Path, job: Job) -> None:
+    """One camera for all images, with square pixels: a camera that never rolls does not show its fx and fy apart."""
     database = folder / DATABASE
-    reader = pycolmap.ImageReaderOptions(camera_model="PINHOLE" if job.fixed else "OPENCV")
+    reader = pycolmap.ImageReaderOptions(camera_model="PINHOLE" if job.fixed else "RADIAL")
     if job.K is not None:
         intrinsics = [job.K[0][0], job.K[1][1], job.K[0][2], job.K[1][2]]
-        reader.camera_params = ", ".join(repr(value) for value in intrinsics + [0.0] * (0 if job.fixed else 4))
+        reader.camera_params = ", ".join(map(repr, intrinsics if job.fixed else [*intrinsics[1:], 0.0, 0.0]))
     if not database.exists():  # before any features, so that the numbers of the images follow their order
         pycolmap.Database.open(database).close()
     pycolmap.import_images(database, job.images, pycolmap.CameraMode.SINGLE, job.names, reader)
@@ -177,12 +178,21 @@ def _keep(folder: Path, job: Job, model: Any) -> None:
             stream,
             images=np.array(images, np.int64),
             camera_to_world=camera_to_world,
-            camera=np.zeros(0) if model is None else np.array(next(iter(model.cameras.values())).params),
+            camera=np.zeros(0) if model is None else _opencv(next(iter(model.cameras.values()))),
             points=np.array([point.xyz for point in points]).reshape(-1, 3),
             colors=np.array([point.color for point in points], np.uint8).reshape(-1, 3),
             seen_point=np.repeat(np.arange(len(points)), [len(cameras) for cameras in sightings]),
             seen_by=np.array([row for cameras in sightings for row in cameras], np.int64),
         )
+
+
+def _opencv(camera: Any) -> np.ndarray:
+    """OpenCV's fx, fy, cx, cy, k1, k2, p1, p2."""
+    parameters = np.zeros(8)
+    parameters[:4] = camera.focal_length_x, camera.focal_length_y, camera.principal_point_x, camera.principal_point_y
+    if camera.model.name == "RADIAL":
+        parameters[4:6] = camera.params[3:]
+    return parameters
 
 
 def _tell(what: str, done: int, total: int) -> None:

@@ -20,7 +20,7 @@ def undistorted(
     size: tuple[int, int],
     K: Tensor,
     distortion: np.ndarray,
-    folder: Path,
+    made: Path,
     progress: Progress = silent,
 ) -> tuple[list[Path], Tensor]:
     """Take the lens distortion out of images, so that a pinhole camera explains them; nothing black at the edges.
@@ -30,8 +30,8 @@ def undistorted(
         size: width and height, pixels.
         K: [3, 3] float64 intrinsics, pixels, the centre of the first pixel at (0.5, 0.5).
         distortion: OpenCV's k1, k2, p1, p2 (and more).
-        folder: the images come into its sub-folder ``undistorted``, whole or not at all; those of an earlier call with
-            the same camera are kept.
+        made: the folder for the new images, which appears whole or not at all; one that an earlier call made from the
+            same files with the same camera is kept.
         progress: told about every image.
 
     Returns:
@@ -43,12 +43,13 @@ def undistorted(
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV's first pixel has its centre at 0
     given = K.numpy() - half
     new, _ = cv2.getOptimalNewCameraMatrix(given, distortion, size, 0, size)
-    made = folder / "undistorted"
     names = [f"{path.stem}.jpg" for path in paths]
-    settings = json.dumps([names, size, K.tolist(), list(distortion)])
+    stamps = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
+    settings = json.dumps([stamps, size, K.tolist(), list(distortion)])
     if not (made / SETTINGS).is_file() or (made / SETTINGS).read_text("utf-8") != settings:
-        if made.exists():
+        if (made / SETTINGS).is_file():
             shutil.rmtree(made)
+        made.parent.mkdir(parents=True, exist_ok=True)
         maps = cv2.initUndistortRectifyMap(given, distortion, None, new, size, cv2.CV_16SC2)
         with new_folder(made) as temporary:
             for number, (path, name) in enumerate(zip(paths, names, strict=True)):

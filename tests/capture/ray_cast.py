@@ -39,11 +39,11 @@ def room_image(camera_to_world: np.ndarray, seed: int = 0) -> np.ndarray:
 
 
 def walk(count: int) -> np.ndarray:
-    """Poses of a camera that walks sideways along a wall and sways: [N, 4, 4]."""
+    """Poses of a camera that walks sideways, sways, and looks into a corner: [N, 4, 4]."""
     poses = np.tile(np.eye(4), (count, 1, 1))
     for number, pose in enumerate(poses):
         t = number / 23
-        turn = 0.25 * np.sin(3 * t)
+        turn = 0.75 + 0.25 * np.sin(3 * t)
         right = np.array([np.cos(turn), np.sin(turn), 0])
         forward = np.array([-np.sin(turn), np.cos(turn), 0])
         pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], 1)
@@ -104,7 +104,7 @@ def write_video(path: Path, images: list[np.ndarray], rate: int = 10, quarter_tu
 def _walls(seed: int) -> np.ndarray:
     random = np.random.default_rng(seed)
     walls = np.zeros((6, 256, 256, 3))
-    for cell in (1, 2, 4, 8, 16):
+    for cell in (4, 8, 16):
         coarse = random.normal(size=(6, 256 // cell, 256 // cell, 3)) * cell**0.7
         walls += np.repeat(np.repeat(coarse, cell, 1), cell, 2)
     return np.clip(128 + 22 * walls, 0, 255)

@@ -1,0 +1,101 @@
+"""Recordings that know their poses: axes, intrinsics, distortion, and what of strangers' files is refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from splatrl.capture.base import CaptureError
+from splatrl.capture.recordings import is_recording, read_recording
+from tests.capture.ray_cast import K, room_image, walk
+
+SETTINGS = {"w": 640, "h": 480, "fl_x": 520, "fl_y": 518, "cx": 326, "cy": 236}
+
+
+def _write(folder: Path, names: list[str] | None = None, **settings: object) -> Path:
+    (folder / "images").mkdir(parents=True)
+    frames = []
+    for number, pose in list(enumerate(walk(3)))[::-1]:
+        Image.fromarray(room_image(pose)).save(folder / "images" / f"{number + 9}.png")
+        opengl = pose @ np.diag([1.0, -1, -1, 1])
+        frames.append({"file_path": f"./images/{number + 9}.png", "transform_matrix": opengl.tolist()})
+    for frame, name in zip(frames, names or [], strict=False):
+        frame["file_path"] = name
+    (folder / "transforms.json").write_text(json.dumps({**SETTINGS, **settings, "frames": frames}))
+    return folder
+
+
+def test_transforms_come_with_opencv_axes_in_order_and_scaled_as_the_images(tmp_path: Path) -> None:
+    source = _write(tmp_path / "in")
+    assert is_recording(source) and is_recording(source / "transforms.json")
+    photos = read_recording(source, tmp_path / "out")
+    assert [path.stem for path in photos.paths] == ["9", "10", "11"]
+    torch.testing.assert_close(photos.camera_to_world, torch.from_numpy(walk(3)))
+    expected = torch.tensor([[260, 0, 163], [0, 259, 118], [0, 0, 1]]).double()
+    torch.testing.assert_close(photos.K, expected)
+    assert (photos.width, photos.height, photos.metric, photos.up) == (320, 240, False, None)
+
+
+def test_distortion_is_taken_out(tmp_path: Path) -> None:
+    cv2 = pytest.importorskip("cv2")
+    source = _write(tmp_path / "in", k1=-0.1, fl_y=520)
+    centred = K - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]  # OpenCV's first pixel has its centre at 0
+    x, y = np.meshgrid(np.arange(320.0), np.arange(240.0))
+    rays = cv2.undistortPoints(np.stack([x, y], -1).reshape(-1, 1, 2), centred, np.array([-0.1, 0, 0, 0]))
+    at = (rays.reshape(240, 320, 2) * 260 + centred[:2, 2]).astype(np.float32)
+    for number, pose in enumerate(walk(3)):
+        lens = cv2.remap(room_image(pose), at, None, cv2.INTER_CUBIC)
+        Image.fromarray(lens).save(source / "images" / f"{number + 9}.png")
+    photos = read_recording(source, tmp_path / "out")
+    assert all(path.parent == tmp_path / "out" / "recorded" for path in photos.paths) and photos.K is not None
+    shown = np.asarray(Image.open(photos.paths[0]))
+    to_new = photos.K.numpy() @ np.linalg.inv(K)  # pixels of a pinhole camera with the first K to those with the new
+    shift = [[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]
+    expected = cv2.warpPerspective(room_image(walk(1)[0]), np.linalg.inv(shift) @ to_new @ shift, (320, 240))
+    middle = (slice(30, 210), slice(40, 280))
+    off = [np.abs(np.roll(shown, move, 1)[middle] - expected[middle].astype(float)).mean() for move in (0, 1, -1)]
+    assert off[0] < 12 and off[0] < 0.6 * min(off[1:])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"names": ["../../secret.png"]}, "expected an image within"),
+        ({"names": ["/etc/passwd"]}, "expected an image within"),
+        ({"names": ["images/77.png"]}, "found none"),
+        ({"w": None}, "expected the frames"),
+        ({"w": 480}, "shaped as"),
+        ({"camera_model": "OPENCV_FISHEYE"}, "perspective"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(tmp_path: Path, change: dict, message: str) -> None:
+    Image.new("RGB", (320, 240)).save(tmp_path / "secret.png")
+    with pytest.raises(CaptureError, match=message):
+        read_recording(_write(tmp_path / "a" / "in", **change), tmp_path / "out")
+
+
+def test_a_folder_of_photos_is_no_recording(tmp_path: Path) -> None:
+    assert not is_recording(tmp_path)
+    with pytest.raises(CaptureError, match="found neither"):
+        read_recording(tmp_path, tmp_path / "out")
+
+
+def test_a_colmap_model_comes_with_its_poses(tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    source = tmp_path / "in"
+    (source / "images").mkdir(parents=True)
+    (source / "sparse" / "0").mkdir(parents=True)
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera(camera_id=1, model="PINHOLE", width=320, height=240, params=[260, 260, 163, 118])
+    model.add_camera_with_trivial_rig(camera)
+    for number, pose in enumerate(walk(3)):
+        Image.fromarray(room_image(pose)).save(source / "images" / f"{number}.png")
+        image = pycolmap.Image(name=f"{number}.png", keypoints=np.zeros((0, 2)), camera_id=1, image_id=number + 1)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.linalg.inv(pose)[:3]))
+    model.write(source / "sparse" / "0")
+    photos = read_recording(source, tmp_path / "out")
+    torch.testing.assert_close(photos.camera_to_world, torch.from_numpy(walk(3)))
+    torch.testing.assert_close(photos.K, torch.from_numpy(K))
