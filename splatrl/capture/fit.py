@@ -155,21 +155,21 @@ class Fitting:
         losses, chosen = self.compare(self.level(done))
         self.update(step, done)
         if settings.exposure and done > 0.1:
-            self.expose(chosen, losses[:, 4:].view(-1, 3, 2), step)
+            self.expose(chosen, losses[:, 4:10].view(-1, 3, 2), step)
         begins, ends = settings.refine
         if begins <= done < ends and (step + 1) % settings.refine_every == 0:
             self.model.refine(self.generator)
         return float(losses[:, 0].mean())
 
     def compare(self, seen: Pictures) -> tuple[Tensor, Tensor]:
-        """Compare the next views with their photos: the losses [V, 10], and which views they were [V]."""
+        """Compare the next views with their photos: the losses and slopes [V, 16], and which views they were [V]."""
         settings, model = self.settings, self.model
         while len(self._order) < settings.views_a_step:
             shuffled = torch.randperm(len(self.trained), generator=self.generator)
             self._order += self.trained[shuffled].tolist()
         chosen = torch.tensor(self._order[: settings.views_a_step])
         del self._order[: settings.views_a_step]
-        losses = torch.empty(len(chosen), 10)
+        losses = torch.empty(len(chosen), 16)
         self._core.compare(
             model.values,
             model.count,
