@@ -10,7 +10,8 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.capture.base import CaptureError, Reconstruction
-from splatrl.capture.fit import FitSettings, fit, held_out
+from splatrl.capture.fit import FitSettings, Fitting, fit, held_out
+from splatrl.capture.fit_cameras import turned
 from splatrl.capture.fit_model import share
 from splatrl.native import _core
 from splatrl.renderers import NativeRenderer, ReferenceRenderer
@@ -226,6 +227,23 @@ def test_a_fit_follows_the_unit_and_the_place_of_its_cameras(capture: Reconstruc
     poses[:, :3, 3] = 7 * poses[:, :3, 3] + moved
     far = replace(capture, camera_to_world=poses, points=7 * capture.points + moved)
     assert held_out_psnr(fit(far, SETTINGS), far) > 25.0
+
+
+def test_poses_that_are_a_little_off_are_put_right(capture: Reconstruction) -> None:
+    off = 0.02 * torch.randn(20, 6, generator=torch.Generator().manual_seed(3))
+    off[held_out(20)] = 0.0
+    fitting = Fitting(
+        replace(capture, camera_to_world=turned(capture.camera_to_world, off)), replace(SETTINGS, poses=1e-3)
+    )
+    for step in range(240):
+        fitting.step(step, 240)
+    rows = fitting.trained
+
+    def error(moves: Tensor) -> float:  # of turns, but for what all cameras have in common
+        left = (off + moves)[rows, :3]
+        return float((left - left.mean(0)).norm())
+
+    assert error(fitting.moves.values) < 0.5 * error(torch.zeros(20, 6))
 
 
 def test_what_cannot_be_fitted_is_refused_in_one_line(capture: Reconstruction) -> None:
