@@ -69,7 +69,7 @@ class FitSettings:
     levels: tuple[tuple[float, float], ...] = ((0.0, 0.25), (0.3, 0.5), (0.7, 1.0))
     start_share: float = 0.5
     refine: tuple[float, float] = (0.04, 0.8)
-    refine_every: int = 100
+    refine_every: int = 50
     ssim_weight: float = 0.2
     depth_weight: float = 0.1
     opacity_weight: float = 0.01
