@@ -135,6 +135,8 @@ def main() -> None:
     parser.add_argument("--threads", type=int)
     parser.add_argument("--look", type=Path)
     args = parser.parse_args()
+    if args.scene == "kitchen" and args.splat is None:
+        parser.error("--scene kitchen: expected --splat FILE")
     settings = FitSettings(args.width, args.cap, args.views, sh_degree=args.degree, threads=args.threads)
     with tempfile.TemporaryDirectory() as folder, tqdm(total=args.views, unit="view") as bar:
         reconstruction = capture_of(args, Path(folder))

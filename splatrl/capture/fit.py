@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
+from splatrl.capture.fit_cameras import Learned, turned
 from splatrl.capture.fit_model import Model
 from splatrl.capture.fit_pictures import Frame, Pictures, frame_of, pictures
 from splatrl.capture.fit_start import start
@@ -27,6 +28,9 @@ NEAR = 0.02
 """Nearer than this no Gaussian is drawn; in the extent of the cameras."""
 BETAS = (0.9, 0.999)
 EPSILON = 1e-15
+STEADY = 0.1
+"""Share of the views after which exposures and poses are learned."""
+EXPOSURE_RATE = 2e-3
 
 Progress = Callable[[int, int, float], None]
 """Is told how many views were drawn, of how many, and the loss of the last."""
@@ -52,6 +56,7 @@ class FitSettings:
         scale_weight: of the regulariser of the sizes.
         noise: of MCMC.
         exposure: whether each photo has a brightness and a tint of its own.
+        poses: learning rate of the poses, in radians and the extent of the cameras; 0 takes them as they are.
         seed: of everything that is random.
         threads: None takes all cores that this process may use.
     """
@@ -64,13 +69,14 @@ class FitSettings:
     levels: tuple[tuple[float, float], ...] = ((0.0, 0.25), (0.3, 0.5), (0.7, 1.0))
     start_share: float = 0.5
     refine: tuple[float, float] = (0.04, 0.8)
-    refine_every: int = 100
+    refine_every: int = 50
     ssim_weight: float = 0.2
     depth_weight: float = 0.1
     opacity_weight: float = 0.01
     scale_weight: float = 0.01
     noise: float = 5e5
     exposure: bool = True
+    poses: float = 0.0
     seed: int = 0
     threads: int | None = None
 
@@ -107,11 +113,11 @@ def fit(reconstruction: Reconstruction, settings: FitSettings, progress: Progres
     if count < 2:
         raise CaptureError(f"paths: expected at least 2 photos, got {count}")
     fitting = Fitting(reconstruction, settings)
-    total = math.ceil(settings.views / settings.views_a_step)
+    total = math.ceil(settings.views / fitting.views)
     for step in range(total):
         loss = fitting.step(step, total)
         if progress is not None:
-            progress(min((step + 1) * settings.views_a_step, settings.views), settings.views, loss)
+            progress(min((step + 1) * fitting.views, settings.views), settings.views, loss)
     return fitting.model.gaussians(fitting.frame)
 
 
@@ -122,7 +128,9 @@ class Fitting:
         model: the Gaussians.
         frame: in which they are.
         trained: [n] int64, the views that are trained on.
-        exposure: [N, 3, 2] float32, gain and offset of each photo's channels.
+        views: how many a step draws.
+        exposure: gain and offset of each photo's channels, [N, 3, 2].
+        moves: corrections of the poses, [N, 6].
     """
 
     def __init__(self, reconstruction: Reconstruction, settings: FitSettings) -> None:
@@ -132,6 +140,7 @@ class Fitting:
         self.threads = settings.threads or usable_cores()
         every = torch.arange(len(reconstruction.paths))
         self.trained = every[~torch.isin(every, held_out(len(every)))]
+        self.views = min(settings.views_a_step, len(self.trained))
         widest = min(settings.width, reconstruction.width)
         self.levels: dict[float, Pictures] = {}
         for _, scale in settings.levels:
@@ -139,10 +148,10 @@ class Fitting:
         self.model = Model(settings.cap, settings.sh_degree)
         finest = self.levels[max(self.levels)]
         start(reconstruction, self.frame, finest, self.trained, self.model, settings.start_share, settings.seed)
-        self.exposure = torch.tensor([[[1.0, 0.0]] * 3] * len(every))
-        self._exposure_moments = torch.zeros(2, *self.exposure.shape)
+        self.exposure = Learned(torch.tensor([[[1.0, 0.0]] * 3] * len(every)), EXPOSURE_RATE)
+        self.moves = Learned(torch.zeros(len(every), 6), settings.poses)
         self._core = _core.Fitter()
-        self._gradients = torch.zeros(settings.views_a_step, *self.model.values.shape)
+        self._gradients = torch.zeros(self.views, *self.model.values.shape)
         self._order: list[int] = []
 
     def level(self, done: float) -> Pictures:
@@ -154,31 +163,30 @@ class Fitting:
         settings, done = self.settings, step / total
         losses, chosen = self.compare(self.level(done))
         self.update(step, done)
-        if settings.exposure and done > 0.1:
-            self.expose(chosen, losses[:, 4:].view(-1, 3, 2), step)
+        if done > STEADY:
+            self.learn_cameras(chosen, losses)
         begins, ends = settings.refine
         if begins <= done < ends and (step + 1) % settings.refine_every == 0:
             self.model.refine(self.generator)
         return float(losses[:, 0].mean())
 
     def compare(self, seen: Pictures) -> tuple[Tensor, Tensor]:
-        """Compare the next views with their photos: the losses [V, 10], and which views they were [V]."""
+        """Compare the next views with their photos: the losses and slopes [V, 16], and which views they were [V]."""
         settings, model = self.settings, self.model
-        while len(self._order) < settings.views_a_step:
-            shuffled = torch.randperm(len(self.trained), generator=self.generator)
-            self._order += self.trained[shuffled].tolist()
-        chosen = torch.tensor(self._order[: settings.views_a_step])
-        del self._order[: settings.views_a_step]
-        losses = torch.empty(len(chosen), 10)
+        if len(self._order) < self.views:
+            self._order = self.trained[torch.randperm(len(self.trained), generator=self.generator)].tolist()
+        chosen = torch.tensor(self._order[: self.views])
+        del self._order[: self.views]
+        losses = torch.empty(len(chosen), 16)
         self._core.compare(
             model.values,
             model.count,
             NEAR,
-            seen.camera_to_world[chosen],
+            turned(seen.camera_to_world[chosen], self.moves.values[chosen]),
             seen.K.expand(len(chosen), 3, 3).contiguous(),
             seen.pixels,
             chosen,
-            self.exposure,
+            self.exposure.values,
             seen.soundings,
             seen.firsts,
             settings.ssim_weight,
@@ -192,7 +200,7 @@ class Fitting:
     def update(self, step: int, done: float) -> None:
         """One step of Adam, whose rates and memory are scaled to the number of views (as gsplat scales them)."""
         settings, model = self.settings, self.model
-        views = settings.views_a_step
+        views = self.views
         rates = self.rates(done)
         self._core.update(
             model.values,
@@ -201,7 +209,7 @@ class Fitting:
             model.second,
             rates * math.sqrt(views),
             step + 1,
-            1.0 - views * (1.0 - BETAS[0]),
+            max(0.0, 1.0 - views * (1.0 - BETAS[0])),
             1.0 - views * (1.0 - BETAS[1]),
             EPSILON / math.sqrt(views),
             settings.opacity_weight / model.count,
@@ -221,10 +229,12 @@ class Fitting:
         rates[11:14] = 2.5e-3
         return rates
 
-    def expose(self, chosen: Tensor, slopes: Tensor, step: int) -> None:
-        """Fit gains and offsets; on average over the photos they stay 1 and 0."""
-        first, second = self._exposure_moments
-        first[chosen] = 0.9 * first[chosen] + 0.1 * slopes
-        second[chosen] = 0.99 * second[chosen] + 0.01 * slopes**2
-        self.exposure[chosen] -= 1e-3 * first[chosen] / (second[chosen].sqrt() + 1e-12)
-        self.exposure -= self.exposure[self.trained].mean(0) - torch.tensor([1.0, 0.0])
+    def learn_cameras(self, chosen: Tensor, losses: Tensor) -> None:
+        """Improve exposures and poses; on average over the photos, nothing becomes brighter and nothing moves."""
+        if self.settings.exposure:
+            self.exposure.improve(chosen, losses[:, 4:10].view(-1, 3, 2))
+            values = self.exposure.values
+            values -= values[self.trained].mean(0) - torch.tensor([1.0, 0.0])
+        if self.settings.poses > 0:
+            steps = self.moves.improve(chosen, losses[:, 10:16])
+            self.moves.values[self.trained] -= steps.sum(0) / len(self.trained)

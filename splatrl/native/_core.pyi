@@ -160,6 +160,7 @@ class Fitter:
         K: Tensor,  # [V, 3, 3] float32
         slopes: Tensor,  # [V, H, W, 5] float32, by red, green, blue, depth and alpha as above
         gradients: Tensor,  # [V, R, C] float32, written up to count
+        pose_slopes: Tensor,  # [V, 6] float32, written: by a turn of the camera in its place, a shift; world axes
         threads: int,
     ) -> None: ...
     def compare(
@@ -177,7 +178,7 @@ class Fitter:
         ssim_weight: float,
         depth_weight: float,
         gradients: Tensor,  # [V, R, C] float32, written up to count
-        losses: Tensor,  # [V, 10] float32, written: total, L1, SSIM, depth, slopes by the exposure
+        losses: Tensor,  # [V, 16] float32, written: total, L1, SSIM, depth, slopes by exposure and pose
         threads: int,
     ) -> None:
         """Compare views with photos by (1 - w) L1 + w (1 - SSIM) + the depth weight times L1 of inverse depth."""

@@ -36,10 +36,11 @@ void render(Fitter& fitter, Values values, size_t count, float near, Poses poses
 }
 
 void pull(Fitter& fitter, Values values, size_t count, float near, Poses poses, Lenses K,
-          Tensor<const float, -1, -1, -1, 5> slopes, Slopes gradients, size_t threads) {
+          Tensor<const float, -1, -1, -1, 5> slopes, Slopes gradients,
+          Tensor<float, -1, 6> turns, size_t threads) {
     const FitBatch batch = batch_of(values, count, near, poses, K, slopes.shape(2), slopes.shape(1));
     const nb::gil_scoped_release release;
-    fitter.pull(batch, threads, slopes.data(), gradients.data());
+    fitter.pull(batch, threads, slopes.data(), gradients.data(), turns.data());
 }
 
 // `soundings` are those of all views, view by view: x, y, inverse depth; `firsts` says where each view's begin.
@@ -47,7 +48,7 @@ void compare(Fitter& fitter, Values values, size_t count, float near, Poses pose
              Tensor<const uint8_t, -1, -1, -1, 3> pixels, Tensor<const int64_t, -1> chosen,
              Tensor<const float, -1, 3, 2> exposure, Tensor<const float, -1, 3> soundings,
              Tensor<const int64_t, -1> firsts, float ssim_weight, float depth_weight, Slopes gradients,
-             Tensor<float, -1, 10> losses, size_t threads) {
+             Tensor<float, -1, 16> losses, size_t threads) {
     const FitBatch batch = batch_of(values, count, near, poses, K, pixels.shape(2), pixels.shape(1));
     const nb::gil_scoped_release release;
     std::vector<FitTarget> targets;
@@ -69,6 +70,7 @@ void compare(Fitter& fitter, Values values, size_t count, float near, Poses pose
     for (const FitLoss& loss : found) {
         *to++ = loss.total, *to++ = loss.l1, *to++ = loss.ssim, *to++ = loss.depth;
         for (float slope : loss.exposure) *to++ = slope;
+        for (float slope : loss.pose) *to++ = slope;
     }
 }
 
@@ -96,7 +98,7 @@ void bind_fit(nb::module_& m) {
         .def("render", &render, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"), arg("rgb"),
              arg("depth"), arg("alpha"), arg("threads"))
         .def("pull", &pull, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"), arg("slopes"),
-             arg("gradients"), arg("threads"))
+             arg("gradients"), arg("pose_slopes"), arg("threads"))
         .def("compare", &compare, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"),
              arg("pixels"), arg("chosen"), arg("exposure"), arg("soundings"), arg("firsts"), arg("ssim_weight"),
              arg("depth_weight"), arg("gradients"), arg("losses"), arg("threads"))

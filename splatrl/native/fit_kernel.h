@@ -75,10 +75,10 @@ struct FitTarget {
     float ssim_weight, depth_weight;
 };
 
-// The loss, its parts, and its slopes by the exposure.
+// The loss, its parts, and its slopes by the exposure and the pose.
 struct FitLoss {
     float total, l1, ssim, depth;
-    float exposure[6];
+    float exposure[6], pose[6];
 };
 
 // One step of Adam over Gaussians [first, last), sixteen-aligned.
@@ -103,7 +103,9 @@ struct FitKernels {
     void (*fill_lists)(const FitGrid&, const FitScratch&, uint32_t visible);
     void (*blend)(const FitGrid&, const FitScratch&);
     FitLoss (*loss)(const FitGrid&, const FitScratch&, const FitTarget&);
-    void (*backward)(const FitModel&, const Camera&, const FitGrid&, const FitScratch&, uint32_t visible, float* out);
+    // Slopes of the parameters, and of the pose: a turn about the camera's place, then a shift, along the world's axes.
+    void (*backward)(const FitModel&, const Camera&, const FitGrid&, const FitScratch&, uint32_t visible, float* out,
+                     float* pose);
     void (*update)(const FitUpdate&, size_t first, size_t last);
 };
 

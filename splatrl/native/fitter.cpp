@@ -104,7 +104,7 @@ void Fitter::render(const FitBatch& batch, size_t threads, float* rgb, float* de
     });
 }
 
-void Fitter::pull(const FitBatch& batch, size_t threads, const float* slopes, float* gradients) {
+void Fitter::pull(const FitBatch& batch, size_t threads, const float* slopes, float* gradients, float* poses) {
     make_room(batch);
     const size_t rows = size_t(FIT_SH + 3 * (batch.model.degree + 1) * (batch.model.degree + 1));
     parallel_for(batch.views, threads, [&](size_t, size_t view) {
@@ -120,7 +120,7 @@ void Fitter::pull(const FitBatch& batch, size_t threads, const float* slopes, fl
                 for (size_t c = 0; c < FIT_CHANNELS; ++c)
                     own.slopes[c * area + size_t(y) * size_t(own.grid.stride) + size_t(x)] = *from++;
         kernels_.backward(batch.model, camera, own.grid, own.scratch(), visible,
-                          gradients + view * rows * batch.model.stride);
+                          gradients + view * rows * batch.model.stride, poses + 6 * view);
     });
 }
 
@@ -135,7 +135,7 @@ void Fitter::compare(const FitBatch& batch, size_t threads, const FitTarget* tar
         const Workspace& own = *workspaces_[view];
         losses[view] = kernels_.loss(own.grid, own.scratch(), targets[view]);
         kernels_.backward(batch.model, camera, own.grid, own.scratch(), visible,
-                          gradients + view * rows * batch.model.stride);
+                          gradients + view * rows * batch.model.stride, losses[view].pose);
     });
 }
 

@@ -30,8 +30,9 @@ public:
     // Draw into rgb [views, height, width, 3], not clamped, weighted depth and alpha [views, height, width].
     void render(const FitBatch& batch, size_t threads, float* rgb, float* depth, float* alpha);
 
-    // Slopes of the parameters, [views, rows, stride], from those of the images [views, height, width, FIT_CHANNELS].
-    void pull(const FitBatch& batch, size_t threads, const float* slopes, float* gradients);
+    // Slopes of the parameters, [views, rows, stride], and of the poses, [views, 6], from those of the images
+    // [views, height, width, FIT_CHANNELS].
+    void pull(const FitBatch& batch, size_t threads, const float* slopes, float* gradients, float* poses);
 
     // The loss of each view, and its slopes by the parameters.
     void compare(const FitBatch& batch, size_t threads, const FitTarget* targets, float* gradients, FitLoss* losses);

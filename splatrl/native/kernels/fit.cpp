@@ -18,9 +18,9 @@ static uint32_t project_and_sort(const FitModel& model, const Camera& camera, co
 }
 
 static void backward(const FitModel& model, const Camera& camera, const FitGrid& grid, const FitScratch& scratch,
-                     uint32_t visible, float* out) {
+                     uint32_t visible, float* out, float* pose) {
     blend_back(grid, scratch, visible);
-    unproject_all(model, camera, scratch, out);
+    unproject_all(model, camera, scratch, out, pose);
 }
 
 extern const FitKernels fit_kernels = {project_and_sort, count_all, fill_all, blend_all,

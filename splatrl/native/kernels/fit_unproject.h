@@ -80,7 +80,20 @@ LANE_INLINE Lanes where_between(const Lanes& a, float low, float high, const Lan
     return select_if_at_least(a, low, select_if_at_least(-a, -high, value));
 }
 
-LANE_INLINE void unproject(const FitModel& model, const Camera& camera, size_t first, const Lanes* moments, float* out) {
+// By the pose of the camera: a turn about its own place and then a shift, both along the axes of the world, are the
+// opposite motion of all Gaussians; but a turn leaves the directions from which harmonics are seen.
+struct PoseSlopes {
+    Lanes turn[3], shift[3];
+};
+
+LANE_INLINE void add_turn(const Lanes* arm, const Lanes* slope, PoseSlopes& pose) {
+    Lanes moment[3];
+    cross(arm, slope, moment);
+    for (int i = 0; i < 3; ++i) pose.turn[i] = pose.turn[i] - moment[i];
+}
+
+LANE_INLINE void unproject(const FitModel& model, const Camera& camera, size_t first, const Lanes* moments, float* out,
+                           PoseSlopes& pose) {
     const Activated at = activate(model, camera, first);
     const float* R = camera.rotation;
     const Vector<Lanes> seen = rotate(R, at.offset.x, at.offset.y, at.offset.z);
@@ -104,27 +117,35 @@ LANE_INLINE void unproject(const FitModel& model, const Camera& camera, size_t f
     const Lanes z = moments[M_DEPTH] - slope_x * x - slope_y * y - (dot(m.x, jx) + dot(m.y, jy)) * inverse;
     Lanes mean[3], by_rotation[9], scales[3], quat[4];
     for (int i = 0; i < 3; ++i) mean[i] = R[i] * x + R[3 + i] * y + R[6 + i] * z;
+    const Lanes offset[3] = {at.offset.x, at.offset.y, at.offset.z};
+    add_turn(offset, mean, pose);
     for (int k = 0; k < 3; ++k) {
         const Lanes tx = scale_x * m.x[k], ty = scale_y * m.y[k], tz = -(bent_x * tx + bent_y * ty);
-        scales[k] = lanes(0.0f);
+        Lanes axis[3];
         for (int i = 0; i < 3; ++i) {
-            const Lanes axis = R[i] * tx + R[3 + i] * ty + R[6 + i] * tz;
-            scales[k] = scales[k] + axis * at.axes[3 * i + k];
-            by_rotation[3 * i + k] = axis * at.scales[k];
+            axis[i] = R[i] * tx + R[3 + i] * ty + R[6 + i] * tz;
+            by_rotation[3 * i + k] = axis[i] * at.scales[k];
         }
+        const Lanes own[3] = {at.axes[k], at.axes[3 + k], at.axes[6 + k]};
+        scales[k] = dot(axis, own);
+        add_turn(own, axis, pose);
     }
     quat_slopes(at, by_rotation, quat);
     color_slopes(model, at, first, moments, mean, out);
+    for (int i = 0; i < 3; ++i) pose.shift[i] = pose.shift[i] - mean[i];
     for (int i = 0; i < 3; ++i) store(out + size_t(FIT_MEAN + i) * model.stride + first, mean[i]);
     for (int i = 0; i < 3; ++i) store(out + size_t(FIT_LOG_SCALE + i) * model.stride + first, scales[i]);
     for (int i = 0; i < 4; ++i) store(out + size_t(FIT_QUAT + i) * model.stride + first, quat[i]);
     store(out + size_t(FIT_LOGIT) * model.stride + first, moments[M_V] * (1.0f - at.opacity));
 }
 
-// Of all Gaussians; those of sixteen that no pixel shows have none.
-LANE_INLINE void unproject_all(const FitModel& model, const Camera& camera, const FitScratch& scratch, float* out) {
+// Of all Gaussians, those of sixteen that no pixel shows have none; and of the pose: turn, then shift.
+LANE_INLINE void unproject_all(const FitModel& model, const Camera& camera, const FitScratch& scratch, float* out,
+                               float* pose_out) {
     alignas(64) static constexpr float NOTHING[FIT_MOMENTS] = {};
     const int rows = FIT_SH + 3 * (model.degree + 1) * (model.degree + 1);
+    PoseSlopes pose;
+    for (int i = 0; i < 3; ++i) pose.turn[i] = pose.shift[i] = lanes(0.0f);
     for (size_t first = 0; first < model.count; first += LANES) {
         alignas(64) float lines[LANES * LANES], columns[LANES * LANES];
         uint32_t visible = 0;
@@ -141,7 +162,13 @@ LANE_INLINE void unproject_all(const FitModel& model, const Camera& camera, cons
         turn(lines, columns);
         Lanes moments[FIT_MOMENTS];
         for (int i = 0; i <= M_DEPTH; ++i) moments[i] = load(columns + LANES * i);
-        unproject(model, camera, first, moments, out);
+        unproject(model, camera, first, moments, out, pose);
+    }
+    for (int i = 0; i < 6; ++i) {
+        alignas(64) float sums[LANES];
+        store(sums, i < 3 ? pose.turn[i] : pose.shift[i - 3]);
+        pose_out[i] = 0.0f;
+        for (float sum : sums) pose_out[i] += sum;
     }
 }
 
