@@ -8,15 +8,18 @@ from pathlib import Path
 
 import torch
 
+from splatrl.capture.area import survey_area
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.check import Quality
 from splatrl.capture.fit import FitSettings, fit, held_out
+from splatrl.capture.floaters import without_floaters
 from splatrl.capture.folder import write_scene
 from splatrl.capture.frames import read_photos
 from splatrl.capture.look import look
 from splatrl.capture.marker import MARKER_SIDE
 from splatrl.capture.poses import find_poses
 from splatrl.capture.progress import Progress, silent
+from splatrl.capture.recordings import is_recording, read_recording
 from splatrl.capture.scale import Distance
 from splatrl.capture.world import Placed, place
 from splatrl.files import replacing
@@ -59,10 +62,10 @@ def capture(
     progress: Progress = silent,
     say: Callable[[str], object] = print,
 ) -> Quality:
-    """Make a scene to train in of a video or a folder of photos.
+    """Make a scene to train in of a video, a folder of photos, or a recording that already knows its poses.
 
     Args:
-        source: a video, or a folder of photos.
+        source: a video, a folder of photos, ``transforms.json`` (or its folder), or a folder with a COLMAP model.
         folder: of the scene; what stages have made is kept in its sub-folder ``stages``.
         settings: how.
         progress: told how far each stage is.
@@ -80,15 +83,21 @@ def capture(
         raise FileExistsError(f"{folder / SCENE_FILE}: already exists; name another folder by --out, or give --force")
     stages = folder / STAGES
     stages.mkdir(parents=True, exist_ok=True)
-    photos = read_photos(source, stages, settings.count, settings.longest, progress)
-    say(f"frames      {len(photos.paths)} of {photos.width} × {photos.height} pixels")
-    notes = _first_look(photos, settings.force, progress, say)
+    known = is_recording(source)
+    if known:
+        photos = read_recording(source, stages)
+    else:
+        photos = read_photos(source, stages, settings.count, settings.longest, progress)
+    say(f"frames      {len(photos.paths)} of {photos.width} × {photos.height} pixels{', with poses' if known else ''}")
+    notes = [] if known else _first_look(photos, settings.force, progress, say)
     found = find_poses(photos, stages, settings.seed, progress)
     say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points")
     placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
     say(f"world       up by {placed.up_from}, scale by {placed.scale_from}, camera {placed.camera_height:.2f} m high")
     gaussians = _fitted(placed, stages, settings.fit, progress)
-    say(f"fit         {gaussians.numel():,} Gaussians")
+    solid = survey_area(gaussians, placed).occupancy
+    gaussians, carved = without_floaters(gaussians, solid, placed.reconstruction)
+    say(f"fit         {gaussians.numel():,} Gaussians, {carved} voxels of floaters carved away")
     unseen = held_out(len(placed.reconstruction.paths)).tolist()
     quality = write_scene(folder, gaussians, placed, unseen, notes=notes, force=settings.force)
     say(f"check       {_words(quality)}")

@@ -18,7 +18,9 @@ INTERRUPTED = 130
 def parser() -> argparse.ArgumentParser:
     """The parser of the command line."""
     result = argparse.ArgumentParser(prog="splatrl-capture", description=__doc__)
-    result.add_argument("source", type=Path, nargs="?", help="a video, or a folder of photos")
+    result.add_argument(
+        "source", type=Path, nargs="?", help="a video, a folder of photos, transforms.json, or a COLMAP model"
+    )
     result.add_argument("--out", type=Path, help="folder of the scene; by default the source's name without its ending")
     result.add_argument("--force", action="store_true", help="go on where a first look says no; replace a scene")
     result.add_argument("--camera-height", type=float, metavar="M", help="of the camera above the floor, metres")
