@@ -183,7 +183,8 @@ def test_the_configs_name_what_they_build() -> None:
 
 def test_every_command_is_there() -> None:
     scripts = re.findall(r'^splatrl-\w+ = "(.*)"$', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
-    assert len(scripts) == 5
+    modules = [path.stem for path in (PACKAGE / "commands").glob("*.py") if path.stem != "__init__"]
+    assert sorted(script.split(".")[2].split(":")[0] for script in scripts) == sorted(modules)
     assert all(callable(pkgutil.resolve_name(script)) for script in scripts)
 
 
