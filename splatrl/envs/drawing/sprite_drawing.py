@@ -52,9 +52,9 @@ class SpriteDrawing:
             raise ValueError(f"drawing.position: expected finite x, y and z in metres, got {list(position)}")
         self.renderer = renderer
         self.sprite = sprite if isinstance(sprite, Sprite) else load_sprite(sprite)
-        self._sprites = {self.sprite.texels.device: self.sprite}
         self.size, self.near = size, near
         self.position = None if position is None else torch.tensor([float(value) for value in position])
+        self._copies = {self.sprite.texels.device: (self.sprite, self.position)}
 
     @property
     def specs(self) -> Mapping[str, TensorSpec]:
@@ -74,16 +74,18 @@ class SpriteDrawing:
             ValueError: if neither ``position`` nor the task says where the sprite is.
         """
         rgb, depth, alpha = self.renderer.render(cameras, parts, only)
-        target = memory.get("target") if self.position is None else self.position.to(rgb.device)
+        sprite, position = self._on(rgb.device)
+        target = memory.get("target") if position is None else position
         if target is None:
             raise ValueError("drawing.position: expected x, y and z in metres for a task without a target, got None")
         solid = depth.masked_fill(alpha < HAZE, 0.0)
         view = (to_pixels(rgb), solid, cameras.camera_to_world, cameras.K[0])
-        pixels, share = overlay(*view, target, self._sprite_on(rgb.device), self.size, self.near, only)
+        pixels, share = overlay(*view, target, sprite, self.size, self.near, only)
         return View(pixels, {"sprite_share": share})
 
-    def _sprite_on(self, device: torch.device) -> Sprite:
-        """The sprite on a device, copied there once and kept, since a captured graph keeps reading it."""
-        if device not in self._sprites:
-            self._sprites[device] = self.sprite.to(device)
-        return self._sprites[device]
+    def _on(self, device: torch.device) -> tuple[Sprite, Tensor | None]:
+        """Sprite and position on a device, copied there once and kept, since a captured graph keeps reading them."""
+        if device not in self._copies:
+            position = None if self.position is None else self.position.to(device)
+            self._copies[device] = self.sprite.to(device), position
+        return self._copies[device]
