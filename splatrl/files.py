@@ -1,7 +1,9 @@
 """Files that appear whole or not at all, and the folder of those that can be rebuilt."""
 
 import os
+import re
 import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +25,29 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Make a folder that gets its name only when the block succeeds; a block that raises leaves nothing behind.
+
+    Raises:
+        ValueError: if something of that name exists.
+    """
+    if path.exists():
+        raise ValueError(f"{path}: expected a new folder, found one")
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    temporary.mkdir()
+    try:
+        yield temporary
+        os.rename(temporary, path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def natural(path: Path) -> list[tuple[int, str]]:
+    """A sort key that puts 9.png before 10.png."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", path.name)]
 
 
 def cache_dir() -> Path:

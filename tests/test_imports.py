@@ -19,7 +19,7 @@ from splatrl.configuration import conf_dir
 PACKAGE = Path(splatrl.__file__).parent
 ROOT = Path(__file__).parents[1]
 ORDER = [
-    {"device", "faults", "files", "geometry", "spherical_harmonics"},
+    {"device", "faults", "files", "geometry", "images", "spherical_harmonics"},
     {"cameras"},
     {"bodies"},
     {"native"},

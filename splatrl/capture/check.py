@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image
 from scipy import ndimage
 
 from splatrl.cameras import Cameras
@@ -15,7 +14,9 @@ from splatrl.capture.area import Area, path_is_free, survey_area
 from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.floaters import seen_through
 from splatrl.capture.pictures import draw_comparison, draw_map
+from splatrl.capture.suggestions import NOTHING, Suggestions
 from splatrl.capture.world import Placed
+from splatrl.images import read_photo
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes.gaussians import Gaussians
 
@@ -60,7 +61,12 @@ class Quality:
 
 
 def check(
-    gaussians: Gaussians, placed: Placed, held_out: Sequence[int], folder: Path, area: Area | None = None
+    gaussians: Gaussians,
+    placed: Placed,
+    held_out: Sequence[int],
+    folder: Path,
+    area: Area | None = None,
+    found: Suggestions = NOTHING,
 ) -> Quality:
     """Compare a fitted capture with what its cameras saw, and draw ``held_out.png`` and ``map.png``.
 
@@ -70,6 +76,7 @@ def check(
         held_out: which of its images were never fitted.
         folder: for the pictures; it exists.
         area: what ``survey_area`` found, where that is known already.
+        found: goals and a place for a thing, to mark in the map.
 
     Raises:
         CaptureError: for an image that cannot be read, or of another size than the reconstruction says.
@@ -85,7 +92,7 @@ def check(
         )
     if scores:
         draw_comparison(photos, renders, [score[0] for score in scores], folder / COMPARISON)
-    draw_map(gaussians, placed, area, free.numpy(), folder / MAP)
+    draw_map(gaussians, placed, area, free.numpy(), folder / MAP, found.goals, found.thing)
     plain, structure, corrected_plain, corrected_structure = np.mean(scores, 0).tolist() if scores else [None] * 4
     return Quality(
         psnr=plain,
@@ -140,9 +147,8 @@ def _views(
     for row in rows:
         path = reconstruction.paths[row]
         try:
-            with Image.open(path) as image:
-                photo = np.asarray(image.convert("RGB"), np.float64) / 255.0
-        except OSError as error:
+            photo = np.asarray(read_photo(path), np.float64) / 255.0
+        except ValueError as error:
             raise CaptureError(f"{path}: expected an image, got {error}") from error
         if photo.shape != (height, width, 3):
             raise CaptureError(f"{path}: expected {width} × {height} pixels, got {photo.shape[1]} × {photo.shape[0]}")

@@ -8,6 +8,7 @@ from PIL import Image
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
+from splatrl.capture.photo_files import read_photo
 
 
 @dataclass(frozen=True)
@@ -81,11 +82,11 @@ def pictures(reconstruction: Reconstruction, frame: Frame, width: int) -> Pictur
     height = max(1, round(reconstruction.height * width / reconstruction.width))
     read = np.empty((len(reconstruction.paths), height, width, 3), np.uint8)
     for row, path in enumerate(reconstruction.paths):
-        with Image.open(path) as image:
-            if image.size != (reconstruction.width, reconstruction.height):
-                expected = f"{reconstruction.width} × {reconstruction.height}"
-                raise CaptureError(f"{path}: expected {expected} pixels, got {image.size[0]} × {image.size[1]}")
-            read[row] = np.asarray(image.convert("RGB").resize((width, height), Image.Resampling.BOX))
+        image = read_photo(path)
+        if image.size != (reconstruction.width, reconstruction.height):
+            expected = f"{reconstruction.width} × {reconstruction.height}"
+            raise CaptureError(f"{path}: expected {expected} pixels, got {image.size[0]} × {image.size[1]}")
+        read[row] = np.asarray(image.resize((width, height), Image.Resampling.BOX))
     seen, camera, _ = sightings(reconstruction, frame)
     scale = torch.tensor([[width / reconstruction.width], [height / reconstruction.height], [1.0]])
     poses = reconstruction.camera_to_world.double().clone()

@@ -13,10 +13,10 @@ import torch
 from PIL import Image
 
 from splatrl.cameras import Cameras, intrinsics, look_at
-from splatrl.capture.area import Area, path_is_free, survey_area
+from splatrl.capture.area import Area, survey_area
 from splatrl.capture.check import COMPARISON, MAP, Quality, check
 from splatrl.capture.page import report_page
-from splatrl.capture.pictures import draw_cameras, draw_map
+from splatrl.capture.pictures import draw_cameras
 from splatrl.capture.suggestions import Suggestions, suggest
 from splatrl.capture.world import Placed
 from splatrl.files import replacing
@@ -64,9 +64,7 @@ def write_scene(
     area = survey_area(gaussians, placed)
     found = suggest(placed, area)
     with _whole(folder) as fresh:
-        quality = check(gaussians, placed, held_out, fresh, area)
-        free = path_is_free(area.occupancy, placed.reconstruction.camera_to_world).numpy()
-        draw_map(gaussians, placed, area, free, fresh / MAP, found.goals, found.thing)
+        quality = check(gaussians, placed, held_out, fresh, area, found)
         draw_cameras(placed, area, fresh / CAMERAS)
         if found.goals:
             _draw_goals(gaussians, area, found, fresh / GOALS)

@@ -15,7 +15,7 @@ from PIL import Image
 from splatrl.capture import photo_files, videos
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.progress import Progress, silent
-from splatrl.evaluation.clip_files import new_folder
+from splatrl.files import new_folder
 
 INDEX = "index.json"
 PER_SECOND = 3.0

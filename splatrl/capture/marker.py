@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from splatrl.capture.base import CaptureError, Reconstruction
+from splatrl.capture.photo_files import read_photo
 from splatrl.capture.scale import triangulate
 from splatrl.files import replacing
 
@@ -77,8 +78,7 @@ def find_markers(paths: list[Path]) -> dict[int, dict[int, Floats]]:
     exact = cv2.aruco.ArucoDetector(_dictionary(cv2), parameters)
     found: dict[int, dict[int, Floats]] = {}
     for number, path in enumerate(paths):
-        with Image.open(path) as image:
-            grey = np.array(image.convert("L"))
+        grey = np.array(read_photo(path).convert("L"))
         if quick.detectMarkers(grey)[1] is None:
             continue
         corners, ids, _ = exact.detectMarkers(grey)

@@ -1,15 +1,15 @@
 """Photos of a folder: upright by their EXIF, with the focal length that it tells."""
 
 import math
-import re
 from pathlib import Path
 
-from PIL import Image, ImageOps
+from PIL import Image
 
+from splatrl import images
 from splatrl.capture.base import CaptureError
-from splatrl.capture.videos import MAX_PIXELS
+from splatrl.files import natural
+from splatrl.images import PHOTO_SUFFIXES
 
-PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 UNREAD = (".heic", ".heif", ".avif", ".dng")
 EXIF_IFD, FOCAL_35MM = 0x8769, 0xA405
 DIAGONAL_35MM = math.hypot(36, 24)
@@ -43,14 +43,9 @@ def read_photo(path: Path) -> Image.Image:
         CaptureError: for a file that is broken, of another kind, or too large.
     """
     try:
-        with Image.open(path, formats=("PNG", "JPEG")) as image:  # reads the header only
-            width, height = image.size
-            upright = ImageOps.exif_transpose(image).convert("RGB") if width * height <= MAX_PIXELS else None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise CaptureError(f"{path}: expected a whole PNG or JPEG: {error}") from error
-    if upright is None:
-        raise CaptureError(f"{path}: expected images of at most {MAX_PIXELS:,} pixels, got {width} × {height}")
-    return upright
+        return images.read_photo(path)
+    except ValueError as error:
+        raise CaptureError(str(error)) from error
 
 
 def focal_length(folder: Path, size: tuple[int, int]) -> float | None:
@@ -74,8 +69,3 @@ def focal_length(folder: Path, size: tuple[int, int]) -> float | None:
     if not isinstance(millimetres, int | float) or not millimetres > 0:
         return None
     return float(millimetres) / DIAGONAL_35MM * math.hypot(*size)
-
-
-def natural(path: Path) -> list[tuple[int, str]]:
-    """A key by which 9.png comes before 10.png."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", path.name)]

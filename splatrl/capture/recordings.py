@@ -13,9 +13,11 @@ import torch
 
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.optional import needed
-from splatrl.capture.photo_files import PHOTO_SUFFIXES, natural, read_photo
+from splatrl.capture.photo_files import read_photo
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.undistort import undistorted
+from splatrl.files import natural
+from splatrl.images import PHOTO_SUFFIXES
 
 MAX_BYTES = 64 * 2**20
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -43,6 +43,9 @@ class Suggestions:
     thing: tuple[float, float, float] | None
 
 
+NOTHING = Suggestions([], None)
+
+
 def suggest(placed: Placed, area: Area) -> Suggestions:
     """Find goals in the largest connected free part of the place where people walked, at the robot's height.
 
@@ -51,7 +54,7 @@ def suggest(placed: Placed, area: Area) -> Suggestions:
     """
     places, clearance = _free_places(area)
     if len(places) == 0:
-        return Suggestions([], None)
+        return NOTHING
     path = placed.reconstruction.camera_to_world[:, :2, 3].numpy()
     away = np.linalg.norm(places[:, None] - path, axis=2).min(1)
     candidates = np.flatnonzero(away <= max(0.4, float(np.sort(away)[min(ENOUGH, len(away) - 1)])))

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from splatrl.capture.optional import needed
 from splatrl.capture.progress import Progress, silent
-from splatrl.evaluation.clip_files import new_folder
+from splatrl.files import new_folder
 
 SETTINGS = "camera.json"
 

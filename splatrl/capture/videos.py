@@ -1,4 +1,4 @@
-"""Videos from strangers, read upright: only containers that cannot point at other files, only from the disk."""
+"""Frames of a video and when they are shown, upright."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,13 +9,10 @@ import numpy as np
 from av.container import InputContainer
 from PIL import Image
 
+from splatrl import images
 from splatrl.capture.base import CaptureError
 
-CONTAINERS = ("mov", "matroska", "webm", "avi", "mpegts", "mpeg", "mpegvideo", "flv", "asf", "ogg", "mxf", "gif", "ivf")
-"""FFmpeg's names of them. Playlists (concat, hls, dash) are absent: a script of one may name any file of the disk."""
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".m2ts", ".ts", ".3gp", ".mpg", ".wmv")
-MAX_PIXELS = 64 * 2**20
-"""Of one image: more than any phone takes."""
 
 
 @contextmanager
@@ -26,19 +23,13 @@ def open_video(path: Path) -> Iterator[InputContainer]:
         path: of the file.
 
     Raises:
-        CaptureError: where it cannot be read, is not a video in one of ``CONTAINERS``, or has too large images.
+        CaptureError: where it cannot be read, is not a video in one of ``images.CONTAINERS``, or has too large images.
     """
-    options = {"protocol_whitelist": "file", "format_whitelist": ",".join(CONTAINERS)}
     try:
-        with av.open(str(path.resolve()), container_options=options) as container:
-            if not set(container.format.name.split(",")) & set(CONTAINERS):
-                raise CaptureError(f"{path}: expected a video, got the format {container.format.name}")
-            if not container.streams.video:
-                raise CaptureError(f"{path}: expected a video, found no stream of images")
-            _check_size(path, container.streams.video[0].width, container.streams.video[0].height)
+        with images.open_video(path) as container:
             yield container
-    except (av.FFmpegError, OSError) as error:
-        raise CaptureError(f"{path}: expected a whole video ({', '.join(CONTAINERS)}): {error}") from error
+    except ValueError as error:
+        raise CaptureError(str(error)) from error
 
 
 def packet_times(path: Path) -> np.ndarray:
@@ -79,7 +70,7 @@ def frames(path: Path) -> Iterator[tuple[float, av.VideoFrame]]:
         stream.thread_type = "AUTO"
         size = None
         for frame in container.decode(stream):
-            _check_size(path, frame.width, frame.height)
+            images.require_small(path, frame.width, frame.height)
             if frame.time is None:
                 continue
             size = size or (frame.width, frame.height)
@@ -108,8 +99,3 @@ def shrunk(image: Image.Image, longest: int) -> Image.Image:
         return image
     width, height = (max(1, round(side * scale)) for side in image.size)
     return image.resize((width, height), Image.Resampling.BOX)
-
-
-def _check_size(path: Path, width: int, height: int) -> None:
-    if width * height > MAX_PIXELS:
-        raise CaptureError(f"{path}: expected images of at most {MAX_PIXELS:,} pixels, got {width} × {height}")

@@ -8,25 +8,21 @@ that are not listed are shown to the policy but not scored.
 
 import csv
 import io
-import os
 import re
-import secrets
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import av
 import torch
-from PIL import Image, ImageOps
+from PIL import Image
 from torch import Tensor
 
-IMAGES, VIDEOS = (".png", ".jpg", ".jpeg"), (".mp4", ".mov")
+from splatrl.files import natural, new_folder
+from splatrl.images import PHOTO_SUFFIXES, open_video, read_photo, require_small
+
+VIDEOS = (".mp4", ".mov")
 ACTIONS = "actions.csv"
 HEADER = ["frame", "action"]
-MAX_PIXELS = 64 * 2**20
-"""Most pixels in one image, which is more than any phone takes."""
 MAX_CSV_BYTES = 4 * 2**20
 
 
@@ -55,7 +51,7 @@ class Clip:
             ValueError: for a frame that cannot be read or is too large, or a label beyond the last frame.
         """
         count = 0
-        for image in _pictures(self.source) if self.source.is_dir() else _video(self.source):
+        for image in map(read_photo, _listed(self.source)) if self.source.is_dir() else _video(self.source):
             yield image
             count += 1
         beyond = [frame for frame in self.labels if frame >= count]
@@ -80,12 +76,12 @@ def read_clips(folder: Path, action_names: Sequence[str]) -> list[Clip]:
     if not folder.is_dir():
         raise ValueError(f"{folder}: expected a folder of clips, found none")
     found = []
-    for path in sorted(folder.iterdir(), key=_natural):
+    for path in sorted(folder.iterdir(), key=natural):
         if path.name.startswith("."):
             continue
         if path.is_dir():
             if not _listed(path):
-                raise ValueError(f"{path}: expected images ({', '.join(IMAGES)}), found none")
+                raise ValueError(f"{path}: expected images ({', '.join(PHOTO_SUFFIXES)}), found none")
             found.append((path.name, path, path / ACTIONS))
         elif path.suffix.lower() in VIDEOS:
             found.append((path.stem, path, path.with_suffix(".csv")))
@@ -151,47 +147,16 @@ def _actions(cell: str, action_names: Sequence[str], place: str) -> frozenset[in
     return frozenset(action_names.index(name) for name in names)
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """A sort key that puts 9.png before 10.png."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", path.name)]
-
-
 def _listed(folder: Path) -> list[Path]:
     files = (path for path in folder.iterdir() if not path.name.startswith("."))
-    return sorted((path for path in files if path.suffix.lower() in IMAGES), key=_natural)
-
-
-def _too_large(path: Path, width: int, height: int) -> str:
-    return f"{path}: expected images of at most {MAX_PIXELS:,} pixels, got {width} × {height}"
-
-
-def _pictures(folder: Path) -> Iterator[Image.Image]:
-    for path in _listed(folder):
-        try:
-            with Image.open(path, formats=("PNG", "JPEG")) as image:  # reads only the header
-                width, height = image.size
-                upright = ImageOps.exif_transpose(image).convert("RGB") if width * height <= MAX_PIXELS else None
-        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-            raise ValueError(f"{path}: expected a whole PNG or JPEG: {error}") from error
-        if upright is None:
-            raise ValueError(_too_large(path, width, height))
-        yield upright
+    return sorted((path for path in files if path.suffix.lower() in PHOTO_SUFFIXES), key=natural)
 
 
 def _video(path: Path) -> Iterator[Image.Image]:
-    try:
-        with av.open(path) as container:
-            if not container.streams.video:
-                raise ValueError(f"{path}: expected a video, found no stream of images")
-            stream = container.streams.video[0]
-            if stream.width * stream.height > MAX_PIXELS:
-                raise ValueError(_too_large(path, stream.width, stream.height))
-            for frame in container.decode(stream):
-                if frame.width * frame.height > MAX_PIXELS:  # the size may change within a stream
-                    raise ValueError(_too_large(path, frame.width, frame.height))
-                yield frame.to_image().rotate(frame.rotation, expand=True)
-    except (av.FFmpegError, OSError) as error:
-        raise ValueError(f"{path}: expected a whole video: {error}") from error
+    with open_video(path) as container:
+        for frame in container.decode(container.streams.video[0]):
+            require_small(path, frame.width, frame.height)  # the size may change within a stream
+            yield frame.to_image().rotate(frame.rotation, expand=True)
 
 
 def write_clip(folder: Path, images: Tensor, allowed: Tensor, action_names: Sequence[str]) -> None:
@@ -219,21 +184,3 @@ def write_clip(folder: Path, images: Tensor, allowed: Tensor, action_names: Sequ
         for number, image in enumerate(images.to("cpu", torch.uint8).numpy()):
             Image.fromarray(image).save(made / f"{number:0{digits}}.png")
         (made / ACTIONS).write_text(table.getvalue(), "utf-8", newline="")
-
-
-@contextmanager
-def new_folder(path: Path) -> Iterator[Path]:
-    """Make a folder that gets its name only when the block succeeds; a block that raises leaves nothing behind.
-
-    Raises:
-        ValueError: if something of that name exists.
-    """
-    if path.exists():
-        raise ValueError(f"{path}: expected a new folder, found one")
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    temporary.mkdir()
-    try:
-        yield temporary
-        os.rename(temporary, path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)

@@ -12,11 +12,12 @@ from tqdm import tqdm
 from splatrl.build import build_world
 from splatrl.configuration import run_config
 from splatrl.envs.world import World
-from splatrl.evaluation.clip_files import new_folder, read_clips
+from splatrl.evaluation.clip_files import read_clips
 from splatrl.evaluation.clips import ClipResult, match
 from splatrl.evaluation.walk_looks import Lens
 from splatrl.evaluation.walks import Hand, record_walks
 from splatrl.experiments.experiment import Run
+from splatrl.files import new_folder
 from splatrl.runs import load_policy
 
 

@@ -8,8 +8,10 @@ import pytest
 import torch
 from PIL import Image
 
+from splatrl import images
 from splatrl.evaluation import clip_files
-from splatrl.evaluation.clip_files import new_folder, read_clips, write_clip
+from splatrl.evaluation.clip_files import read_clips, write_clip
+from splatrl.files import new_folder
 
 NAMES = ("forward", "back", "left", "right")
 
@@ -192,10 +194,20 @@ def test_an_image_that_is_damaged_or_absurdly_large_is_refused(tmp_path: Path, c
 
 def test_a_video_that_is_damaged_or_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     video_clip(tmp_path / "a.mp4", [1, 2], "frame,action\n0,left\n")
-    monkeypatch.setattr(clip_files, "MAX_PIXELS", 64 * 48 - 1)
+    monkeypatch.setattr(images, "MAX_PIXELS", 64 * 48 - 1)
     (clip,) = read_clips(tmp_path, NAMES)
     with pytest.raises(ValueError, match="got 64 × 48"):
         list(clip.images())
     clip.source.write_bytes(b"no video")
+    with pytest.raises(ValueError, match="expected a whole video"):
+        list(clip.images())
+
+
+def test_a_playlist_in_the_guise_of_a_clip_reads_no_other_file(tmp_path: Path) -> None:
+    (tmp_path / "clips").mkdir()
+    video_clip(tmp_path / "secret.mp4", [1, 2], "frame,action\n0,left\n")
+    video_clip(tmp_path / "clips" / "a.mp4", [1, 2], "frame,action\n0,left\n")
+    (tmp_path / "clips" / "a.mp4").write_text(f"ffconcat version 1.0\nfile {tmp_path / 'secret.mp4'}\n")
+    (clip,) = read_clips(tmp_path / "clips", NAMES)
     with pytest.raises(ValueError, match="expected a whole video"):
         list(clip.images())
