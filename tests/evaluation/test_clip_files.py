@@ -207,7 +207,8 @@ def test_a_playlist_in_the_guise_of_a_clip_reads_no_other_file(tmp_path: Path) -
     (tmp_path / "clips").mkdir()
     video_clip(tmp_path / "secret.mp4", [1, 2], "frame,action\n0,left\n")
     video_clip(tmp_path / "clips" / "a.mp4", [1, 2], "frame,action\n0,left\n")
-    (tmp_path / "clips" / "a.mp4").write_text(f"ffconcat version 1.0\nfile {tmp_path / 'secret.mp4'}\n")
+    (tmp_path / "secret.mp4").rename(tmp_path / "clips" / "secret.bin")
+    (tmp_path / "clips" / "a.mp4").write_text("ffconcat version 1.0\nfile secret.bin\n")
     (clip,) = read_clips(tmp_path / "clips", NAMES)
     with pytest.raises(ValueError, match="expected a whole video"):
         list(clip.images())
