@@ -9,14 +9,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.bodies import Sphere
+from splatrl.capture.floaters import hazy_voxels
 from splatrl.capture.world import Placed
 from splatrl.collision import NativeChecker
 from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.voxels import Voxels
 from splatrl.geometry import rigid
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Bounds
 
 Floats = NDArray[np.float64]
+Walk = tuple[tuple[float, float], tuple[float, float]]
 
 GRID = 0.2
 """Metres: sides of the area to walk in are whole numbers of it, as lattices need."""
@@ -43,32 +46,43 @@ class Area:
         step: of a robot; None where the usual ones do.
         robot_height: of the robot's camera, which is where the camera was.
         occupancy: what is solid within the bounds.
+        free: voxels that the Gaussians make solid and that are not: cameras draw surfaces behind them.
     """
 
     bounds: Bounds
-    walk: tuple[tuple[float, float], tuple[float, float]]
+    walk: Walk
     step: float | None
     robot_height: float
     occupancy: Occupancy
+    free: Voxels
 
 
-def survey_area(gaussians: Gaussians, placed: Placed) -> Area:
+def survey_area(gaussians: Gaussians, placed: Placed, known: Tensor | None = None) -> Area:
     """Find where a placed capture is, and what is solid in it.
 
     Args:
         gaussians: in the world frame.
         placed: the cameras and points.
+        known: [N, h, w] depths of the photos' pixels, metres, 0 where unknown; None knows nothing.
     """
-    poses, points = placed.reconstruction.camera_to_world.numpy(), placed.reconstruction.points.numpy()
+    poses = placed.reconstruction.camera_to_world.numpy()
     walk, step = _walk(poses[:, :2, 3])
-    bounds = _bounds(poses[:, :3, 3], points, np.array(walk))
-    lower, upper = np.array(bounds)
+    dense = dense_voxels(gaussians, placed)
+    hazy = hazy_voxels(dense, gaussians, placed.reconstruction, known)
+    free = Voxels(hazy, dense.origin_key, dense.resolution)
+    solid = dense.without(free)
+    height = round(float(np.median(poses[:, 2, 3])), 2)
+    return Area(_bounds(placed, walk), walk, step, height, solid, free)
+
+
+def dense_voxels(gaussians: Gaussians, placed: Placed) -> Occupancy:
+    """What the Gaussians of a placed capture make solid, at a resolution that fits the place."""
+    lower, upper = np.array(_bounds(placed, _walk(placed.reconstruction.camera_to_world[:, :2, 3].numpy())[0]))
     diagonal = float(np.linalg.norm(upper - lower))
     edge = float(f"{np.clip(VOXEL, diagonal / _VOXELS[0], diagonal / _VOXELS[1]):.2g}")
     margin = 0.1 * float((upper - lower).max())
     crop = ((lower - margin).tolist(), (upper + margin).tolist())
-    occupancy = Occupancy.from_gaussians(gaussians, edge, crop=crop)
-    return Area(bounds, walk, step, round(float(np.median(poses[:, 2, 3])), 2), occupancy)
+    return Occupancy.from_gaussians(gaussians, edge, crop=crop)
 
 
 def path_is_free(occupancy: Occupancy, camera_to_world: Tensor, radius: float = 0.05) -> Tensor:
@@ -78,8 +92,10 @@ def path_is_free(occupancy: Occupancy, camera_to_world: Tensor, radius: float = 
     return ~NativeChecker(occupancy, Sphere(radius)).collides(rigid(turns, places))
 
 
-def _bounds(cameras: Floats, points: Floats, walk: Floats) -> Bounds:
+def _bounds(placed: Placed, walked: Walk) -> Bounds:
     """The box around the cameras, where robots walk and the points near them, without the country beyond."""
+    cameras, walk = placed.reconstruction.camera_to_world[:, :3, 3].numpy(), np.array(walked)
+    points = placed.reconstruction.points.numpy()
     low, high = cameras.min(0), cameras.max(0)
     reach = max(float((high - low)[:2].max()), 2 * float(np.median(cameras[:, 2])))
     near = points[((points >= low - reach) & (points <= high + reach)).all(1)]
@@ -92,7 +108,7 @@ def _bounds(cameras: Floats, points: Floats, walk: Floats) -> Bounds:
     return (lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])
 
 
-def _walk(places: Floats) -> tuple[tuple[tuple[float, float], tuple[float, float]], float | None]:
+def _walk(places: Floats) -> tuple[Walk, float | None]:
     """The area around where cameras were [N, 2], in whole steps, and the step where it is large."""
     low, high = np.quantile(places, [TRIM, 1 - TRIM], axis=0)
     widest = float((high - low).max())

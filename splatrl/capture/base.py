@@ -54,6 +54,7 @@ class Reconstruction:
         seen_by: [T] int64, and which camera.
         missing: share of the given images whose pose was not found.
         depths: N files of measured depth, as in ``Photos``; empty without a sensor.
+        depth_unit: of one count in these files, in the unit of the frame.
     """
 
     paths: list[Path]
@@ -67,3 +68,4 @@ class Reconstruction:
     seen_by: Tensor
     missing: float = 0.0
     depths: tuple[Path, ...] = ()
+    depth_unit: float = 0.001

@@ -18,6 +18,7 @@ from splatrl.capture.fit_cameras import Learned, turned
 from splatrl.capture.fit_model import Model
 from splatrl.capture.fit_pictures import Frame, Pictures, frame_of, pictures
 from splatrl.capture.fit_start import start
+from splatrl.capture.stereo import Depths, find_depths
 from splatrl.native import _core
 from splatrl.native.threads import usable_cores
 from splatrl.scenes.gaussians import Gaussians
@@ -32,7 +33,7 @@ STEADY = 0.1
 """Share of the views after which exposures and poses are learned."""
 EXPOSURE_RATE = 2e-3
 
-Progress = Callable[[int, int, float], None]
+Told = Callable[[int, int, float], None]
 """Is told how many views were drawn, of how many, and the loss of the last."""
 
 
@@ -51,7 +52,7 @@ class FitSettings:
         refine: the shares of the views at which Gaussians begin and cease to be moved and added.
         refine_every: steps between that.
         ssim_weight: of the structural similarity in the loss, against L1.
-        depth_weight: of the inverse depth at points that a camera saw.
+        depth_weight: of what does not lie where photos are known to be: before it, behind it, or see-through.
         opacity_weight: of the regulariser of the opacities.
         scale_weight: of the regulariser of the sizes.
         noise: of MCMC.
@@ -95,13 +96,22 @@ def held_out(count: int) -> Tensor:
     return torch.arange(0, count, HELD_OUT)
 
 
-def fit(reconstruction: Reconstruction, settings: FitSettings, progress: Progress | None = None) -> Gaussians:
+def trained(count: int) -> Tensor:
+    """The other ones: [n] int64."""
+    every = torch.arange(count)
+    return every[~torch.isin(every, held_out(count))]
+
+
+def fit(
+    reconstruction: Reconstruction, settings: FitSettings, progress: Told | None = None, depths: Depths | None = None
+) -> Gaussians:
     """Fit Gaussians to the photos of a reconstruction, all but those that ``held_out`` names.
 
     Args:
         reconstruction: the photos, in order, with their poses.
         settings: how.
         progress: is told after every step.
+        depths: what ``find_depths`` found in ``frame_of`` the cameras; None finds them.
 
     Returns:
         Gaussians in the frame and unit of the reconstruction, to be drawn antialiased on black.
@@ -112,7 +122,7 @@ def fit(reconstruction: Reconstruction, settings: FitSettings, progress: Progres
     count = len(reconstruction.paths)
     if count < 2:
         raise CaptureError(f"paths: expected at least 2 photos, got {count}")
-    fitting = Fitting(reconstruction, settings)
+    fitting = Fitting(reconstruction, settings, depths)
     total = math.ceil(settings.views / fitting.views)
     for step in range(total):
         loss = fitting.step(step, total)
@@ -133,35 +143,37 @@ class Fitting:
         moves: corrections of the poses, [N, 6].
     """
 
-    def __init__(self, reconstruction: Reconstruction, settings: FitSettings) -> None:
+    def __init__(self, reconstruction: Reconstruction, settings: FitSettings, depths: Depths | None = None) -> None:
         self.settings = settings
         self.frame: Frame = frame_of(reconstruction.camera_to_world)
         self.generator = torch.Generator().manual_seed(settings.seed)
         self.threads = settings.threads or usable_cores()
-        every = torch.arange(len(reconstruction.paths))
-        self.trained = every[~torch.isin(every, held_out(len(every)))]
+        self.trained = trained(len(reconstruction.paths))
         self.views = min(settings.views_a_step, len(self.trained))
         widest = min(settings.width, reconstruction.width)
-        self.levels: dict[float, Pictures] = {}
+        depths = depths or find_depths(reconstruction, self.frame, self.trained, self.threads)
+        self.levels: dict[float, tuple[Pictures, Tensor]] = {}
         for _, scale in settings.levels:
-            self.levels[scale] = pictures(reconstruction, self.frame, max(1, round(widest * scale)))
+            seen = pictures(reconstruction, self.frame, max(1, round(widest * scale)))
+            self.levels[scale] = seen, depths.at(seen, self.trained)
         self.model = Model(settings.cap, settings.sh_degree)
-        finest = self.levels[max(self.levels)]
-        start(reconstruction, self.frame, finest, self.trained, self.model, settings.start_share, settings.seed)
-        self.exposure = Learned(torch.tensor([[[1.0, 0.0]] * 3] * len(every)), EXPOSURE_RATE)
-        self.moves = Learned(torch.zeros(len(every), 6), settings.poses)
+        finest, _ = self.levels[max(self.levels)]
+        start(reconstruction, self.frame, finest, depths, self.trained, self.model, settings.start_share, settings.seed)
+        count = len(reconstruction.paths)
+        self.exposure = Learned(torch.tensor([[[1.0, 0.0]] * 3] * count), EXPOSURE_RATE)
+        self.moves = Learned(torch.zeros(count, 6), settings.poses)
         self._core = _core.Fitter()
         self._gradients = torch.zeros(self.views, *self.model.values.shape)
         self._order: list[int] = []
 
-    def level(self, done: float) -> Pictures:
-        """The pictures at a share of the whole work."""
+    def level(self, done: float) -> tuple[Pictures, Tensor]:
+        """The pictures at a share of the whole work, and what is known of their depth."""
         return self.levels[[scale for begins, scale in self.settings.levels if begins <= done][-1]]
 
     def step(self, step: int, total: int) -> float:
         """Draw the next views and improve the Gaussians; returns the mean loss."""
         settings, done = self.settings, step / total
-        losses, chosen = self.compare(self.level(done))
+        losses, chosen = self.compare(*self.level(done))
         self.update(step, done)
         if done > STEADY:
             self.learn_cameras(chosen, losses)
@@ -170,7 +182,7 @@ class Fitting:
             self.model.refine(self.generator)
         return float(losses[:, 0].mean())
 
-    def compare(self, seen: Pictures) -> tuple[Tensor, Tensor]:
+    def compare(self, seen: Pictures, known: Tensor) -> tuple[Tensor, Tensor]:
         """Compare the next views with their photos: the losses and slopes [V, 16], and which views they were [V]."""
         settings, model = self.settings, self.model
         if len(self._order) < self.views:
@@ -185,10 +197,9 @@ class Fitting:
             turned(seen.camera_to_world[chosen], self.moves.values[chosen]),
             seen.K.expand(len(chosen), 3, 3).contiguous(),
             seen.pixels,
+            known,
             chosen,
             self.exposure.values,
-            seen.soundings,
-            seen.firsts,
             settings.ssim_weight,
             settings.depth_weight,
             self._gradients,

@@ -8,25 +8,34 @@ from torch import Tensor
 from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.fit_model import LOGIT, SH, Model
 from splatrl.capture.fit_pictures import Frame, Pictures
-from splatrl.capture.sweep import AGREEING, neighbours_of, sweep
+from splatrl.capture.stereo import Depths
 from splatrl.spherical_harmonics import C0
 
 OPACITY = 0.3
 NEIGHBOURS = 3
+"""Whose distance decides how large a Gaussian begins."""
 LARGEST = 0.3
 """Standard deviation with which a Gaussian begins at most, in the extent of the cameras."""
 
 
 def start(
-    reconstruction: Reconstruction, frame: Frame, seen: Pictures, rows: Tensor, model: Model, share: float, seed: int
+    reconstruction: Reconstruction,
+    frame: Frame,
+    seen: Pictures,
+    depths: Depths,
+    rows: Tensor,
+    model: Model,
+    share: float,
+    seed: int,
 ) -> None:
     """Fill a model.
 
     Args:
         reconstruction: whose points are used.
         frame: of the fit.
-        seen: the photos that may be looked at.
-        rows: [n] int64, which of them.
+        seen: the photos.
+        depths: how far away their pixels are.
+        rows: [n] int64, the photos that may be looked at.
         model: an empty one.
         share: of the cap that is filled at least.
         seed: of what is drawn at random.
@@ -44,7 +53,7 @@ def start(
         points, colors = points[kept], colors[kept]
     missing = int(model.cap * share) - len(points)
     if missing > 0:
-        more = between(seen, rows, missing, random)
+        more = between(seen, depths.likely, rows, missing, random)
         more_points, more_colors = more if more is not None else beside(points, colors, missing, random)
         points, colors = np.concatenate([points, more_points]), np.concatenate([colors, more_colors])
     columns = torch.zeros(model.values.shape[0], len(points))
@@ -65,13 +74,19 @@ def spacing(points: np.ndarray) -> np.ndarray:
 
 
 def between(
-    seen: Pictures, rows: Tensor, count: int, random: np.random.Generator
+    seen: Pictures, inverses: Tensor, rows: Tensor, count: int, random: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Random pixels at depths at which photos agree, near to what the nearest soundings of their image suggest.
+    """Random pixels where they probably are: places and colours [count, 3]; None where no depth was found.
 
-    None where no image has soundings.
+    Args:
+        seen: the photos.
+        inverses: [N, h, w] likely inverse depths of their pixels, 0 where there is none.
+        rows: [n] int64, the photos to take from.
+        count: of places.
+        random: draws the pixels.
     """
-    usable = [row for row in rows.tolist() if seen.firsts[row + 1] - seen.firsts[row] > NEIGHBOURS]
+    found = inverses.numpy()
+    usable = [row for row in rows.tolist() if found[row].any()]
     if not usable:
         return None
     height, width = seen.pixels.shape[1:3]
@@ -79,20 +94,16 @@ def between(
     points, colors = [], []
     shares = np.diff(np.linspace(0, count, len(usable) + 1).astype(int))
     for row, wanted in zip(usable, shares.tolist(), strict=True):
-        known = seen.soundings[seen.firsts[row] : seen.firsts[row + 1]].double().numpy()
-        places = random.random((wanted, 2)) * (width, height)
-        distances, nearest = cKDTree(known[:, :2]).query(places, NEIGHBOURS)
-        weights = 1.0 / (distances + 1.0)
-        inverses = (weights * known[nearest, 2]).sum(1) / weights.sum(1)
-        others = neighbours_of(seen, row, rows, float(np.median(1.0 / known[:, 2])))
-        if len(others) >= AGREEING and wanted > 0:
-            found = sweep(seen, row, others, torch.from_numpy(places).float(), torch.from_numpy(inverses).float())
-            inverses = found.double().numpy()
-        rays = np.stack([(places[:, 0] - K[0, 2]) / K[0, 0], (places[:, 1] - K[1, 2]) / K[1, 1], np.ones(wanted)], 1)
+        lines, columns = found[row].nonzero()
+        chosen = random.integers(0, len(lines), wanted)
+        down = (lines[chosen] + random.random(wanted)) * (height / found.shape[1])
+        across = (columns[chosen] + random.random(wanted)) * (width / found.shape[2])
+        rays = np.stack([(across - K[0, 2]) / K[0, 0], (down - K[1, 2]) / K[1, 1], np.ones(wanted)], 1)
         pose = seen.camera_to_world[row].double().numpy()
-        points.append((rays / inverses[:, None]) @ pose[:3, :3].T + pose[:3, 3])
-        columns, lines = places[:, 0].astype(int), places[:, 1].astype(int)
-        colors.append(seen.pixels[row].numpy()[lines, columns] / 255.0)
+        distances = 1.0 / found[row][lines[chosen], columns[chosen]].astype(np.float64)
+        points.append((rays * distances[:, None]) @ pose[:3, :3].T + pose[:3, 3])
+        inside = down.astype(int).clip(0, height - 1), across.astype(int).clip(0, width - 1)
+        colors.append(seen.pixels[row].numpy()[inside] / 255.0)
     return np.concatenate(points), np.concatenate(colors)
 
 

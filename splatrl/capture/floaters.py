@@ -1,11 +1,16 @@
-"""What is solid in a capture although cameras saw through it."""
+"""What is solid in a capture although cameras saw through it: blobs in mid-air, and haze that no image shows."""
+
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
+from splatrl.cameras import Cameras
 from splatrl.capture.base import Reconstruction
 from splatrl.collision.occupancy import Occupancy
+from splatrl.renderers import NativeRenderer
 from splatrl.scenes.gaussians import Gaussians
 
 MIN_CAMERAS = 4
@@ -18,6 +23,14 @@ LONGEST = 20.0
 """Metres of a ray that are followed."""
 RAYS = 1500
 """A camera, at most."""
+DRAWN_WIDTH = 240
+"""Pixels of the views in which haze is looked for."""
+OPAQUE = 0.5
+"""A pixel at least this opaque shows how far away things are."""
+HAZE_CAMERAS = 2
+"""That must see a surface behind a voxel."""
+DRAWN_MARGIN = (1.5, 0.04)
+"""Of that distance: voxels, and at least this share of it."""
 _STEP = 0.7
 """Voxels from sample to sample of a ray."""
 
@@ -47,6 +60,64 @@ def seen_through(occupancy: Occupancy, reconstruction: Reconstruction) -> NDArra
         hits += _touched(occupancy, _around(aims, occupancy.resolution))
     seen: NDArray[np.bool_] = occupancy.occupied & (through >= MIN_CAMERAS) & (through > AGAINST_HITS * hits)
     return seen
+
+
+def hazy_voxels(
+    occupancy: Occupancy, gaussians: Gaussians, reconstruction: Reconstruction, known: Tensor | None = None
+) -> NDArray[np.bool_]:
+    """Solid voxels behind which more cameras see a surface than see one in them: [X, Y, Z] bool.
+
+    What a fit could not place, at glossy or bare walls, becomes a haze that no image shows; its density adds up all
+    the same. A camera sees what is drawn, and what is known of its photo.
+
+    Args:
+        occupancy: what is solid, world frame.
+        gaussians: that it was made of.
+        reconstruction: the cameras, in the same frame.
+        known: [N, h, w] depths of the photos' pixels, metres, 0 where unknown; None knows nothing.
+    """
+    cells = np.argwhere(occupancy.occupied)
+    out = np.zeros(occupancy.occupied.shape, bool)
+    if len(cells) == 0:
+        return out
+    places = torch.from_numpy((cells + occupancy.origin_key + 0.5) * occupancy.resolution)
+    width = min(DRAWN_WIDTH, reconstruction.width)
+    height = max(1, round(reconstruction.height * width / reconstruction.width))
+    renderer, poses = NativeRenderer(gaussians), reconstruction.camera_to_world.double()
+
+    def drawn(row: int) -> Tensor:
+        view = renderer.render(Cameras(poses[row : row + 1].float(), _scaled(reconstruction, width, height).float(),
+                                       width, height))  # fmt: skip
+        return torch.where(view.alpha[0] >= OPAQUE, view.depth[0], 0.0)
+
+    hazy = _behind(places, reconstruction, occupancy.resolution, drawn)
+    if known is not None:
+        hazy |= _behind(places, reconstruction, occupancy.resolution, lambda row: known[row])
+    out[tuple(cells[hazy.numpy()].T)] = True
+    return out
+
+
+def _behind(places: Tensor, reconstruction: Reconstruction, edge: float, depths: Callable[[int], Tensor]) -> Tensor:
+    """Which places [M, 3] more cameras see a surface behind than see one at: [M] bool; the depths are [h, w]."""
+    behind, within = torch.zeros(len(places), dtype=torch.int64), torch.zeros(len(places), dtype=torch.int64)
+    for row, pose in enumerate(reconstruction.camera_to_world.double()):
+        depth = depths(row)
+        height, width = depth.shape
+        K = _scaled(reconstruction, width, height)
+        x, y, z = ((places - pose[:3, 3]) @ pose[:3, :3]).unbind(1)
+        across, down = (K[0, 0] * x / z + K[0, 2]).floor().long(), (K[1, 1] * y / z + K[1, 2]).floor().long()
+        inside = (z > edge) & (across >= 0) & (down >= 0) & (across < width) & (down < height)
+        far = torch.where(inside, depth.double()[down.clamp(0, height - 1), across.clamp(0, width - 1)], 0.0)
+        margin = (DRAWN_MARGIN[1] * far).clamp_min(DRAWN_MARGIN[0] * edge)
+        behind += (far > 0) & (z < far - margin)
+        within += (far > 0) & ((z - far).abs() <= margin)
+    return (behind >= HAZE_CAMERAS) & (behind > within)
+
+
+def _scaled(reconstruction: Reconstruction, width: int, height: int) -> Tensor:
+    """The intrinsics [3, 3] for images of another size."""
+    scale = [[width / reconstruction.width], [height / reconstruction.height], [1.0]]
+    return reconstruction.K.double() * torch.tensor(scale, dtype=torch.float64)
 
 
 def without_floaters(

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 from PIL import Image
+from torch import Tensor
 
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.capture.area import Area, survey_area
@@ -19,13 +20,15 @@ from splatrl.capture.page import report_page
 from splatrl.capture.pictures import draw_cameras
 from splatrl.capture.suggestions import Suggestions, suggest
 from splatrl.capture.world import Placed
+from splatrl.collision.point_clouds import write_points
 from splatrl.files import replacing
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes import write_gaussians
 from splatrl.scenes.description import SCENE_FILE, write_description
 from splatrl.scenes.gaussians import Gaussians
 
-SPLAT, REPORT, CAMERAS, GOALS = "splat.ply", "report.html", "cameras.png", "goals.png"
+SPLAT, FREE = "splat.ply", "free.ply"
+REPORT, CAMERAS, GOALS = "report.html", "cameras.png", "goals.png"
 GOOD_PATH, GOOD_PSNR, FEW_FLOATERS, MOST_MISSING = 0.97, 22.0, 0.005, 0.1
 """A worse capture's report says so."""
 FRAME: dict[str, Any] = {"axes": ["x", "y", "z"], "scale": 1.0, "translation": [0.0, 0.0, 0.0]}
@@ -42,6 +45,7 @@ def write_scene(
     name: str | None = None,
     notes: Sequence[str] = (),
     force: bool = False,
+    known: Tensor | None = None,
 ) -> Quality:
     """Check a fitted capture and write it as a scene's folder: splat, ``scene.yaml``, report and pictures.
 
@@ -53,6 +57,7 @@ def write_scene(
         name: of the scene; None takes the folder's.
         notes: what earlier stages have to say in the report, a sentence each.
         force: whether to replace a ``scene.yaml`` that is there.
+        known: [N, h, w] depths of the photos' pixels, metres, 0 where unknown; None knows nothing.
 
     Raises:
         CaptureError: for a held-out image that cannot be read.
@@ -61,7 +66,7 @@ def write_scene(
     name = name or folder.resolve().name
     if (folder / SCENE_FILE).exists() and not force:
         raise FileExistsError(f"{folder / SCENE_FILE}: already exists; name another folder, or replace it by force")
-    area = survey_area(gaussians, placed)
+    area = survey_area(gaussians, placed, known)
     found = suggest(placed, area)
     with _whole(folder) as fresh:
         quality = check(gaussians, placed, held_out, fresh, area, found)
@@ -69,6 +74,8 @@ def write_scene(
         if found.goals:
             _draw_goals(gaussians, area, found, fresh / GOALS)
         write_gaussians(fresh / SPLAT, gaussians)
+        if area.free.count:
+            write_points(fresh / FREE, area.free.centers())
         proposals = _proposals(placed, area, found, quality)
         write_description(fresh, SPLAT, name, FRAME, area.bounds, proposals=proposals)
         pictures = [file for file in (COMPARISON, MAP, GOALS, CAMERAS) if (fresh / file).exists()]
@@ -106,6 +113,7 @@ def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality)
         "walk": [list(corner) for corner in area.walk],
         "step": area.step,
         "voxel_size": area.occupancy.resolution,
+        "free": FREE if area.free.count else None,
         "goal": list(found.goals[0]) if found.goals else None,
         "object": list(found.thing) if found.thing else None,
         "quality": {

@@ -6,12 +6,14 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+import numpy as np
 import torch
 
-from splatrl.capture.area import survey_area
+from splatrl.capture.area import dense_voxels
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.check import Quality
-from splatrl.capture.fit import FitSettings, fit, held_out
+from splatrl.capture.fit import FitSettings, fit, held_out, trained
+from splatrl.capture.fit_pictures import Frame, frame_of
 from splatrl.capture.floaters import without_floaters
 from splatrl.capture.folder import write_scene
 from splatrl.capture.frames import read_photos
@@ -21,11 +23,14 @@ from splatrl.capture.poses import find_poses
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.recordings import is_recording, read_recording
 from splatrl.capture.scale import Distance
+from splatrl.capture.stereo import Depths, find_depths
 from splatrl.capture.world import Placed, place
 from splatrl.files import replacing
 from splatrl.scenes import Gaussians, read_gaussians, write_gaussians
 from splatrl.scenes.description import SCENE_FILE
 
+VERSION = 2
+"""Of what the stages keep: raise it when the same settings give another result."""
 STAGES = "stages"
 """Sub-folder of a capture in which stages keep what they have made; it can be deleted once the scene is there."""
 
@@ -94,12 +99,13 @@ def capture(
     say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points")
     placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
     say(f"world       up by {placed.up_from}, scale by {placed.scale_from}, camera {placed.camera_height:.2f} m high")
-    gaussians = _fitted(placed, stages, settings.fit, progress)
-    solid = survey_area(gaussians, placed).occupancy
-    gaussians, carved = without_floaters(gaussians, solid, placed.reconstruction)
+    frame = frame_of(placed.reconstruction.camera_to_world)
+    depths = _depths(placed, frame, stages, progress)
+    gaussians = _fitted(placed, depths, stages, settings.fit, progress)
+    gaussians, carved = without_floaters(gaussians, dense_voxels(gaussians, placed), placed.reconstruction)
     say(f"fit         {gaussians.numel():,} Gaussians, {carved} voxels of floaters carved away")
     unseen = held_out(len(placed.reconstruction.paths)).tolist()
-    quality = write_scene(folder, gaussians, placed, unseen, notes=notes, force=settings.force)
+    quality = write_scene(folder, gaussians, placed, unseen, notes=notes, force=settings.force, known=depths.far(frame))
     say(f"check       {_words(quality)}")
     return quality
 
@@ -117,26 +123,41 @@ def _first_look(photos: Photos, force: bool, progress: Progress, say: Callable[[
     return [cause]
 
 
-def _fitted(placed: Placed, stages: Path, settings: FitSettings, progress: Progress) -> Gaussians:
+def _depths(placed: Placed, frame: Frame, stages: Path, progress: Progress) -> Depths:
+    """How far away the photos' pixels are, found once and kept."""
+    path, digest = stages / "depths.npz", _digest(placed.reconstruction)
+    if path.exists():
+        with np.load(path) as kept:
+            if str(kept["digest"]) == digest:
+                return Depths(torch.from_numpy(kept["likely"]), torch.from_numpy(kept["known"]))
+    rows = trained(len(placed.reconstruction.paths))
+    depths = find_depths(placed.reconstruction, frame, rows, progress=progress)
+    with replacing(path) as stream:
+        np.savez(stream, digest=digest, likely=depths.likely.numpy(), known=depths.known.numpy())
+    return depths
+
+
+def _fitted(placed: Placed, depths: Depths, stages: Path, settings: FitSettings, progress: Progress) -> Gaussians:
     """The Gaussians of a placed reconstruction, fitted once and kept."""
     path, digest = stages / "fit.ply", _digest(placed.reconstruction, settings)
     stamp = stages / "fit.txt"
     if path.exists() and stamp.exists() and stamp.read_text() == digest:
         return read_gaussians(path)
     stamp.unlink(missing_ok=True)
-    gaussians = fit(placed.reconstruction, settings, lambda done, total, loss: progress("fit", done, total))
+    gaussians = fit(placed.reconstruction, settings, lambda done, total, loss: progress("fit", done, total), depths)
     write_gaussians(path, gaussians)
     with replacing(stamp) as stream:
         stream.write(digest.encode())
     return gaussians
 
 
-def _digest(reconstruction: Reconstruction, settings: FitSettings) -> str:
-    """Fingerprint of all that a fit depends on."""
-    digest = hashlib.blake2b(json.dumps(asdict(settings) | {"threads": None}, sort_keys=True).encode(), digest_size=16)
+def _digest(reconstruction: Reconstruction, settings: FitSettings | None = None) -> str:
+    """Fingerprint of all that depths, or with settings a fit, depend on."""
+    chosen = {} if settings is None else asdict(settings) | {"threads": None}
+    digest = hashlib.blake2b(json.dumps([VERSION, chosen], sort_keys=True).encode(), digest_size=16)
     for values in (reconstruction.K, reconstruction.camera_to_world, reconstruction.points, reconstruction.seen_by):
         digest.update(torch.as_tensor(values).contiguous().numpy().tobytes())
-    for path in reconstruction.paths:
+    for path in (*reconstruction.paths, *reconstruction.depths):
         digest.update(path.name.encode() + str(path.stat().st_size).encode())
     return digest.hexdigest()
 

@@ -111,7 +111,8 @@ def moved(reconstruction: Reconstruction, transform: Floats) -> Reconstruction:
     poses = reconstruction.camera_to_world.clone()
     poses[:, :3, :3] = (linear / scale) @ poses[:, :3, :3]
     poses[:, :3, 3] = poses[:, :3, 3] @ linear.T + shift
-    return replace(reconstruction, camera_to_world=poses, points=reconstruction.points @ linear.T + shift)
+    points = reconstruction.points @ linear.T + shift
+    return replace(reconstruction, camera_to_world=poses, points=points, depth_unit=scale * reconstruction.depth_unit)
 
 
 def _scale(

@@ -187,6 +187,7 @@ class Occupancy(Voxels):
             "crop": checked_box("crop", within).tolist(),
             "max_voxels": max_voxels,
             "cloud": None if cloud is None else file_digest(cloud),
+            "free": None if scene.free is None else [file_digest(scene.free.path), scene.free.voxel_size],
             "clear": cleared.tolist(),
             "add": added.tolist(),
             "fill": flood,
@@ -195,6 +196,9 @@ class Occupancy(Voxels):
         def build() -> dict[str, NDArray[Any]]:
             if cloud is None:
                 occupancy = cls.from_gaussians(scene.gaussians, resolution, density, within, max_voxels)
+                if scene.free is not None:
+                    free = cls.from_points(read_points(scene.free.path), scene.free.voxel_size, None, max_voxels)
+                    occupancy = occupancy.without(free)
             else:
                 occupancy = cls.from_file(cloud, resolution, within, max_voxels)
             occupancy = occupancy.carved(cleared[:, 0], cleared[:, 1]).with_boxes(added[:, 0], added[:, 1])
@@ -225,6 +229,16 @@ class Occupancy(Voxels):
     def with_boxes(self, lower: Tensor | ArrayLike, upper: Tensor | ArrayLike) -> "Occupancy":
         """The same with boxes [N, 3] (lower and upper corners, metres) made solid: the union with ``from_boxes``."""
         return self | Occupancy.from_boxes(lower, upper, self.resolution)
+
+    def without(self, free: Voxels) -> "Occupancy":
+        """The same without the voxels that lie, centre and corners, in those of another grid."""
+        solid = self.keys()
+        open_ = np.ones(len(solid), bool)
+        for corner in np.concatenate([[[0.5] * 3], np.stack(np.meshgrid(*[[0.01, 0.99]] * 3), -1).reshape(-1, 3)]):
+            open_ &= free.contains((solid + corner) * self.resolution)
+        occupied = self.occupied.copy()
+        occupied[tuple((solid[open_] - self.origin_key).T)] = False
+        return replace(self, occupied=occupied)
 
     def carved(self, lower: Tensor | ArrayLike, upper: Tensor | ArrayLike) -> "Occupancy":
         """The same without the voxels that boxes [N, 3] (lower and upper corners, metres) cover, wholly or in part."""

@@ -10,6 +10,7 @@ import plyfile
 from numpy.typing import NDArray
 
 from splatrl.collision.pcd import read_pcd
+from splatrl.files import replacing
 from splatrl.scenes.formats.ply_header import PlyElement, PlyHeader, read_ply_header
 
 AXES = ("x", "y", "z")
@@ -54,6 +55,13 @@ def file_digest(path: str | os.PathLike[str]) -> str:
         while block := stream.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
+
+
+def write_points(path: Path, points: NDArray[np.float32]) -> None:
+    """Write points [N, 3], world, metres, as a binary PLY point cloud."""
+    rows = np.ascontiguousarray(points, "<f4").view([(axis, "<f4") for axis in AXES])[:, 0]
+    with replacing(path) as stream:
+        plyfile.PlyData([plyfile.PlyElement.describe(rows, "vertex")], byte_order="<").write(stream)
 
 
 def _checked_path(path: str | os.PathLike[str]) -> Path:

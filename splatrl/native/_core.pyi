@@ -146,8 +146,9 @@ class Fitter:
         near: float,
         camera_to_world: Tensor,  # [V, 4, 4] float32
         K: Tensor,  # [V, 3, 3] float32
+        known: Tensor,  # [V, H, W] float32, inverse depths, 0 where unknown
         rgb: Tensor,  # [V, H, W, 3] float32, written, not clamped
-        depth: Tensor,  # [V, H, W] float32, written: the sum of depths by their shares
+        agreement: Tensor,  # [V, H, W] float32, written: the sum of max(0, 1 - |depth · known - 1|) by their shares
         alpha: Tensor,  # [V, H, W] float32, written
         threads: int,
     ) -> None: ...
@@ -158,7 +159,8 @@ class Fitter:
         near: float,
         camera_to_world: Tensor,  # [V, 4, 4] float32
         K: Tensor,  # [V, 3, 3] float32
-        slopes: Tensor,  # [V, H, W, 5] float32, by red, green, blue, depth and alpha as above
+        known: Tensor,  # [V, H, W] float32, as above
+        slopes: Tensor,  # [V, H, W, 5] float32, by red, green, blue, agreement and alpha as above
         gradients: Tensor,  # [V, R, C] float32, written up to count
         pose_slopes: Tensor,  # [V, 6] float32, written: by a turn of the camera in its place, a shift; world axes
         threads: int,
@@ -171,17 +173,16 @@ class Fitter:
         camera_to_world: Tensor,  # [V, 4, 4] float32
         K: Tensor,  # [V, 3, 3] float32
         pixels: Tensor,  # [N, H, W, 3] uint8
+        known: Tensor,  # [N, H, W] float32, inverse depths, 0 where unknown
         chosen: Tensor,  # [V] int64, which of the photos each view is compared with
         exposure: Tensor,  # [N, 3, 2] float32, gain and offset of each channel
-        soundings: Tensor,  # [S, 3] float32, photo by photo: column, row, inverse depth
-        firsts: Tensor,  # [N + 1] int64, where those of each photo begin
         ssim_weight: float,
         depth_weight: float,
         gradients: Tensor,  # [V, R, C] float32, written up to count
         losses: Tensor,  # [V, 16] float32, written: total, L1, SSIM, depth, slopes by exposure and pose
         threads: int,
     ) -> None:
-        """Compare views with photos by (1 - w) L1 + w (1 - SSIM) + the depth weight times L1 of inverse depth."""
+        """Compare views with photos by (1 - w) L1 + w (1 - SSIM) + the depth weight times (1 - agreement)."""
 
     def update(
         self,
@@ -201,3 +202,35 @@ class Fitter:
         threads: int,
     ) -> None:
         """One step of Adam on ``values``, with regularisers and noise."""
+
+def sweep(
+    grey: Tensor,  # [N, H, W] float32, photos
+    camera_to_world: Tensor,  # [N, 4, 4] float32
+    K: Tensor,  # [3, 3] float32
+    rows: Tensor,  # [R] int64, the photos whose depth is wanted
+    neighbours: Tensor,  # [R, M] int64, the photos that each is compared with; -1 ends a line
+    ranges: Tensor,  # [R, 2] float32, smallest and largest inverse depth
+    soundings: Tensor,  # [S, 3] float32, photo by photo: column, row, inverse depth of places that are known
+    firsts: Tensor,  # [N + 1] int64, where those of each photo begin
+    depths: int,  # how many inverse depths are tried, a multiple of 16
+    out: Tensor,  # [N, H, W] float32, inverse depths; written where a photo has neighbours
+    threads: int,
+) -> None:
+    """Inverse depths of photos by plane sweep (5×5 correlation, the best three neighbours) and semi-global matching.
+
+    Raises:
+        ValueError: for a photo that is not there, or a number of depths that cannot be.
+    """
+
+def agree(
+    inverse: Tensor,  # [N, H, W] float32, inverse depths, 0 where there is none
+    camera_to_world: Tensor,  # [N, 4, 4] float32
+    K: Tensor,  # [3, 3] float32
+    rows: Tensor,  # [R] int64
+    neighbours: Tensor,  # [R, M] int64, the photos that are asked; -1 ends a line
+    tolerance: float,  # share of the depth
+    least: int,  # of the neighbours that must agree
+    out: Tensor,  # [N, H, W] float32, written in ``rows``: the mean with those that agree, 0 where too few do
+    threads: int,
+) -> None:
+    """What other photos confirm of the depths of photos."""

@@ -12,5 +12,6 @@ void bind_isa(nanobind::module_& m);
 void bind_levels(nanobind::module_& m);
 void bind_occupancy(nanobind::module_& m);
 void bind_renderer(nanobind::module_& m);
+void bind_stereo(nanobind::module_& m);
 
 }  // namespace splatrl

@@ -18,52 +18,57 @@ using Poses = Tensor<const float, -1, 4, 4>;
 using Lenses = Tensor<const float, -1, 3, 3>;
 using Slopes = Tensor<float, -1, -1, -1>;
 
+using Known = Tensor<const float, -1, -1, -1>;
+
 FitBatch batch_of(const Values& values, size_t count, float near, const Poses& poses, const Lenses& K, size_t width,
-                  size_t height) {
+                  size_t height, const std::vector<const float*>& known) {
     if (values.shape(0) != 14 && values.shape(0) != 23) throw std::invalid_argument("values: expected 14 or 23 rows");
     if (values.shape(1) % FIT_LANES != 0 || count > values.shape(1) || uintptr_t(values.data()) % 64 != 0)
         throw std::invalid_argument("values: expected aligned rows of a multiple of sixteen");
     if (width > 8192 || height > 8192) throw std::invalid_argument("images: expected at most 8192 pixels a side");
     const FitModel model{values.data(), values.shape(1), uint32_t(count), values.shape(0) == 14 ? 0 : 1, near};
-    return {model, poses.data(), K.data(), poses.shape(0), int(width), int(height)};
+    return {model, poses.data(), K.data(), known.data(), poses.shape(0), int(width), int(height)};
+}
+
+std::vector<const float*> planes_of(const Known& known) {
+    std::vector<const float*> planes;
+    for (size_t view = 0; view < known.shape(0); ++view)
+        planes.push_back(known.data() + view * known.shape(1) * known.shape(2));
+    return planes;
 }
 
 void render(Fitter& fitter, Values values, size_t count, float near, Poses poses, Lenses K,
-            Tensor<float, -1, -1, -1, 3> rgb, Slopes depth, Slopes alpha, size_t threads) {
-    const FitBatch batch = batch_of(values, count, near, poses, K, rgb.shape(2), rgb.shape(1));
+            Known known, Tensor<float, -1, -1, -1, 3> rgb, Slopes agreement, Slopes alpha, size_t threads) {
+    const std::vector<const float*> planes = planes_of(known);
+    const FitBatch batch = batch_of(values, count, near, poses, K, rgb.shape(2), rgb.shape(1), planes);
     const nb::gil_scoped_release release;
-    fitter.render(batch, threads, rgb.data(), depth.data(), alpha.data());
+    fitter.render(batch, threads, rgb.data(), agreement.data(), alpha.data());
 }
 
 void pull(Fitter& fitter, Values values, size_t count, float near, Poses poses, Lenses K,
-          Tensor<const float, -1, -1, -1, 5> slopes, Slopes gradients,
+          Known known, Tensor<const float, -1, -1, -1, 5> slopes, Slopes gradients,
           Tensor<float, -1, 6> turns, size_t threads) {
-    const FitBatch batch = batch_of(values, count, near, poses, K, slopes.shape(2), slopes.shape(1));
+    const std::vector<const float*> planes = planes_of(known);
+    const FitBatch batch = batch_of(values, count, near, poses, K, slopes.shape(2), slopes.shape(1), planes);
     const nb::gil_scoped_release release;
     fitter.pull(batch, threads, slopes.data(), gradients.data(), turns.data());
 }
 
-// `soundings` are those of all views, view by view: x, y, inverse depth; `firsts` says where each view's begin.
 void compare(Fitter& fitter, Values values, size_t count, float near, Poses poses, Lenses K,
-             Tensor<const uint8_t, -1, -1, -1, 3> pixels, Tensor<const int64_t, -1> chosen,
-             Tensor<const float, -1, 3, 2> exposure, Tensor<const float, -1, 3> soundings,
-             Tensor<const int64_t, -1> firsts, float ssim_weight, float depth_weight, Slopes gradients,
+             Tensor<const uint8_t, -1, -1, -1, 3> pixels, Known known, Tensor<const int64_t, -1> chosen,
+             Tensor<const float, -1, 3, 2> exposure, float ssim_weight, float depth_weight, Slopes gradients,
              Tensor<float, -1, 16> losses, size_t threads) {
-    const FitBatch batch = batch_of(values, count, near, poses, K, pixels.shape(2), pixels.shape(1));
+    const std::vector<const float*> all = planes_of(known);
+    std::vector<const float*> planes;
+    for (size_t view = 0; view < chosen.shape(0); ++view) planes.push_back(all.at(size_t(chosen.data()[view])));
+    const FitBatch batch = batch_of(values, count, near, poses, K, pixels.shape(2), pixels.shape(1), planes);
     const nb::gil_scoped_release release;
     std::vector<FitTarget> targets;
-    std::vector<std::vector<FitSounding>> known(batch.views);
     std::vector<FitLoss> found(batch.views);
     const size_t image = pixels.shape(1) * pixels.shape(2) * 3;
     for (size_t view = 0; view < batch.views; ++view) {
         const size_t photo = size_t(chosen.data()[view]);
-        for (int64_t i = firsts.data()[photo]; i < firsts.data()[photo + 1]; ++i) {
-            const float* at = soundings.data() + 3 * i;
-            if (at[0] >= 0.0f && at[1] >= 0.0f && at[0] < float(batch.width) && at[1] < float(batch.height))
-                known[view].push_back({int32_t(at[0]), int32_t(at[1]), at[2]});
-        }
-        targets.push_back({pixels.data() + photo * image, exposure.data() + 6 * photo, known[view].data(),
-                           known[view].size(), ssim_weight, depth_weight});
+        targets.push_back({pixels.data() + photo * image, exposure.data() + 6 * photo, ssim_weight, depth_weight});
     }
     fitter.compare(batch, threads, targets.data(), gradients.data(), found.data());
     float* to = losses.data();
@@ -95,13 +100,13 @@ void bind_fit(nb::module_& m) {
     using nb::arg;
     nb::class_<Fitter>(m, "Fitter")
         .def("__init__", [](Fitter* self) { new (self) Fitter(choose_isa()); })
-        .def("render", &render, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"), arg("rgb"),
-             arg("depth"), arg("alpha"), arg("threads"))
-        .def("pull", &pull, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"), arg("slopes"),
+        .def("render", &render, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"), arg("known"),
+             arg("rgb"), arg("agreement"), arg("alpha"), arg("threads"))
+        .def("pull", &pull, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"), arg("known"), arg("slopes"),
              arg("gradients"), arg("pose_slopes"), arg("threads"))
         .def("compare", &compare, arg("values"), arg("count"), arg("near"), arg("camera_to_world"), arg("K"),
-             arg("pixels"), arg("chosen"), arg("exposure"), arg("soundings"), arg("firsts"), arg("ssim_weight"),
-             arg("depth_weight"), arg("gradients"), arg("losses"), arg("threads"))
+             arg("pixels"), arg("known"), arg("chosen"), arg("exposure"), arg("ssim_weight"), arg("depth_weight"),
+             arg("gradients"), arg("losses"), arg("threads"))
         .def("update", &update, arg("values"), arg("gradients"), arg("first"), arg("second"), arg("rates"),
              arg("step"), arg("beta1"), arg("beta2"), arg("epsilon"), arg("opacity_slope"), arg("scale_slope"),
              arg("noise"), arg("seed"), arg("threads"));

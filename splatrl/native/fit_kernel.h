@@ -36,13 +36,9 @@ struct alignas(64) FitSplat {
 // What a splat's moments are over all pixels, of v = dL / d ln(alpha) and of its share.
 enum FitMoment { M_V, M_VX, M_VY, M_VXX, M_VXY, M_VYY, M_RED, M_GREEN, M_BLUE, M_DEPTH, FIT_MOMENTS = 16 };
 
-enum FitChannel { F_RED, F_GREEN, F_BLUE, F_DEPTH, F_ALPHA, FIT_CHANNELS };
-
-// A place in an image whose distance along the optical axis is known.
-struct FitSounding {
-    int32_t x, y;
-    float inverse_depth;
-};
+// F_AGREEMENT is how much of a pixel lies where the pixel is known to be: each share times
+// max(0, 1 - |depth / known depth - 1|). What is in front of a known surface lowers it as what is behind does.
+enum FitChannel { F_RED, F_GREEN, F_BLUE, F_AGREEMENT, F_ALPHA, FIT_CHANNELS };
 
 // The blocks of an image, and how its planes lie in memory: [rows of whole blocks, stride].
 struct FitGrid {
@@ -62,6 +58,7 @@ struct FitScratch {
     uint32_t* taken;       // [blocks] how many of its list were blended
     uint32_t* spans;       // [rows of blocks of all splats]: first block and last block of a row
     uint32_t* list;        // [pairs of splat and block]
+    float* known;          // [area] inverse depths, 0 where unknown
     float* image;          // [FIT_CHANNELS, area]
     float* slopes;         // [FIT_CHANNELS, area]: the loss by the image
     float* maps;           // [11, area] of the structural similarity
@@ -70,8 +67,6 @@ struct FitScratch {
 struct FitTarget {
     const uint8_t* pixels;          // [height, width, 3]
     const float* exposure;          // [3, 2]: gain and offset of each channel
-    const FitSounding* soundings;
-    size_t sounding_count;
     float ssim_weight, depth_weight;
 };
 

@@ -35,14 +35,15 @@ struct Fitter::Workspace {
     Buffer<FitSplat> projected, splats;
     Buffer<uint32_t> ranks, starts, taken, spans, list;
     Buffer<uint64_t> keys, sorted;
-    Buffer<float> moments, image, slopes, maps;
+    Buffer<float> moments, known, image, slopes, maps;
 
     Workspace(size_t capacity, const FitGrid& grid)
         : grid(grid), capacity(capacity), projected(make_buffer<FitSplat>(capacity + FIT_LANES)),
           splats(make_buffer<FitSplat>(capacity + FIT_LANES)), ranks(make_buffer<uint32_t>(capacity)),
           starts(make_buffer<uint32_t>(grid.blocks() + 1)), taken(make_buffer<uint32_t>(grid.blocks())),
           keys(make_buffer<uint64_t>(capacity)), sorted(make_buffer<uint64_t>(capacity)),
-          moments(make_buffer<float>(capacity * FIT_MOMENTS)), image(make_buffer<float>(grid.area() * FIT_CHANNELS)),
+          moments(make_buffer<float>(capacity * FIT_MOMENTS)), known(make_buffer<float>(grid.area())),
+          image(make_buffer<float>(grid.area() * FIT_CHANNELS)),
           slopes(make_buffer<float>(grid.area() * FIT_CHANNELS)), maps(make_buffer<float>(grid.area() * FIT_MAPS)) {}
 
     void make_room(Buffer<uint32_t>& buffer, size_t& room, size_t needed) {
@@ -54,7 +55,7 @@ struct Fitter::Workspace {
 
     FitScratch scratch() const {
         return {projected.get(), splats.get(), ranks.get(), keys.get(),  sorted.get(), moments.get(), starts.get(),
-                taken.get(),     spans.get(),  list.get(),  image.get(), slopes.get(), maps.get()};
+                taken.get(),     spans.get(),  list.get(),  known.get(), image.get(), slopes.get(), maps.get()};
     }
 };
 
@@ -78,6 +79,10 @@ void Fitter::make_room(const FitBatch& batch) {
 // Returns how many Gaussians are visible.
 uint32_t Fitter::draw(const FitBatch& batch, size_t view, const Camera& camera) {
     Workspace& own = *workspaces_[view];
+    std::fill(own.known.get(), own.known.get() + own.grid.area(), 0.0f);
+    for (int y = 0; y < batch.height; ++y)
+        std::copy_n(batch.known[view] + size_t(y) * size_t(batch.width), batch.width,
+                    own.known.get() + size_t(y) * size_t(own.grid.stride));
     size_t rows = 0;
     const uint32_t visible = kernels_.project(batch.model, camera, own.grid, own.scratch(), &rows);
     own.make_room(own.spans, own.span_room, rows);
@@ -88,7 +93,7 @@ uint32_t Fitter::draw(const FitBatch& batch, size_t view, const Camera& camera) 
     return visible;
 }
 
-void Fitter::render(const FitBatch& batch, size_t threads, float* rgb, float* depth, float* alpha) {
+void Fitter::render(const FitBatch& batch, size_t threads, float* rgb, float* agreement, float* alpha) {
     make_room(batch);
     parallel_for(batch.views, threads, [&](size_t, size_t view) {
         draw(batch, view, camera_of(batch.camera_to_world + 16 * view, batch.K + 9 * view, batch.width, batch.height));
@@ -99,7 +104,7 @@ void Fitter::render(const FitBatch& batch, size_t threads, float* rgb, float* de
                 const size_t from = size_t(y) * size_t(own.grid.stride) + size_t(x);
                 const size_t to = view * pixels + size_t(y) * size_t(batch.width) + size_t(x);
                 for (size_t c = 0; c < 3; ++c) rgb[3 * to + c] = own.image[c * area + from];
-                depth[to] = own.image[F_DEPTH * area + from], alpha[to] = own.image[F_ALPHA * area + from];
+                agreement[to] = own.image[F_AGREEMENT * area + from], alpha[to] = own.image[F_ALPHA * area + from];
             }
     });
 }

@@ -14,6 +14,7 @@ struct FitBatch {
     FitModel model;
     const float* camera_to_world;  // [views, 4, 4]
     const float* K;                // [views, 3, 3]
+    const float* const* known;     // of each view, [height, width] inverse depths, 0 where unknown
     size_t views;
     int width, height;
 };
@@ -27,8 +28,8 @@ public:
     Fitter(const Fitter&) = delete;
     Fitter& operator=(const Fitter&) = delete;
 
-    // Draw into rgb [views, height, width, 3], not clamped, weighted depth and alpha [views, height, width].
-    void render(const FitBatch& batch, size_t threads, float* rgb, float* depth, float* alpha);
+    // Draw into rgb [views, height, width, 3], not clamped, agreement and alpha [views, height, width].
+    void render(const FitBatch& batch, size_t threads, float* rgb, float* agreement, float* alpha);
 
     // Slopes of the parameters, [views, rows, stride], and of the poses, [views, 6], from those of the images
     // [views, height, width, FIT_CHANNELS].

@@ -27,4 +27,5 @@ NB_MODULE(_core, m) {
     splatrl::bind_levels(m);
     splatrl::bind_occupancy(m);
     splatrl::bind_renderer(m);
+    splatrl::bind_stereo(m);
 }

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 
@@ -38,6 +39,10 @@ def _area(value: object) -> bool:
     return all(low < high for low, high in zip(*value, strict=True))
 
 
+def _file(value: object) -> bool:
+    return isinstance(value, str) and bool(value) and Path(value).name == value
+
+
 def _figures(value: object) -> bool:
     plain = isinstance(value, dict) and all(isinstance(key, str) for key in value)
     return plain and all(v is None or isinstance(v, bool | str) or _number(v) for v in value.values())  # type: ignore[attr-defined]
@@ -48,6 +53,7 @@ PROPOSALS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "voxel_size": ("metres above 0", _positive),
     "walk": ("[[x, y], [x, y]] in metres, the first below the second", _area),
     "step": ("metres above 0", _positive),
+    "free": ("the name of a file in this folder", _file),
     "goal": ("[x, y, yaw], two in metres and one in degrees", _numbers(3)),
     "object": ("[x, y, z] in metres", _numbers(3)),
     "metric": ("true or false", lambda value: isinstance(value, bool)),

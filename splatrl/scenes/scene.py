@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import blake2b
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,19 @@ CACHE_VERSION = 1
 """Part of every cache key: raise it when what is cached under the same settings changes meaning."""
 
 
+@dataclass(frozen=True)
+class FreeSpace:
+    """Voxels that are free although Gaussians fill them: cameras saw through their haze.
+
+    Attributes:
+        path: a point cloud of their centres, world, metres.
+        voxel_size: their edge, metres.
+    """
+
+    path: Path
+    voxel_size: float
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Gaussians in the world frame (right-handed, z up, metres).
@@ -31,11 +45,13 @@ class Scene:
         name: for captions and file names.
         gaussians: N Gaussians.
         bounds: lower and upper corner of where the scene is, metres.
+        free: what is not solid in it, whatever its Gaussians say; None where nothing is known.
     """
 
     name: str
     gaussians: Gaussians
     bounds: Bounds
+    free: FreeSpace | None = None
 
     def cached(
         self, kind: str, settings: Mapping[str, Any], build: Callable[[], Arrays], compressed: bool = True

@@ -12,7 +12,7 @@ from torch import Tensor
 from splatrl.scenes.description import read_description
 from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.frame import checked_similarity, similarity
-from splatrl.scenes.scene import Bounds, Point, Scene, robust_bounds
+from splatrl.scenes.scene import Bounds, FreeSpace, Point, Scene, robust_bounds
 from splatrl.scenes.yard import backyard_gaussians
 from splatrl.scenes.yard.layout import HALF_WIDTH
 
@@ -70,11 +70,12 @@ def read_scene(
     """
     splat = Path(path).expanduser()
     stated: dict[str, Any] = {}
-    fallback = splat.stem
+    fallback, free = splat.stem, None
     if splat.is_dir():
         stated, fallback = read_description(splat), splat.resolve().name
         if stated.get("metric") is False:
             warnings.warn(f"{splat}: not metric: nothing told its scale, so its lengths are not metres", stacklevel=2)
+        free = None if _says_something(world_from_splat) else _free_space(splat, stated)
         splat = splat / stated["splat"]
     gaussians = read_gaussians(splat)
     transform = _transform(stated.get("world_from_splat"), world_from_splat)
@@ -85,7 +86,21 @@ def read_scene(
         name=name or stated.get("name", fallback),
         gaussians=gaussians,
         bounds=robust_bounds(gaussians) if corners is None else _checked_bounds(corners),
+        free=free,
     )
+
+
+def _says_something(given: Mapping[str, Any] | Tensor | None) -> bool:
+    return isinstance(given, Tensor) or any(value is not None for value in (given or {}).values())
+
+
+def _free_space(folder: Path, stated: Mapping[str, Any]) -> FreeSpace | None:
+    """What a folder says is free, in its own frame."""
+    if "free" not in stated:
+        return None
+    if "voxel_size" not in stated:
+        raise ValueError(f"{folder}: free: expected voxel_size beside it, got none")
+    return FreeSpace(folder / stated["free"], float(stated["voxel_size"]))
 
 
 def _transform(own: Mapping[str, Any] | None, given: Mapping[str, Any] | Tensor | None) -> Tensor | None:

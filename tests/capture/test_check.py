@@ -9,10 +9,10 @@ import pytest
 import torch
 from PIL import Image
 
-from splatrl.capture.area import survey_area
+from splatrl.capture.area import dense_voxels, survey_area
 from splatrl.capture.base import CaptureError
 from splatrl.capture.check import check, colour_corrected, psnr, ssim
-from splatrl.capture.floaters import seen_through, without_floaters
+from splatrl.capture.floaters import hazy_voxels, seen_through, without_floaters
 from splatrl.collision.occupancy import Occupancy
 from splatrl.scenes.gaussians import Gaussians
 from tests.capture.rooms import CAMERAS, tiny_capture
@@ -21,6 +21,7 @@ from tests.tiny import tiny_gaussians
 HELD_OUT = range(3, CAMERAS, 8)
 FLOATER = (0.9, 0.0, 0.5)
 """On the cameras' path, and nothing is there."""
+HAZE = (0.7, 1.2, 0.5)
 
 
 def with_floater() -> Gaussians:
@@ -64,19 +65,47 @@ def test_something_solid_on_the_path_shows_in_the_figures(tmp_path: Path) -> Non
 
 def test_what_cameras_saw_through_is_found_and_what_they_saw_stays(tmp_path: Path) -> None:
     placed = tiny_capture(tmp_path)
-    area = survey_area(with_floater(), placed)
-    carved = seen_through(area.occupancy, placed.reconstruction)
-    places = (np.argwhere(carved) + area.occupancy.origin_key + 0.5) * area.occupancy.resolution
+    solid = dense_voxels(with_floater(), placed)
+    carved = seen_through(solid, placed.reconstruction)
+    places = (np.argwhere(carved) + solid.origin_key + 0.5) * solid.resolution
     near = np.abs(places - FLOATER).max(1) < 0.25
     assert near.sum() > 15 and (~near).sum() < 5
-    kept, count = without_floaters(with_floater(), area.occupancy, placed.reconstruction)
+    kept, count = without_floaters(with_floater(), solid, placed.reconstruction)
     assert count == len(places) and len(kept) < len(with_floater())
     means = {tuple(row) for row in kept.means.tolist()}
     assert sum(tuple(row) not in means for row in tiny_gaussians().means.tolist()) < 5
 
 
+def with_haze() -> Gaussians:
+    """The room with a cloud before a wall that no image shows: many faint Gaussians, dense together."""
+    steps = 0.05 * torch.cartesian_prod(*[torch.arange(-2.0, 3.0)] * 3)
+    count = len(steps)
+    cloud = Gaussians(
+        means=torch.tensor(HAZE) + steps,
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        scales=torch.full((count, 3), 0.004),
+        opacities=torch.full((count,), 0.75),
+        sh=torch.zeros(count, 1, 3),
+        batch_size=[count],
+    )
+    return torch.cat([tiny_gaussians(), cloud])
+
+
+def test_haze_that_no_image_shows_is_free_and_surfaces_stay(tmp_path: Path) -> None:
+    placed = tiny_capture(tmp_path)
+    dense = dense_voxels(with_haze(), placed)
+    hazy = hazy_voxels(dense, with_haze(), placed.reconstruction)
+    places = (np.argwhere(hazy) + dense.origin_key + 0.5) * dense.resolution
+    near = np.abs(places - HAZE).max(1) < 0.25
+    assert near.sum() > 200 and (~near).sum() < 5
+    area = survey_area(with_haze(), placed)
+    assert area.free.count == hazy.sum() and area.occupancy.count == dense.count - hazy.sum()
+
+
 def test_an_empty_place_has_nothing_to_see_through(tmp_path: Path) -> None:
-    assert seen_through(Occupancy.empty(), tiny_capture(tmp_path).reconstruction).sum() == 0
+    capture = tiny_capture(tmp_path).reconstruction
+    assert seen_through(Occupancy.empty(), capture).sum() == 0
+    assert hazy_voxels(Occupancy.empty(), tiny_gaussians(), capture).sum() == 0
 
 
 def test_figures_of_images_are_those_of_their_definitions() -> None:

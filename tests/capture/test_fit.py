@@ -20,6 +20,7 @@ from splatrl.scenes.gaussians import Gaussians
 from tests.renderers.cases import LIKENESS, random_cameras, random_gaussians
 
 COUNT, STRIDE, WIDTH, HEIGHT = 203, 208, 37, 22
+SEAM, INVERSE_DEPTH = 19, (0.5, 0.3)
 GROUPS = {"means": (0, 3), "log-scales": (3, 6), "quats": (6, 10), "logits": (10, 11), "sh": (11, 23)}
 SETTINGS = FitSettings(
     width=48, cap=600, views=240, sh_degree=0, levels=((0.0, 0.5), (0.3, 1.0)), refine_every=20, threads=1
@@ -51,10 +52,23 @@ def activated(values: Tensor) -> Gaussians:
 
 
 def reference_images(gaussians: Gaussians, cameras: Cameras) -> Tensor:
-    """Colour, weighted depth and alpha, not clamped: [B, H, W, 5]."""
+    """Colour, agreement with ``known_depths`` and alpha, not clamped: [B, H, W, 5]."""
     reference = ReferenceRenderer(gaussians)
-    rows = [reference.project(gaussians, cameras, row) for row in range(len(cameras))]
-    return torch.stack([blend(row, 0, 0, cameras.width, cameras.height, FAINT) for row in rows])
+    images = []
+    for row in range(len(cameras)):
+        seen = reference.project(gaussians, cameras, row)
+        agreeing = seen._replace(depths=(1 - (seen.depths * INVERSE_DEPTH[row] - 1).abs()).clamp_min(0))
+        left = blend(agreeing, 0, 0, SEAM, cameras.height, FAINT)
+        right = blend(seen._replace(depths=0 * seen.depths), SEAM, 0, cameras.width, cameras.height, FAINT)
+        images.append(torch.cat([left, right], 1))
+    return torch.stack(images)
+
+
+def known_depths(count: int) -> Tensor:
+    """Inverse depths that are known left of the seam: [count, H, W]."""
+    known = torch.zeros(count, HEIGHT, WIDTH)
+    known[:, :, :SEAM] = torch.tensor(INVERSE_DEPTH[:count])[:, None, None]
+    return known
 
 
 def moved_cameras(cameras: Cameras, moves: Tensor) -> Cameras:
@@ -86,16 +100,19 @@ def test_views_and_slopes_are_those_of_the_reference_under_autograd(fitter: _cor
     values, cameras = random_values(degree), random_cameras(5, 2, WIDTH, HEIGHT)
     leaf = values[:, :COUNT].double().requires_grad_()
     moves = torch.zeros(2, 6, dtype=torch.float64, requires_grad=True)
+    known = known_depths(2)
     expected = reference_images(activated(leaf), moved_cameras(cameras, moves))
     slopes = torch.randn(expected.shape, generator=torch.Generator().manual_seed(1))
     (expected * slopes).sum().backward()
-    rgb, depth, alpha = torch.empty(2, HEIGHT, WIDTH, 3), *(torch.empty(2, HEIGHT, WIDTH) for _ in range(2))
+    rgb, agreement, alpha = torch.empty(2, HEIGHT, WIDTH, 3), *(torch.empty(2, HEIGHT, WIDTH) for _ in range(2))
     gradients, moved = torch.zeros(2, *values.shape), torch.empty(2, 6)
     K = cameras.K.contiguous()
-    fitter.render(values, COUNT, 0.01, cameras.camera_to_world, K, rgb, depth, alpha, 1)
-    fitter.pull(values, COUNT, 0.01, cameras.camera_to_world, K, slopes, gradients, moved, 1)
+    fitter.render(values, COUNT, 0.01, cameras.camera_to_world, K, known, rgb, agreement, alpha, 1)
+    fitter.pull(values, COUNT, 0.01, cameras.camera_to_world, K, known, slopes, gradients, moved, 1)
     assert -10 * (rgb - expected.detach()[..., :3]).square().mean().log10() > LIKENESS
-    assert torch.allclose(depth.double(), expected.detach()[..., 3], atol=1e-3)
+    assert torch.allclose(agreement.double(), expected.detach()[..., 3], atol=1e-3)
+    assert agreement[:, :, :SEAM].amax() > 0.3
+    assert (agreement[:, :, SEAM:] == 0).all()
     assert torch.allclose(alpha.double(), expected.detach()[..., 4], atol=1e-4)
     assert leaf.grad is not None and moves.grad is not None
     assert cosine(moved, moves.grad) > 0.9999
@@ -127,17 +144,16 @@ def test_the_loss_and_its_slopes_are_those_of_torch(fitter: _core.Fitter) -> Non
     random = torch.Generator().manual_seed(2)
     photos = torch.randint(0, 256, (3, HEIGHT, WIDTH, 3), dtype=torch.uint8, generator=random)
     exposure = torch.tensor([[[1.0, 0.0]] * 3, [[1.0, 0.0]] * 3, [[1.1, 0.02], [0.9, -0.01], [1.2, 0.0]]])
-    soundings = torch.tensor([[30.5, 3.2, 0.4], [20.1, 11.7, 0.5], [12.0, 15.0, 0.3]])
+    known = torch.cat([known_depths(1) * 0 + 9.0] * 2 + [known_depths(1)])
     leaf, light = values[:, :COUNT].double().requires_grad_(), exposure[2].double().requires_grad_()
     image = reference_images(activated(leaf), cameras)[0]
-    at = image[soundings[1:, 1].long(), soundings[1:, 0].long()]
-    apart = (at[:, 4] / at[:, 3] - soundings[1:, 2]).abs().mean()
+    apart = (1 - image[:, :SEAM, 3]).sum() / (HEIGHT * WIDTH)
     expected = torch_loss(image[..., :3], photos[2].double() / 255, light) + 0.3 * apart
     expected.backward()
     gradients, losses = torch.zeros(1, *values.shape), torch.empty(1, 16)
     fitter.compare(
-        values, COUNT, 0.01, cameras.camera_to_world, cameras.K.contiguous(), photos, torch.tensor([2]), exposure,
-        soundings, torch.tensor([0, 1, 1, 3]), 0.2, 0.3, gradients, losses, 1,
+        values, COUNT, 0.01, cameras.camera_to_world, cameras.K.contiguous(), photos, known, torch.tensor([2]),
+        exposure, 0.2, 0.3, gradients, losses, 1,
     )  # fmt: skip
     assert float(losses[0, 0]) == pytest.approx(float(expected.detach()), abs=1e-5)
     assert leaf.grad is not None and light.grad is not None
@@ -235,8 +251,8 @@ def test_poses_that_are_a_little_off_are_put_right(capture: Reconstruction) -> N
     fitting = Fitting(
         replace(capture, camera_to_world=turned(capture.camera_to_world, off)), replace(SETTINGS, poses=1e-3)
     )
-    for step in range(240):
-        fitting.step(step, 240)
+    for step in range(320):
+        fitting.step(step, 320)
     rows = fitting.trained
 
     def error(moves: Tensor) -> float:  # of turns, but for what all cameras have in common

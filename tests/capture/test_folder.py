@@ -22,7 +22,7 @@ from tests.capture.rooms import ABOVE, CAMERAS, tiny_capture
 from tests.tiny import tiny_gaussians
 
 HELD_OUT = range(3, CAMERAS, 8)
-FILES = {"splat.ply", "scene.yaml", "report.html", "held_out.png", "map.png", "goals.png", "cameras.png"}
+FILES = {"splat.ply", "free.ply", "scene.yaml", "report.html", "held_out.png", "map.png", "goals.png", "cameras.png"}
 SMALL = [
     "device=cpu",
     "robot.image_width=16",

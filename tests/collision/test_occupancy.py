@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
 from splatrl.collision import DensitySettings, Occupancy
+from splatrl.collision.point_clouds import write_points
 from splatrl.scenes import Gaussians, backyard
+from splatrl.scenes.scene import FreeSpace
 
 
 def same(a: Occupancy, b: Occupancy) -> bool:
@@ -136,7 +138,7 @@ def remembering(gaussians: Gaussians, bounds=((0.0, 0.0, 0.0), (1.0, 0.6, 1.2)))
         return kept[key]
 
     builds: list[str] = []
-    return SimpleNamespace(gaussians=gaussians, bounds=bounds, cached=cached), builds
+    return SimpleNamespace(gaussians=gaussians, bounds=bounds, cached=cached, free=None), builds
 
 
 def slab() -> Gaussians:
@@ -202,6 +204,7 @@ def test_density_settings_and_the_rest_come_from_yaml_as_they_do_from_python():
 def test_from_scene_ends_a_tenth_beyond_the_bounds_or_at_the_crop():
     grid = torch.cartesian_prod(torch.arange(-3, 3, 0.08), torch.arange(-3, 3, 0.08), torch.tensor([0.0]))
     scene = SimpleNamespace(
+        free=None,
         gaussians=blobs(grid, 0.06),
         bounds=((0.0, 0.0, 0.0), (2.0, 1.0, 0.0)),  # flat, as the sheet is
         cached=lambda kind, settings, build: build(),
@@ -212,6 +215,25 @@ def test_from_scene_ends_a_tenth_beyond_the_bounds_or_at_the_crop():
     bounds = Occupancy.from_scene(scene, resolution=0.1, crop=((-1, -1, -1), (0.5, 0.3, 1))).bounds
     assert bounds[0][:2] == pytest.approx([-1.0, -1.0])
     assert bounds[1][:2] == pytest.approx([0.5, 0.3])
+
+
+@pytest.mark.parametrize(("resolution", "gone"), [(0.05, 6**3), (0.1, 3**3), (0.2, 1)])
+def test_only_voxels_that_are_free_as_a_whole_are_taken_away(resolution, gone):
+    solid = Occupancy.from_boxes([[0.0, 0.0, 0.0]], [[0.6, 0.6, 0.6]], resolution)
+    free = Occupancy.from_boxes([[0.0, 0.0, 0.0]], [[0.3, 0.3, 0.3]], 0.1)
+    left = solid.without(free)
+    assert solid.count - left.count == gone
+    assert same(left | solid, solid), "nothing becomes solid"
+
+
+def test_what_a_scene_knows_to_be_free_is_not_solid(tmp_path):
+    scene, builds = remembering(slab())
+    every = Occupancy.from_scene(scene, resolution=0.1)
+    write_points(tmp_path / "free.ply", every.centers()[:40])
+    scene.free = FreeSpace(tmp_path / "free.ply", 0.1)
+    some = Occupancy.from_scene(scene, resolution=0.1)
+    assert len(builds) == 2 and every.count - some.count == 40
+    assert not some.contains(every.centers()[:40]).any()
 
 
 def test_the_backyard_is_read_back_from_its_cache(tmp_path, monkeypatch):

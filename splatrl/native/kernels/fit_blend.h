@@ -50,30 +50,48 @@ LANE_INLINE Lanes alpha_of(const Lanes& exponent) {
     return select_if_at_least(exponent, LOG2_INVISIBLE_ANTIALIASED, min(exp2(exponent), MAX_ALPHA));
 }
 
+// How much a depth agrees with known ones, given by their inverses.
+LANE_INLINE Lanes agreement(float depth, const Lanes& known) {
+    const Lanes away = known * depth - 1.0f;
+    return max(1.0f - max(away, -away), 0.0f);
+}
+
+template <bool KNOWN>
+LANE_INLINE void blend_block(const FitScratch& scratch, const FitBlock& at, const Lanes& known, size_t block,
+                             Lanes* sums) {
+    Lanes transmittance = lanes(1.0f);
+    const uint32_t* item = at.list;
+    while (item < at.end) {
+        const uint32_t* stop = at.end - item > 16 ? item + 16 : at.end;
+        for (; item < stop; ++item) {
+            if (item + FIT_AHEAD < at.end) __builtin_prefetch(&scratch.splats[item[FIT_AHEAD]]);
+            const FitSplat& splat = scratch.splats[*item];
+            const Lanes share = transmittance * alpha_of(exponent_at(splat, at.x - splat.x, at.y - splat.y));
+            transmittance = transmittance - share;
+            const LaneMask counted = above(transmittance, MIN_TRANSMITTANCE);
+            sums[F_RED] = add_product_where(counted, sums[F_RED], share, splat.red);
+            sums[F_GREEN] = add_product_where(counted, sums[F_GREEN], share, splat.green);
+            sums[F_BLUE] = add_product_where(counted, sums[F_BLUE], share, splat.blue);
+            if (KNOWN)
+                sums[F_AGREEMENT] =
+                    add_product_where(counted, sums[F_AGREEMENT], share * agreement(splat.depth, known), 1.0f);
+            sums[F_ALPHA] = add_product_where(counted, sums[F_ALPHA], share, 1.0f);
+        }
+        if (bits_above(transmittance, lanes(MIN_TRANSMITTANCE)) == 0) break;
+    }
+    scratch.taken[block] = uint32_t(item - at.list);
+}
+
 static void blend_all(const FitGrid& grid, const FitScratch& scratch) {
     for (size_t block = 0; block < grid.blocks(); ++block) {
         const FitBlock at = block_at(grid, scratch, block);
+        const Lanes known = read_block(scratch.known, grid, at.place);
         Lanes sums[FIT_CHANNELS];
         for (Lanes& sum : sums) sum = lanes(0.0f);
-        Lanes transmittance = lanes(1.0f);
-        const uint32_t* item = at.list;
-        while (item < at.end) {
-            const uint32_t* stop = at.end - item > 16 ? item + 16 : at.end;
-            for (; item < stop; ++item) {
-                if (item + FIT_AHEAD < at.end) __builtin_prefetch(&scratch.splats[item[FIT_AHEAD]]);
-                const FitSplat& splat = scratch.splats[*item];
-                const Lanes share = transmittance * alpha_of(exponent_at(splat, at.x - splat.x, at.y - splat.y));
-                transmittance = transmittance - share;
-                const LaneMask counted = above(transmittance, MIN_TRANSMITTANCE);
-                sums[F_RED] = add_product_where(counted, sums[F_RED], share, splat.red);
-                sums[F_GREEN] = add_product_where(counted, sums[F_GREEN], share, splat.green);
-                sums[F_BLUE] = add_product_where(counted, sums[F_BLUE], share, splat.blue);
-                sums[F_DEPTH] = add_product_where(counted, sums[F_DEPTH], share, splat.depth);
-                sums[F_ALPHA] = add_product_where(counted, sums[F_ALPHA], share, 1.0f);
-            }
-            if (bits_above(transmittance, lanes(MIN_TRANSMITTANCE)) == 0) break;
-        }
-        scratch.taken[block] = uint32_t(item - at.list);
+        if (bits_above(known, lanes(0.0f)) != 0)
+            blend_block<true>(scratch, at, known, block, sums);
+        else
+            blend_block<false>(scratch, at, known, block, sums);
         for (int c = 0; c < FIT_CHANNELS; ++c)
             write_block(scratch.image + size_t(c) * grid.area(), grid, at.place, sums[c]);
     }
@@ -81,19 +99,20 @@ static void blend_all(const FitGrid& grid, const FitScratch& scratch) {
 
 // What the pixels of a block carry through the backward.
 struct FitBehind {
-    Lanes slopes[FIT_CHANNELS], total, before, transmittance;
+    Lanes slopes[FIT_CHANNELS], known, total, before, transmittance;
 };
 
 // v = dL / d ln(alpha) of one splat at the pixels, and its share; moves on behind it.
+template <bool KNOWN>
 LANE_INLINE void step_back(const FitSplat& splat, const FitBlock& at, FitBehind& behind, Lanes& v, Lanes& share) {
     const Lanes exponent = exponent_at(splat, at.x - splat.x, at.y - splat.y);
     const Lanes alpha = alpha_of(exponent);
     const Lanes let_through = behind.transmittance * alpha;
     behind.transmittance = behind.transmittance - let_through;
     share = select_if_at_least(behind.transmittance, MIN_TRANSMITTANCE, let_through);
-    const Lanes worth = behind.slopes[F_RED] * splat.red + behind.slopes[F_GREEN] * splat.green +
-                        behind.slopes[F_BLUE] * splat.blue + behind.slopes[F_DEPTH] * splat.depth +
-                        behind.slopes[F_ALPHA];
+    Lanes worth = behind.slopes[F_RED] * splat.red + behind.slopes[F_GREEN] * splat.green +
+                  behind.slopes[F_BLUE] * splat.blue + behind.slopes[F_ALPHA];
+    if (KNOWN) worth = worth + behind.slopes[F_AGREEMENT] * agreement(splat.depth, behind.known);
     const Lanes gain = share * worth;
     behind.before = behind.before + gain;
     const Lanes hidden = (behind.total - behind.before) * alpha * reciprocal(1.0f - alpha);
@@ -119,11 +138,25 @@ LANE_INLINE void block_moments(const float* turned_v, const float* turned_share,
         m[M_VYY] = m[M_VYY] + (y * y) * flat;
     }
     for (int i = 0; i < 6; ++i) out[i] = m[i];
-    for (int c = 0; c < F_ALPHA; ++c) out[M_RED + c] = lanes(0.0f);
+    for (int c = 0; c < 3; ++c) out[M_RED + c] = lanes(0.0f);
     for (int pixel = 0; pixel < LANES; ++pixel) {
         const Lanes share = load(turned_share + pixel * LANES);
-        for (int c = 0; c < F_ALPHA; ++c) out[M_RED + c] = out[M_RED + c] + share * slopes[c * LANES + pixel];
+        for (int c = 0; c < 3; ++c) out[M_RED + c] = out[M_RED + c] + share * slopes[c * LANES + pixel];
     }
+}
+
+// dL / d depth of sixteen splats over a block, through the agreement.
+LANE_INLINE Lanes depth_moment(const float* turned_share, const float* slopes, const float* known,
+                               const Lanes& depth) {
+    Lanes sum = lanes(0.0f);
+    for (int pixel = 0; pixel < LANES; ++pixel) {
+        if (known[pixel] <= 0.0f) continue;
+        const Lanes away = depth * known[pixel] - 1.0f;
+        const Lanes nearer = select_if_at_least(away, 0.0f, lanes(2.0f)) - 1.0f;  // the opposite of the slope's sign
+        const Lanes counted = select_if_at_least(1.0f - max(away, -away), 0.0f, nearer);
+        sum = sum - load(turned_share + pixel * LANES) * counted * (known[pixel] * slopes[F_AGREEMENT * LANES + pixel]);
+    }
+    return sum;
 }
 
 // From the centre of the block to the centre of each splat: (ox, oy) is from the splat to the block.
@@ -136,16 +169,17 @@ LANE_INLINE void recentre(const Lanes& ox, const Lanes& oy, Lanes* m) {
 }
 
 // Up to sixteen splats of a block's list.
+template <bool KNOWN>
 LANE_INLINE void block_batch(const FitScratch& scratch, const FitBlock& at, const uint32_t* item, int count,
                              const float* slopes, FitBehind& behind) {
     alignas(64) float v[LANES * LANES], share[LANES * LANES], turned_v[LANES * LANES], turned_share[LANES * LANES];
-    alignas(64) float x[LANES] = {}, y[LANES] = {};
+    alignas(64) float x[LANES] = {}, y[LANES] = {}, depth[LANES] = {};
     for (int i = 0; i < count; ++i) {
         __builtin_prefetch(scratch.moments + size_t(item[i]) * FIT_MOMENTS, 1);
         const FitSplat& splat = scratch.splats[item[i]];
-        x[i] = splat.x, y[i] = splat.y;
+        x[i] = splat.x, y[i] = splat.y, depth[i] = splat.depth;
         Lanes slope, weight;
-        step_back(splat, at, behind, slope, weight);
+        step_back<KNOWN>(splat, at, behind, slope, weight);
         store(v + LANES * i, slope);
         store(share + LANES * i, weight);
     }
@@ -157,6 +191,12 @@ LANE_INLINE void block_batch(const FitScratch& scratch, const FitBlock& at, cons
     turn(share, turned_share);
     Lanes moments[FIT_MOMENTS];
     block_moments(turned_v, turned_share, slopes, moments);
+    moments[M_DEPTH] = lanes(0.0f);
+    if (KNOWN) {
+        alignas(64) float known[LANES];
+        store(known, behind.known);
+        moments[M_DEPTH] = depth_moment(turned_share, slopes, known, load(depth));
+    }
     const float middle_x = at.x.part[0][0] + 1.5f, middle_y = at.y.part[0][0] + 1.5f;
     recentre(middle_x - load(x), middle_y - load(y), moments);
     for (int i = 0; i <= M_DEPTH; ++i) store(v + LANES * i, moments[i]);
@@ -175,6 +215,7 @@ static void blend_back(const FitGrid& grid, const FitScratch& scratch, uint32_t 
         FitBehind behind;
         behind.total = behind.before = lanes(0.0f);
         behind.transmittance = lanes(1.0f);
+        behind.known = read_block(scratch.known, grid, at.place);
         alignas(64) float slopes[FIT_CHANNELS * LANES];
         for (int c = 0; c < FIT_CHANNELS; ++c) {
             behind.slopes[c] = read_block(scratch.slopes + size_t(c) * grid.area(), grid, at.place);
@@ -183,9 +224,14 @@ static void blend_back(const FitGrid& grid, const FitScratch& scratch, uint32_t 
             behind.total = behind.total + behind.slopes[c] * value;
         }
         const uint32_t taken = scratch.taken[block];
-        for (uint32_t first = 0; first < taken; first += LANES)
-            block_batch(scratch, at, at.list + first, int(taken - first < LANES ? taken - first : LANES), slopes,
-                        behind);
+        const bool known = bits_above(behind.known, lanes(0.0f)) != 0;
+        for (uint32_t first = 0; first < taken; first += LANES) {
+            const int count = int(taken - first < LANES ? taken - first : LANES);
+            if (known)
+                block_batch<true>(scratch, at, at.list + first, count, slopes, behind);
+            else
+                block_batch<false>(scratch, at, at.list + first, count, slopes, behind);
+        }
     }
 }
 

@@ -1,4 +1,4 @@
-// How unlike a view its photo is, and the slopes of that: L1, structural similarity (Wang et al. 2004), inverse depth.
+// How unlike a view its photo is, and the slopes of that: L1, structural similarity (Wang et al. 2004), known depths.
 #pragma once
 
 #include "fit_kernel.h"
@@ -132,22 +132,20 @@ static void channel_slopes(const FitGrid& grid, const FitTarget& target, int cha
     loss.exposure[2 * channel + 1] = float(by_offset);
 }
 
-// L1 of the inverse of the mean depth at the soundings, in the planes of depth and alpha.
-static float sounding_slopes(const FitGrid& grid, const FitTarget& target, const FitScratch& scratch) {
-    const float *depth = scratch.image + F_DEPTH * grid.area(), *alpha = scratch.image + F_ALPHA * grid.area();
-    float *by_depth = scratch.slopes + F_DEPTH * grid.area(), *by_alpha = scratch.slopes + F_ALPHA * grid.area();
+// One minus the agreement where depths are known; a mean over all pixels.
+static float depth_slopes(const FitGrid& grid, const FitTarget& target, const FitScratch& scratch) {
+    const float share = 1.0f / float(grid.width * grid.height);
+    const float *found = scratch.image + F_AGREEMENT * grid.area();
+    float* slopes = scratch.slopes + F_AGREEMENT * grid.area();
     double sum = 0.0;
-    for (size_t i = 0; i < target.sounding_count; ++i) {
-        const FitSounding& at = target.soundings[i];
-        const size_t place = size_t(at.y) * size_t(grid.stride) + size_t(at.x);
-        if (alpha[place] < 0.1f) continue;
-        const float inverse = 1.0f / depth[place], away = alpha[place] * inverse - at.inverse_depth;
-        const float slope = (away > 0.0f ? 1.0f : -1.0f) * target.depth_weight / float(target.sounding_count);
-        sum += double(__builtin_fabsf(away));
-        by_depth[place] -= slope * alpha[place] * inverse * inverse;
-        by_alpha[place] += slope * inverse;
-    }
-    return target.sounding_count == 0 ? 0.0f : float(sum / double(target.sounding_count));
+    for (int y = 0; y < grid.height; ++y)
+        for (int x = 0; x < grid.width; ++x) {
+            const size_t place = size_t(y) * size_t(grid.stride) + size_t(x);
+            if (scratch.known[place] <= 0.0f) continue;
+            sum += double(1.0f - found[place]);
+            slopes[place] = -share * target.depth_weight;
+        }
+    return float(sum) * share;
 }
 
 static FitLoss loss_of(const FitGrid& grid, const FitScratch& scratch, const FitTarget& target) {
@@ -163,7 +161,7 @@ static FitLoss loss_of(const FitGrid& grid, const FitScratch& scratch, const Fit
                        loss);
     }
     loss.ssim = float(similarity / double(3 * size_t(grid.width) * size_t(grid.height)));
-    loss.depth = sounding_slopes(grid, target, scratch);
+    loss.depth = depth_slopes(grid, target, scratch);
     loss.total = (1.0f - target.ssim_weight) * loss.l1 + target.ssim_weight * (1.0f - loss.ssim) +
                  target.depth_weight * loss.depth;
     return loss;

@@ -1,0 +1,190 @@
+"""Whether what is solid in a capture is where it really is: depth and free space against what is known of two places.
+
+    splatrl-capture SCENES/videos/redkitchen/video.mp4 --out red --camera-height 1.3
+    python benchmarks/capture_truth.py redkitchen red
+    splatrl-capture SCENES/videos/kitchen_m.mp4 --out kitchen
+    python benchmarks/capture_truth.py kitchen kitchen
+
+The capture is brought to the truth by the similarity that fits its cameras best; nothing else of the truth is used.
+
+redkitchen: a depth sensor's images. AbsRel is the mean of |depth − sensor's| / sensor's over all pixels that the sensor
+measured; free space is made of the voxels of the capture that at least three of the sensor's images look through, up to
+10 cm (and 5 %) before what they measured, and that are more than a voxel away from anything that any of them measured.
+
+kitchen: hand-made boxes. False hits are those of a 0.1 m cube in the free middle, recall that of a 0.2 m cube centred
+on surfaces of the counters that at least two cameras of the capture saw.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from occupancy_truth import kitchen_truth
+from PIL import Image
+from scenes import SCENES
+from scipy import ndimage
+from torch import Tensor
+
+from splatrl.bodies import Box
+from splatrl.cameras import Cameras
+from splatrl.capture.frames import read_photos
+from splatrl.capture.pipeline import STAGES
+from splatrl.capture.poses import find_poses
+from splatrl.capture.world import Placed, moved, place
+from splatrl.collision import NativeChecker, Occupancy
+from splatrl.geometry import rigid
+from splatrl.renderers import NativeRenderer
+from splatrl.scenes import Scene, read_scene
+from splatrl.scenes.description import read_description
+
+SMALL, LARGE = Box((0.1, 0.1, 0.1)), Box((0.2, 0.2, 0.2))
+VIDEOS = {"redkitchen": SCENES / "videos" / "redkitchen" / "video.mp4", "kitchen": SCENES / "videos" / "kitchen_m.mp4"}
+POSES = 20_000
+SENSOR_K = torch.tensor([[585.0, 0, 320], [0, 585, 240], [0, 0, 1]], dtype=torch.float64)
+NO_DEPTH = 65535
+BEFORE, BEFORE_SHARE, LOOKS = 0.1, 0.05, 3
+FRAMES_A_SECOND = 30.0
+AGREES = 0.03
+"""A camera sees a place whose depth is off by at most this share."""
+
+
+def similarity(from_places: NDArray[np.float64], to_places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The similarity [4, 4] that brings places [N, 3] closest to others (Umeyama 1991)."""
+    a, b = from_places - from_places.mean(0), to_places - to_places.mean(0)
+    u, values, vt = np.linalg.svd(b.T @ a / len(a))
+    signs = np.array([1.0, 1.0, np.linalg.det(u @ vt)])
+    turn = (u * signs) @ vt
+    scale = (values * signs).sum() / (a**2).sum(1).mean()
+    out = np.eye(4)
+    out[:3, :3] = scale * turn
+    out[:3, 3] = to_places.mean(0) - scale * turn @ from_places.mean(0)
+    return out
+
+
+def aligned(placed: Placed, seconds: Tensor, truth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The similarity [4, 4] from a capture to the truth [frames, 4, 4] by its cameras."""
+    rows = (seconds * FRAMES_A_SECOND).round().long().clamp_max(len(truth) - 1).numpy()
+    found = placed.reconstruction.camera_to_world[:, :3, 3].numpy()
+    return similarity(found, truth[rows, :3, 3])
+
+
+def redkitchen(scene: Scene, occupancy: Occupancy, placed: Placed, seconds: Tensor) -> dict[str, float]:
+    """Depth and free space against the sensor's."""
+    folder = VIDEOS["redkitchen"].parent
+    truth = np.load(folder / "truth.npz")["camera_to_world"]
+    to_truth = aligned(placed, seconds, truth)
+    scale = float(np.linalg.det(to_truth[:3, :3]) ** (1 / 3))
+    from_truth = np.linalg.inv(to_truth)
+    depths, poses = [], []
+    for path in sorted((folder / "depth").glob("*.png")):
+        depth = np.asarray(Image.open(path)).astype(np.float64)
+        depth[depth == NO_DEPTH] = 0
+        pose = from_truth @ truth[int("".join(filter(str.isdigit, path.stem)))]
+        pose[:3, :3] *= scale
+        depths.append(torch.from_numpy(depth / 1000 / scale))
+        poses.append(torch.from_numpy(pose))
+    measured, cameras_to_world = torch.stack(depths), torch.stack(poses)
+    cameras = Cameras(cameras_to_world.float(), SENSOR_K.float(), 640, 480)
+    renderer = NativeRenderer(scene)
+    drawn = torch.cat([renderer.render(cameras[row : row + 1]).depth for row in range(len(measured))])
+    known = measured > 0
+    away = ((drawn - measured).abs() / measured.clamp_min(1e-6))[known]
+    free = looked_through(occupancy, cameras_to_world, measured, scale)
+    return {
+        "AbsRel": float(away.mean()),
+        "AbsRel, median": float(away.median()),
+        "off by more than a quarter": float((away > 0.25).double().mean()),
+        "free voxels": float(free.sum()),
+        "of these occupied": float(occupancy.occupied[free].mean()),
+    }
+
+
+def looked_through(occupancy: Occupancy, poses: Tensor, measured: Tensor, scale: float) -> NDArray[np.bool_]:
+    """Voxels of an occupancy that a depth sensor's images show to be free."""
+    shape, edge = occupancy.occupied.shape, occupancy.resolution
+    grid = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), -1).reshape(-1, 3)
+    places = torch.from_numpy((grid + occupancy.origin_key + 0.5) * edge)
+    looks, touched = torch.zeros(len(places), dtype=torch.int64), torch.zeros(len(places), dtype=torch.bool)
+    for pose, depth in zip(poses, measured, strict=True):
+        x, y, z = ((places - pose[:3, 3]) @ pose[:3, :3]).unbind(1)
+        across = (SENSOR_K[0, 0] * x / z + SENSOR_K[0, 2]).long()
+        down = (SENSOR_K[1, 1] * y / z + SENSOR_K[1, 2]).long()
+        inside = (z > 0.1) & (across >= 0) & (across < 640) & (down >= 0) & (down < 480)
+        far = torch.where(inside, depth[down.clamp(0, 479), across.clamp(0, 639)], 0.0)
+        looks += (far > 0) & (z < far - torch.maximum(torch.tensor(BEFORE / scale), BEFORE_SHARE * far))
+        touched |= (far > 0) & ((z - far).abs() < edge)
+    near = ndimage.binary_dilation(touched.numpy().reshape(shape), np.ones((3, 3, 3), bool))
+    free: NDArray[np.bool_] = (looks >= LOOKS).numpy().reshape(shape) & ~near
+    return free
+
+
+def kitchen(scene: Scene, occupancy: Occupancy, placed: Placed, seconds: Tensor) -> dict[str, float]:
+    """Occupancy against hand-made boxes."""
+    truth = kitchen_truth()
+    assert truth is not None
+    known = np.load(VIDEOS["kitchen"].with_suffix(".npz"))
+    to_truth = aligned(placed, seconds, known["camera_to_world"])
+    from_truth = torch.from_numpy(np.linalg.inv(to_truth))
+    scale = float(np.linalg.det(to_truth[:3, :3]) ** (1 / 3))
+    surface = truth.surface(POSES)
+    surface = surface[seen(truth.scene, surface.double(), moved(placed.reconstruction, to_truth)) >= 2]
+    turn = (from_truth[:3, :3] * scale).float()
+
+    def hit(places: Tensor, cube: Box) -> float:
+        here = places.double() @ from_truth[:3, :3].T + from_truth[:3, 3]
+        checker = NativeChecker(occupancy, Box(tuple(side / scale for side in cube.size)))
+        return float(checker.collides(rigid(turn.expand(len(here), 3, 3), here.float())).double().mean())
+
+    return {
+        "false hits": hit(truth.free(POSES), SMALL),
+        "recall": hit(surface, LARGE),
+        "surface seen": len(surface) / len(truth.surface(POSES)),
+    }
+
+
+def seen(scene: Scene, places: Tensor, capture: object) -> Tensor:
+    """By how many cameras of a capture each place [N, 3] of a scene is seen."""
+    renderer, count = NativeRenderer(scene), torch.zeros(len(places), dtype=torch.int64)
+    K, width, height = capture.K, capture.width, capture.height
+    for pose in capture.camera_to_world:
+        x, y, z = ((places - pose[:3, 3]) @ pose[:3, :3]).unbind(1)
+        across, down = (K[0, 0] * x / z + K[0, 2]).long(), (K[1, 1] * y / z + K[1, 2]).long()
+        inside = (z > 0.05) & (across >= 0) & (down >= 0) & (across < width) & (down < height)
+        depth = renderer.render(Cameras(pose[None].float(), K.float(), width, height)).depth[0].double()
+        found = depth[down.clamp(0, height - 1), across.clamp(0, width - 1)]
+        count += inside & ((found - z).abs() < AGREES * z)
+    return count
+
+
+def capture_of(folder: Path, video: Path, camera_height: float | None) -> tuple[Placed, Tensor]:
+    """The cameras and points of a capture that was made, and when its images were taken."""
+    photos = read_photos(video, folder / STAGES, (120, 200), 960)
+    found = find_poses(photos, folder / STAGES)
+    taken = {path.name: float(second) for path, second in zip(photos.paths, photos.seconds, strict=True)}
+    seconds = torch.tensor([taken[path.name] for path in found.paths])
+    return place(found, camera_height=camera_height), seconds
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("place", choices=list(VIDEOS))
+    parser.add_argument("folder", type=Path, help="of the capture of its video")
+    parser.add_argument("--camera-height", type=float, default=None)
+    arguments = parser.parse_args()
+    placed, seconds = capture_of(arguments.folder, VIDEOS[arguments.place], arguments.camera_height)
+    scene = read_scene(arguments.folder)
+    occupancy = Occupancy.from_scene(scene, resolution=read_description(arguments.folder)["voxel_size"])
+    measure = {"redkitchen": redkitchen, "kitchen": kitchen}[arguments.place]
+    print(
+        json.dumps(
+            {name: round(value, 5) for name, value in measure(scene, occupancy, placed, seconds).items()}, indent=1
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""Depths of photos from their neighbours: right where photos decide, silent where they do not, or a sensor's."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from torch import Tensor
+
+from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.capture.base import CaptureError, Reconstruction
+from splatrl.capture.fit_pictures import frame_of, pictures
+from splatrl.capture.stereo import Depths, find_depths
+from splatrl.native import _core
+from splatrl.renderers import NativeRenderer
+from splatrl.scenes.gaussians import Gaussians
+
+WIDTH, HEIGHT, COUNT = 96, 72, 12
+WALL, BOX = 3.0, 1.8
+"""Distance of a speckled wall, and of a speckled box before it."""
+
+
+def speckled() -> Gaussians:
+    """A wall of coloured discs, and a nearer one in its middle."""
+    random = torch.Generator().manual_seed(0)
+
+    def sheet(half: float, far: float, count: int) -> Tensor:
+        flat = (2 * torch.rand(count, 2, generator=random) - 1) * half
+        return torch.cat([flat, torch.full((count, 1), far)], 1)
+
+    means = torch.cat([sheet(2.6, WALL, 9000), sheet(0.5, BOX, 1200)])
+    count = len(means)
+    return Gaussians(
+        means=means,
+        quats=torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
+        scales=torch.tensor([0.03, 0.03, 0.002]).repeat(count, 1),
+        opacities=torch.full((count,), 0.95),
+        sh=torch.randn(count, 1, 3, generator=random),
+        batch_size=[count],
+    )
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
+    folder = tmp_path_factory.mktemp("photos")
+    scene, across = speckled(), torch.linspace(-0.4, 0.4, COUNT)
+    eyes = torch.stack([across, 0.1 * torch.sin(9 * across), torch.zeros(COUNT)], 1)
+    poses = look_at(eyes, eyes + torch.tensor([0.0, 0.0, 1.0]), up=(0.0, -1.0, 0.0))
+    K = intrinsics(0.9, WIDTH, HEIGHT)
+    paths = []
+    for row, image in enumerate(NativeRenderer(scene).pixels(Cameras(poses, K, WIDTH, HEIGHT))):
+        paths.append(folder / f"{row:02d}.png")
+        Image.fromarray(image.numpy()).save(paths[-1])
+    points = scene.means[::150].double()
+    return Reconstruction(
+        paths=paths,
+        width=WIDTH,
+        height=HEIGHT,
+        K=K.double(),
+        camera_to_world=poses.double(),
+        points=points,
+        colors=torch.zeros(len(points), 3, dtype=torch.uint8),
+        seen_point=torch.arange(len(points)).repeat(COUNT),
+        seen_by=torch.arange(COUNT).repeat_interleave(len(points)),
+    )
+
+
+def drawn_depths(capture: Reconstruction) -> Tensor:
+    """The true depths [N, H, W]."""
+    cameras = Cameras(capture.camera_to_world.float(), capture.K.float(), WIDTH, HEIGHT)
+    return NativeRenderer(speckled()).render(cameras).depth
+
+
+def found(capture: Reconstruction, threads: int = 1, rows: Tensor | None = None) -> Depths:
+    return find_depths(
+        capture, frame_of(capture.camera_to_world), torch.arange(COUNT) if rows is None else rows, threads
+    )
+
+
+@pytest.mark.parametrize("isa", _core.supported_isas())
+def test_depths_are_those_of_the_scene(capture: Reconstruction, isa: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPLATRL_ISA", isa)
+    depths, truth = found(capture), drawn_depths(capture)
+    far, known = depths.far(frame_of(capture.camera_to_world)), depths.known > 0
+    assert known.float().mean() > 0.75
+    error = (far / truth - 1).abs()[known]
+    assert error.median() < 0.006
+    assert (error > 0.1).float().mean() < 0.08, "only around the box, which looks wider by the window"
+    assert (depths.likely > 0).all()
+
+
+def test_depths_do_not_depend_on_the_threads(capture: Reconstruction) -> None:
+    one, three = found(capture, 1), found(capture, 3)
+    assert torch.equal(one.likely, three.likely) and torch.equal(one.known, three.known)
+
+
+def test_photos_that_are_held_out_have_none_and_decide_nothing(capture: Reconstruction, tmp_path: Path) -> None:
+    rows = torch.tensor([row for row in range(COUNT) if row % 4])
+    paths = list(capture.paths)
+    for row in range(0, COUNT, 4):
+        paths[row] = tmp_path / f"{row}.png"
+        Image.new("RGB", (WIDTH, HEIGHT)).save(paths[row])
+    some, other = found(capture, rows=rows), found(replace(capture, paths=paths), rows=rows)
+    assert torch.equal(some.known, other.known) and (some.known[::4] == 0).all()
+
+
+def test_nothing_is_known_of_a_blank_wall(capture: Reconstruction, tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    paths = [tmp_path / f"{row:02d}.png" for row in range(COUNT)]
+    for path in paths:  # grain of its own in each
+        noise = random.normal(128, 6, (HEIGHT, WIDTH, 3)).clip(0, 255).astype(np.uint8)
+        Image.fromarray(noise).save(path)
+    none = torch.zeros(0, dtype=torch.int64)
+    lonely = replace(capture, paths=paths, seen_point=none, seen_by=none)
+    assert (found(lonely).known == 0).all(), "no range of depths without points"
+    blank = found(replace(capture, paths=paths))
+    assert (blank.known > 0).float().mean() < 0.5
+
+
+def test_points_are_known_at_every_size(capture: Reconstruction) -> None:
+    frame = frame_of(capture.camera_to_world)
+    nothing = Depths(torch.zeros(COUNT, 9, 12), torch.zeros(COUNT, 9, 12))
+    seen = pictures(capture, frame, 48)
+    known = nothing.at(seen, torch.tensor([3]))
+    assert known.shape == (COUNT, 36, 48) and (known[:3] == 0).all()
+    count = int((known[3] > 0).sum())
+    assert 0.2 * len(capture.points) < count <= len(capture.points)
+    truth = torch.tensor([WALL, BOX]) / frame.extent
+    away = (1 / known[3][known[3] > 0][:, None] / truth - 1).abs().amin(1)
+    assert (away < 0.01).all()
+
+
+def test_a_sensor_is_believed_and_its_unit_follows_the_frame(capture: Reconstruction, tmp_path: Path) -> None:
+    paths = []
+    for row in range(COUNT):
+        counts = np.full((30, 40), 2500, np.uint16)
+        counts[:, :20] = 0
+        paths.append(tmp_path / f"{row}.png")
+        Image.fromarray(counts).save(paths[-1])
+    measured = replace(capture, depths=tuple(paths), depth_unit=0.004)
+    frame = frame_of(capture.camera_to_world)
+    far = found(measured).far(frame)
+    assert (far[:, :, : WIDTH // 2] == 0).all()
+    assert torch.allclose(far[:, :, WIDTH // 2 :], torch.tensor(10.0))
+    paths[2].write_bytes(b"no picture")
+    with pytest.raises(CaptureError, match=r"2\.png: expected a depth image, uint16 PNG: "):
+        found(measured)
+    Image.new("RGB", (40, 30)).save(paths[2])
+    with pytest.raises(CaptureError, match=r"2\.png: expected one channel, got 3$"):
+        found(measured)
