@@ -46,7 +46,7 @@ class FitSettings:
         cap: the most Gaussians.
         views: how many are drawn in all; the time that a fit takes is proportional to it.
         views_a_step: drawn between two steps of the optimiser, each by a thread of its own.
-        sh_degree: of the harmonics, 0 or 1.
+        sh_degree: of the harmonics, 0 to 3.
         levels: at which share of the views the images change to which share of the width.
         start_share: share of the cap that is there from the start.
         refine: the shares of the views at which Gaussians begin and cease to be moved and added.
@@ -85,8 +85,8 @@ class FitSettings:
         for name in ("width", "cap", "views", "views_a_step", "refine_every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
-        if self.sh_degree not in (0, 1):
-            raise ValueError(f"sh_degree: expected 0 or 1, got {self.sh_degree}")
+        if self.sh_degree not in range(4):
+            raise ValueError(f"sh_degree: expected 0 to 3, got {self.sh_degree}")
         if self.threads is not None and self.threads < 1:
             raise ValueError(f"threads: expected at least 1, or None for all cores, got {self.threads}")
 

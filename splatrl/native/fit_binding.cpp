@@ -22,11 +22,14 @@ using Known = Tensor<const float, -1, -1, -1>;
 
 FitBatch batch_of(const Values& values, size_t count, float near, const Poses& poses, const Lenses& K, size_t width,
                   size_t height, const std::vector<const float*>& known) {
-    if (values.shape(0) != 14 && values.shape(0) != 23) throw std::invalid_argument("values: expected 14 or 23 rows");
+    int degree = 0;
+    while (degree < 3 && size_t(FIT_SH + 3 * (degree + 1) * (degree + 1)) < values.shape(0)) ++degree;
+    if (size_t(FIT_SH + 3 * (degree + 1) * (degree + 1)) != values.shape(0))
+        throw std::invalid_argument("values: expected 14, 23, 38 or 59 rows");
     if (values.shape(1) % FIT_LANES != 0 || count > values.shape(1) || uintptr_t(values.data()) % 64 != 0)
         throw std::invalid_argument("values: expected aligned rows of a multiple of sixteen");
     if (width > 8192 || height > 8192) throw std::invalid_argument("images: expected at most 8192 pixels a side");
-    const FitModel model{values.data(), values.shape(1), uint32_t(count), values.shape(0) == 14 ? 0 : 1, near};
+    const FitModel model{values.data(), values.shape(1), uint32_t(count), degree, near};
     return {model, poses.data(), K.data(), known.data(), poses.shape(0), int(width), int(height)};
 }
 

@@ -10,6 +10,7 @@ namespace splatrl {
 
 constexpr int FIT_BLOCK = 4;   // a block is 4×4 pixels: the lanes of a vector
 constexpr int FIT_LANES = FIT_BLOCK * FIT_BLOCK;
+constexpr int FIT_HARMONICS = 16;  // of degree 3
 constexpr int SSIM_RADIUS = 5;  // of the window, which has 11×11 pixels
 
 // The rows of the parameters; each has `stride` floats, one for each Gaussian. Harmonics follow by coefficient, colour.
@@ -19,7 +20,7 @@ struct FitModel {
     const float* values;  // [rows, stride], aligned to 64 bytes
     size_t stride;        // a multiple of sixteen
     uint32_t count;       // Gaussians; those from here to the stride are not drawn
-    int degree;           // of the harmonics, 0 or 1
+    int degree;           // of the harmonics, 0 to 3
     float near;           // nearer Gaussians are not drawn
 };
 

@@ -149,6 +149,33 @@ SPLAT_INLINE void sh_basis(int degree, F x, F y, F z, F* basis) {
     basis[15] = -0.5900435899266435f * (x * (xx - 3.0f * yy));
 }
 
+// The slopes [3] by x, y and z of the sum of weights [(degree + 1)²] times the basis functions.
+template <class F>
+SPLAT_INLINE void sh_slopes(int degree, F x, F y, F z, const F* weights, F* out) {
+    out[0] = out[1] = out[2] = x * 0.0f;
+    if (degree < 1) return;
+    const F* w = weights;
+    out[0] = -0.4886025119029199f * w[3];
+    out[1] = -0.4886025119029199f * w[1];
+    out[2] = 0.4886025119029199f * w[2];
+    if (degree < 2) return;
+    out[0] = out[0] + 1.0925484305920792f * (w[4] * y - w[7] * z + w[8] * x) - 0.6307831305050401f * (w[6] * x);
+    out[1] = out[1] + 1.0925484305920792f * (w[4] * x - w[5] * z - w[8] * y) - 0.6307831305050401f * (w[6] * y);
+    out[2] = out[2] - 1.0925484305920792f * (w[5] * y + w[7] * x) + 1.2615662610100802f * (w[6] * z);
+    if (degree < 3) return;
+    const F xx = x * x, yy = y * y, zz = z * z, xy = x * y, xz = x * z, yz = y * z;
+    out[0] = out[0] - 0.5900435899266435f * (6.0f * (w[9] * xy) + 3.0f * (w[15] * (xx - yy))) +
+             2.890611442640554f * (w[10] * yz + w[14] * xz) +
+             0.4570457994644658f * (2.0f * (w[11] * xy) - w[13] * (4.0f * zz - 3.0f * xx - yy)) -
+             2.2390579955406924f * (w[12] * xz);
+    out[1] = out[1] - 0.5900435899266435f * (3.0f * (w[9] * (xx - yy)) - 6.0f * (w[15] * xy)) +
+             2.890611442640554f * (w[10] * xz - w[14] * yz) +
+             0.4570457994644658f * (2.0f * (w[13] * xy) - w[11] * (4.0f * zz - xx - 3.0f * yy)) -
+             2.2390579955406924f * (w[12] * yz);
+    out[2] = out[2] + 2.890611442640554f * (w[10] * xy) - 3.6563663957157264f * (w[11] * yz + w[13] * xz) +
+             1.1195289977703462f * (w[12] * (2.0f * zz - xx - yy)) + 1.445305721320277f * (w[14] * (xx - yy));
+}
+
 // The opacity of a splat at a pixel, 0 where it is invisible.
 template <bool ANTIALIASED, class F>
 SPLAT_INLINE F alpha_at(F dx, F dy, float l11, float l12, float l22, float log2_opacity, float peak) {

@@ -21,7 +21,7 @@ from tests.renderers.cases import LIKENESS, random_cameras, random_gaussians
 
 COUNT, STRIDE, WIDTH, HEIGHT = 203, 208, 37, 22
 SEAM, INVERSE_DEPTH = 19, (0.5, 0.3)
-GROUPS = {"means": (0, 3), "log-scales": (3, 6), "quats": (6, 10), "logits": (10, 11), "sh": (11, 23)}
+GROUPS = {"means": (0, 3), "log-scales": (3, 6), "quats": (6, 10), "logits": (10, 11), "sh": (11, 59)}
 SETTINGS = FitSettings(
     width=48, cap=600, views=240, sh_degree=0, levels=((0.0, 0.5), (0.3, 1.0)), refine_every=20, threads=1
 )
@@ -95,7 +95,7 @@ def fitter(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> _
     return _core.Fitter()
 
 
-@pytest.mark.parametrize("degree", [0, 1])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_views_and_slopes_are_those_of_the_reference_under_autograd(fitter: _core.Fitter, degree: int) -> None:
     values, cameras = random_values(degree), random_cameras(5, 2, WIDTH, HEIGHT)
     leaf = values[:, :COUNT].double().requires_grad_()
@@ -263,8 +263,8 @@ def test_poses_that_are_a_little_off_are_put_right(capture: Reconstruction) -> N
 
 
 def test_what_cannot_be_fitted_is_refused_in_one_line(capture: Reconstruction) -> None:
-    with pytest.raises(ValueError, match=r"^sh_degree: expected 0 or 1, got 3$"):
-        FitSettings(sh_degree=3)
+    with pytest.raises(ValueError, match=r"^sh_degree: expected 0 to 3, got 4$"):
+        FitSettings(sh_degree=4)
     with pytest.raises(ValueError, match=r"^cap: expected at least 1, got 0$"):
         FitSettings(cap=0)
     with pytest.raises(CaptureError, match=r"^points: expected at least one"):

@@ -8,7 +8,7 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-constexpr float LOG2_E = 1.44269504f, SH_C1 = 0.4886025119029199f;
+constexpr float LOG2_E = 1.44269504f;
 
 LANE_INLINE Lanes row_of(const FitModel& model, int row, size_t first) {
     return load(model.values + size_t(row) * model.stride + first);
@@ -117,7 +117,7 @@ LANE_INLINE uint32_t project_all(const FitModel& model, const Camera& camera, co
             for (int lane = 0; lane < LANES; ++lane) scratch.ranks[first + lane] = ~0u;
             continue;
         }
-        Lanes basis[4], rgb[3];
+        Lanes basis[FIT_HARMONICS], rgb[3];
         basis_of(model, gaussians.offset, inverse_length(gaussians.offset), basis);
         raw_colors(model, first, basis, rgb);
         const Lanes values[12] = {print.x, print.y, print.l11, print.l12, print.l22, print.log2_opacity,

@@ -55,7 +55,7 @@ LANE_INLINE void quat_slopes(const Activated& at, const Lanes* g, Lanes* out) {
 LANE_INLINE void color_slopes(const FitModel& model, const Activated& at, size_t first, const Lanes* moments,
                               Lanes* mean, float* out) {
     const Lanes inverse = inverse_length(at.offset);
-    Lanes basis[4], rgb[3], by_color[3];
+    Lanes basis[FIT_HARMONICS], rgb[3], by_color[3];
     basis_of(model, at.offset, inverse, basis);
     raw_colors(model, first, basis, rgb);
     for (int c = 0; c < 3; ++c) by_color[c] = select_if_at_least(rgb[c], 1e-30f, moments[M_RED + c]);
@@ -64,13 +64,15 @@ LANE_INLINE void color_slopes(const FitModel& model, const Activated& at, size_t
         for (int c = 0; c < 3; ++c)
             store(out + size_t(FIT_SH + 3 * i + c) * model.stride + first, basis[i] * by_color[c]);
     if (model.degree < 1) return;
-    Lanes sums[3];
-    for (int i = 0; i < 3; ++i) {
-        sums[i] = lanes(0.0f);
-        for (int c = 0; c < 3; ++c) sums[i] = sums[i] + row_of(model, FIT_SH + 3 * (i + 1) + c, first) * by_color[c];
+    Lanes weights[FIT_HARMONICS], slope[3];
+    weights[0] = lanes(0.0f);
+    for (int i = 1; i < harmonics; ++i) {
+        weights[i] = lanes(0.0f);
+        for (int c = 0; c < 3; ++c)
+            weights[i] = weights[i] + row_of(model, FIT_SH + 3 * i + c, first) * by_color[c];
     }
-    const Lanes slope[3] = {-SH_C1 * sums[2], -SH_C1 * sums[0], SH_C1 * sums[1]};  // by x, y, z of the direction
     const Lanes direction[3] = {at.offset.x * inverse, at.offset.y * inverse, at.offset.z * inverse};
+    sh_slopes(model.degree, direction[0], direction[1], direction[2], weights, slope);
     const Lanes along = dot(slope, direction);
     for (int i = 0; i < 3; ++i) mean[i] = mean[i] + (slope[i] - direction[i] * along) * inverse;
 }
