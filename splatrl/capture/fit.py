@@ -72,7 +72,7 @@ class FitSettings:
     refine: tuple[float, float] = (0.04, 0.8)
     refine_every: int = 50
     ssim_weight: float = 0.2
-    depth_weight: float = 0.1
+    depth_weight: float = 0.2
     opacity_weight: float = 0.01
     scale_weight: float = 0.01
     noise: float = 5e5

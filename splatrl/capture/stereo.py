@@ -24,11 +24,11 @@ LEVELS = 64
 """Inverse depths that are tried."""
 REACH = (0.6, 1.5)
 """Range of these, in the smallest and largest inverse depth of the points that a photo shows."""
-COMPARED, WITNESSES = 6, 8
+COMPARED, WITNESSES = 6, 12
 """Neighbours that a photo is compared with; and whose depths are asked to confirm its own."""
-CONFIRMED, TOLERANCE = 3, 0.04
+CONFIRMED, TOLERANCE = 3, 0.05
 """So many of them must agree, to within this share of the depth."""
-APART = 0.06
+APART = 0.1
 """Distance to the best neighbours, in the median depth."""
 TURNED = 0.8
 """Least cosine between the optical axes of neighbours."""
