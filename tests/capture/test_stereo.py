@@ -106,17 +106,20 @@ def test_photos_that_are_held_out_have_none_and_decide_nothing(capture: Reconstr
     assert torch.equal(some.known, other.known) and (some.known[::4] == 0).all()
 
 
-def test_nothing_is_known_of_a_blank_wall(capture: Reconstruction, tmp_path: Path) -> None:
+def test_a_photo_without_points_has_no_range_to_look_in(capture: Reconstruction) -> None:
+    none = torch.zeros(0, dtype=torch.int64)
+    nothing = found(replace(capture, seen_point=none, seen_by=none))
+    assert (nothing.known == 0).all() and (nothing.likely == 0).all()
+
+
+def test_photos_that_show_something_else_confirm_nothing(capture: Reconstruction, tmp_path: Path) -> None:
     random = np.random.default_rng(0)
     paths = [tmp_path / f"{row:02d}.png" for row in range(COUNT)]
-    for path in paths:  # grain of its own in each
-        noise = random.normal(128, 6, (HEIGHT, WIDTH, 3)).clip(0, 255).astype(np.uint8)
+    for path in paths:
+        noise = random.integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)
         Image.fromarray(noise).save(path)
-    none = torch.zeros(0, dtype=torch.int64)
-    lonely = replace(capture, paths=paths, seen_point=none, seen_by=none)
-    assert (found(lonely).known == 0).all(), "no range of depths without points"
-    blank = found(replace(capture, paths=paths))
-    assert (blank.known > 0).float().mean() < 0.5
+    known = found(replace(capture, paths=paths)).known > 0
+    assert known.float().mean() < 0.6 * (found(capture).known > 0).float().mean()
 
 
 def test_points_are_known_at_every_size(capture: Reconstruction) -> None:
