@@ -134,8 +134,8 @@ class Fitter:
 
     ``values`` are [R, C] float32, aligned to 64 bytes, C a multiple of 16: means, log-scales, quaternions (wxyz, of
     any length), opacity logits and harmonics by coefficient and colour; R is 14, 23, 38 or 59, of degree 0 to 3. The
-    first ``count`` columns are drawn, antialiased, on black, unless nearer than ``near`` (at least 0.01). Each view is the
-    work of one thread: results do not depend on ``threads``. Not for several threads at once.
+    first ``count`` columns are drawn, antialiased, on black, unless nearer than ``near`` (at least 0.01). Each view is
+    the work of one thread: results do not depend on ``threads``. Not for several threads at once.
     """
 
     def __init__(self) -> None: ...
