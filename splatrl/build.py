@@ -15,7 +15,7 @@ from torchrl.modules import ActorValueOperator
 from splatrl.bodies import Body
 from splatrl.collision import NativeChecker
 from splatrl.collision.base import Checker
-from splatrl.configuration import load_config, require_values
+from splatrl.configuration import check_config, load_config
 from splatrl.curriculum import plan
 from splatrl.device import AUTO, KINDS, chosen_device
 from splatrl.envs.tasks import Task
@@ -33,7 +33,7 @@ def build_world(cfg: DictConfig) -> World:
     Raises:
         ValueError: for a value that is missing, or that one of them refuses.
     """
-    require_values(cfg)
+    check_config(cfg)
     device = chosen_device(cfg.device)
     cfg = cfg.copy()
     cfg.device = str(device)  # the value of ${device} in nodes

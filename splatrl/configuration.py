@@ -14,10 +14,13 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import QuotedString
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
+from splatrl.documents import read_yaml
 from splatrl.files import replacing
 from splatrl.scene_overrides import scene_overrides
 from splatrl.scenes.description import SCENE_FILE, read_description
+from splatrl.targets import check_targets
 
 OmegaConf.register_new_resolver("splatrl.run_dir", lambda resume, fresh: resume or fresh, replace=True)
 
@@ -189,18 +192,44 @@ def save_config(cfg: DictConfig, folder: Path) -> None:
         stream.write(OmegaConf.to_yaml(cfg).encode())
 
 
-def run_config(folder: Path) -> DictConfig:
-    """The config with which a run folder was made.
+def run_config(folder: Path, allow_targets: Sequence[str] = ()) -> DictConfig:
+    """The config with which a run folder was made, read as data.
+
+    Args:
+        folder: the run folder, which may come from a stranger.
+        allow_targets: packages that may define what the config builds; what the folder itself says of them is nothing.
 
     Raises:
         FileNotFoundError: if the folder is not a run folder.
+        ValueError: for a config that is damaged, or names something else to build than what stands in conf/.
     """
     path = folder / "config.yaml"
     if not path.is_file():
         raise FileNotFoundError(f"{folder}: expected a run folder with config.yaml, found none")
-    cfg = OmegaConf.load(path)
-    assert isinstance(cfg, DictConfig), type(cfg)
+    cfg = read_yaml(path)
+    try:
+        if not isinstance(cfg, DictConfig):
+            raise ValueError(f"expected the config of a training, got {cfg!r:.80}")
+        cfg.allow_targets = list(allow_targets)
+        _check_sections(cfg, load_config())
+        with _hydra() as loader:
+            check_targets(cfg, loader)
+    except (OmegaConfBaseException, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from error
     return cfg
+
+
+def _check_sections(cfg: DictConfig, usual: DictConfig, place: str = "") -> None:
+    """Refuse a config without the sections and settings that are read from it; nodes with a target check their own."""
+    for key in usual:
+        where = f"{place}.{key!s}".lstrip(".")
+        if not place and isinstance(usual[key], DictConfig):
+            if not isinstance(cfg.get(key), DictConfig):
+                raise ValueError(f"{where}: expected keys and values, got {cfg.get(key)!r}")
+            if "_target_" not in usual[key]:
+                _check_sections(cfg[key], usual[key], where)
+        elif key not in list(cfg):
+            raise ValueError(f"{where}: expected a value, found no such key")
 
 
 def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
@@ -213,8 +242,8 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
     Raises:
         ValueError: for an override that chooses a config group, which would make it a different run.
     """
-    cfg = run_config(folder)
     changes = [o for o in overrides if not o.startswith("resume=")]
+    cfg = run_config(folder, OmegaConf.from_dotlist(changes).get("allow_targets", ()))
     groups = [o for o in changes if is_group(o.split("=")[0])]
     if groups:
         raise ValueError(f"resume={folder}: expected changes of single keys, got {', '.join(groups)}")
@@ -223,12 +252,16 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
     return merged
 
 
-def require_values(cfg: DictConfig) -> None:
-    """Refuse a config with missing values.
+def check_config(cfg: DictConfig) -> None:
+    """Refuse a config with missing values, or one that would build what is neither known nor allowed.
+
+    Everything that is built passes here first; see ``check_targets``.
 
     Raises:
-        ValueError: if values are missing, naming their keys.
+        ValueError: names the keys, what was expected and what came.
     """
+    with _hydra() as loader:
+        check_targets(cfg, loader)
     missing = sorted(OmegaConf.missing_keys(cfg))
     if missing:
         raise ValueError(f"expected a value for {', '.join(missing)}; give it as {missing[0]}=...")

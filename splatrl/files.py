@@ -45,6 +45,22 @@ def new_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+def checked_name(what: str, name: object) -> str:
+    """Check a name of which files are made, which may come from a stranger: one part of a path, and not a way out.
+
+    Args:
+        what: what has the name, for the message.
+        name: the name.
+
+    Raises:
+        ValueError: for anything but 1 to 200 characters without slashes and control characters, or for . and ..
+    """
+    plain = isinstance(name, str) and 0 < len(name) <= 200 and name not in (".", "..")
+    if not plain or re.search(r"[/\\\x00-\x1f\x7f]", str(name)):
+        raise ValueError(f"{what}: expected a name, without slashes, got {name!r:.200}")
+    return str(name)
+
+
 def natural(path: Path) -> list[tuple[int, str]]:
     """A sort key that puts 9.png before 10.png."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", path.name)]

@@ -1,5 +1,6 @@
 """Loads the policy of a run folder, and the world in which it was trained."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ from splatrl.build import build_model, build_world
 from splatrl.configuration import run_config
 from splatrl.envs.world import World
 from splatrl.training import load_checkpoint
+
+CHECKPOINTS = ("last", "best")
 
 
 @dataclass(frozen=True)
@@ -47,8 +50,9 @@ def load_policy(
     device: str | None = None,
     cfg: DictConfig | None = None,
     world: World | None = None,
+    allow_targets: Sequence[str] = (),
 ) -> TrainedPolicy:
-    """Load the policy of a run folder.
+    """Load the policy of a run folder, which may come from a stranger: it is data, and names only what stands in conf/.
 
     Args:
         run: the run folder.
@@ -56,14 +60,18 @@ def load_policy(
         device: auto, cpu or cuda; None takes the run's own setting.
         cfg: config of the run, if it was read or changed already.
         world: world built from ``cfg``, if there is one already.
+        allow_targets: packages of your own that may define what the config builds as well.
 
     Raises:
         FileNotFoundError: if the folder holds no run, or no such checkpoint.
         ValueError: for a damaged checkpoint.
     """
-    cfg = run_config(run) if cfg is None else cfg
+    cfg = run_config(run, allow_targets) if cfg is None else cfg
+    chosen = checkpoint or cfg.evaluation.checkpoint
+    if chosen not in CHECKPOINTS:
+        raise ValueError(f"checkpoint: expected {' or '.join(CHECKPOINTS)}, got {chosen!r}")
     cfg.device = device or cfg.device
-    state = load_checkpoint(run / "checkpoints" / f"{checkpoint or cfg.evaluation.checkpoint}.pt")
+    state = load_checkpoint(run / "checkpoints" / f"{chosen}.pt")
     world = build_world(cfg) if world is None else world
     model = build_model(cfg, world.env(1))
     model.load_state_dict(state["ppo"]["model"])

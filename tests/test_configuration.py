@@ -118,6 +118,7 @@ def test_a_run_is_built_again_from_its_saved_config(tmp_path: Path) -> None:
 
 
 MINE = [
+    "allow_targets=[torchrl]",
     "+transforms.mine._target_=torchrl.envs.RewardScaling",
     "+transforms.mine.loc=1.0",
     "+transforms.mine.scale=0.0",
@@ -305,6 +306,7 @@ def aimless(folder: Path) -> DictConfig:
             *overrides,
             "~task.goal",
             "~task.rewards",
+            "allow_targets=[tests]",
             "task._target_=tests.test_configuration.Wander",
             "task.max_steps=8",
             *(f"collector.{key}={value}" for key, value in settings.items()),

@@ -19,7 +19,7 @@ from splatrl.configuration import conf_dir
 PACKAGE = Path(splatrl.__file__).parent
 ROOT = Path(__file__).parents[1]
 ORDER = [
-    {"device", "faults", "files", "geometry", "images", "spherical_harmonics"},
+    {"device", "documents", "faults", "files", "geometry", "images", "spherical_harmonics"},
     {"cameras"},
     {"bodies"},
     {"native"},
@@ -32,7 +32,7 @@ ORDER = [
     {"training"},
     {"evaluation"},
     {"capture"},
-    {"scene_overrides"},
+    {"scene_overrides", "targets"},
     {"configuration"},
     {"build"},
     {"runs"},
@@ -41,8 +41,8 @@ ORDER = [
 ]
 """Packages ("rooms") and single modules under splatrl/, in order; a new one is added here."""
 ONLY = {
-    "hydra": {"configuration", "build", "commands"},
-    "omegaconf": {"scenes", "configuration", "build", "runs", "experiments", "commands"},
+    "hydra": {"targets", "configuration", "build", "commands"},
+    "omegaconf": {"documents", "targets", "scenes", "configuration", "build", "runs", "experiments", "commands"},
     "splatrl.device": {"build", "commands"},
 }
 """What only some rooms may import."""

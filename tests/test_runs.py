@@ -58,8 +58,8 @@ def test_the_device_can_be_another_than_that_of_the_training(run: Path) -> None:
 def test_what_is_not_there_is_named(run: Path, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=f"{tmp_path}: expected a run folder"):
         load_policy(tmp_path)
-    with pytest.raises(FileNotFoundError, match=r"checkpoints/first\.pt"):
-        load_policy(run, "first")
+    with pytest.raises(ValueError, match=r"checkpoint: expected last or best, got '\.\./first'"):
+        load_policy(run, "../first")
 
 
 def test_a_damaged_checkpoint_is_refused(run: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig
 
 from splatrl.build import build_world
-from splatrl.configuration import command_line, conf_dir, require_values, run_config
+from splatrl.configuration import check_config, command_line, conf_dir, run_config
 from splatrl.evaluation.clips import REPORT, write_report
 from splatrl.experiments.clip_scores import altered, record_clips, score_run
 
@@ -17,14 +17,14 @@ from splatrl.experiments.clip_scores import altered, record_clips, score_run
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="clips")
 def run(cfg: DictConfig) -> None:
     """Record clips, score the runs of ``cfg.run`` on clips, or do both in that order."""
-    require_values(cfg)
+    check_config(cfg)
     runs = [str(one) for one in cfg.run] if isinstance(cfg.run, ListConfig) else [str(cfg.run)]
     if cfg.record is None and cfg.clips is None:
         raise ValueError("clips: expected a folder of clips, or record: a folder to record into, got neither")
     if len(set(runs)) < len(runs) or not runs:
         raise ValueError(f"run: expected different run folders, got {', '.join(runs) or 'none'}")
     if cfg.record is not None:
-        own = run_config(Path(runs[0]))
+        own = run_config(Path(runs[0]), cfg.allow_targets)
         own.device = cfg.device or own.device
         torch.set_num_threads(own.threads)
         world = build_world(altered(own, cfg.seed))
@@ -32,7 +32,9 @@ def run(cfg: DictConfig) -> None:
         written = record_clips(world, Path(cfg.record), *settings)
         print(f"{len(written)} clips in {cfg.record}")
     if cfg.clips is not None:
-        results = {name: score_run(Path(name), Path(cfg.clips), cfg.checkpoint, cfg.device) for name in runs}
+        results = {
+            name: score_run(Path(name), Path(cfg.clips), cfg.checkpoint, cfg.device, cfg.allow_targets) for name in runs
+        }
         folder = Path(cfg.output or cfg.clips)
         print(write_report(results, folder))
         print(f"{folder / REPORT}.md, {folder / REPORT}.json")

@@ -8,7 +8,7 @@ import hydra
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from splatrl.configuration import command_line, conf_dir, require_values, run_config
+from splatrl.configuration import check_config, command_line, conf_dir, run_config
 from splatrl.envs.world import World
 from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
 from splatrl.runs import load_policy
@@ -34,9 +34,9 @@ def evaluate_run(cfg: DictConfig, folder: Path, world: World | None = None) -> d
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="evaluate")
 def run(cfg: DictConfig) -> None:
     """Evaluate the run folder ``cfg.run`` with its own config."""
-    require_values(cfg)
+    check_config(cfg)
     folder = Path(cfg.run)
-    own = run_config(folder)
+    own = run_config(folder, cfg.allow_targets)
     for key in ("checkpoint", "repeats", "seed"):
         if cfg[key] is not None:
             OmegaConf.update(own, f"evaluation.{key}", cfg[key])

@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from splatrl.build import build_trainer, build_world
 from splatrl.commands.evaluate import evaluate_run
-from splatrl.configuration import command_line, conf_dir, require_values, resumed_config, save_config
+from splatrl.configuration import check_config, command_line, conf_dir, resumed_config, save_config
 from splatrl.device import device_line
 
 
@@ -23,7 +23,7 @@ def run(cfg: DictConfig) -> None:
         cfg = resumed_config(folder, HydraConfig.get().overrides.task)
     elif any(folder.glob("checkpoints/*.pt")):
         raise ValueError(f"hydra.run.dir: expected a new folder, got a run; continue it with resume={folder}")
-    require_values(cfg)
+    check_config(cfg)
     save_config(cfg, folder)
     torch.set_num_threads(cfg.threads)
     world = build_world(cfg)

@@ -56,7 +56,13 @@ def record_clips(
         return record_walks(folder, world, count, seed, height, hand, lens, bar.update)
 
 
-def score_run(folder: Path, clips: Path, checkpoint: str | None = None, device: str | None = None) -> list[ClipResult]:
+def score_run(
+    folder: Path,
+    clips: Path,
+    checkpoint: str | None = None,
+    device: str | None = None,
+    allow_targets: Sequence[str] = (),
+) -> list[ClipResult]:
     """Show clips to the policy of a run folder.
 
     Args:
@@ -64,11 +70,12 @@ def score_run(folder: Path, clips: Path, checkpoint: str | None = None, device: 
         clips: folder of clips.
         checkpoint: last or best; None takes the run's own setting.
         device: device of the policy; None takes the run's own setting.
+        allow_targets: packages of your own that may define what the run's config builds.
 
     Raises:
         ValueError: for a task whose actions have no names.
     """
-    cfg = run_config(folder)
+    cfg = run_config(folder, allow_targets)
     torch.set_num_threads(cfg.threads)
     trained = load_policy(folder, checkpoint, device, cfg)
     motion, policy, begun = trained.world.task.motion, trained.policy, trained.beginning()

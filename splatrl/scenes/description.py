@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
-from splatrl.files import replacing
+from splatrl.documents import read_yaml
+from splatrl.files import checked_name, replacing
 from splatrl.scenes.placement import Frame
 from splatrl.scenes.proposals import PROPOSALS, check_proposals
 from splatrl.scenes.scene import Bounds
@@ -44,21 +43,15 @@ def read_description(folder: Path) -> dict[str, Any]:
     path = folder / SCENE_FILE
     if not path.is_file():
         raise FileNotFoundError(f"{folder}: expected a scene folder with {SCENE_FILE}, found none")
-    try:
-        content = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-    except (YAMLError, OmegaConfBaseException, OSError, ValueError) as error:
-        raise ValueError(f"{path}: expected YAML, got {error}") from error
+    content = OmegaConf.to_container(read_yaml(path), resolve=False)
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected keys and values, got {content!r}")
     unknown = [str(key) for key in content if key not in SCENE_KEYS]
     if unknown:
         raise ValueError(f"{path}: expected the keys {', '.join(SCENE_KEYS)}, got {', '.join(unknown)}")
     stated = {str(key): value for key, value in content.items() if value is not None}
-    splat = stated.get("splat")
-    if not isinstance(splat, str) or Path(splat).name != splat:
-        raise ValueError(f"{path}: splat: expected the name of a file in this folder, got {splat!r}")
-    if not isinstance(stated.get("name", ""), str):
-        raise ValueError(f"{path}: name: expected text, got {stated['name']!r}")
+    for key in ("splat", *(key for key in ("name",) if key in stated)):
+        checked_name(f"{path}: {key}", stated.get(key))
     if not isinstance(stated.get("world_from_splat", {}), dict):
         raise ValueError(f"{path}: world_from_splat: expected keys and values, got {stated['world_from_splat']!r}")
     check_proposals(path, stated)

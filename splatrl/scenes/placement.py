@@ -1,6 +1,5 @@
 """Where a splat file lies in the world: from a guess, from nerfstudio, from a known distance."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from splatrl.documents import read_json
 from splatrl.scenes.frame import AXES, checked_similarity, similarity
 from splatrl.scenes.upright import Upright, axis_name
 
@@ -79,17 +79,14 @@ def nerfstudio_transform(path: Path) -> Tensor:
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected nerfstudio's dataparser_transforms.json, found no file")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:  # broken JSON and broken UTF-8
-        raise ValueError(f"{path}: expected JSON, got {error}") from error
+    content = read_json(path)
     if not isinstance(content, dict) or not {"transform", "scale"} <= content.keys():
         keys = list(content) if isinstance(content, dict) else type(content).__name__
         raise ValueError(f"{path}: expected the keys transform and scale, got {keys}")
     try:
         moved = np.array(content["transform"], np.float64)
         scale = float(content["scale"])
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{path}: expected numbers for transform and scale, got {error}") from error
     if moved.shape not in ((3, 4), (4, 4)) or not np.isfinite(moved).all():
         raise ValueError(f"{path}: transform: expected 3 rows of 4 finite numbers, got shape {list(moved.shape)}")

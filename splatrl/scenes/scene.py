@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from splatrl.files import checked_name
 from splatrl.scenes.cache import Arrays, cached_arrays
 from splatrl.scenes.gaussians import Gaussians
 
@@ -46,12 +47,18 @@ class Scene:
         gaussians: N Gaussians.
         bounds: lower and upper corner of where the scene is, metres.
         free: what is not solid in it, whatever its Gaussians say; None where nothing is known.
+
+    Raises:
+        ValueError: for a name that is no name of a file.
     """
 
     name: str
     gaussians: Gaussians
     bounds: Bounds
     free: FreeSpace | None = None
+
+    def __post_init__(self) -> None:
+        checked_name("scene.name", self.name)
 
     def cached(
         self, kind: str, settings: Mapping[str, Any], build: Callable[[], Arrays], compressed: bool = True

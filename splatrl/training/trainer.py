@@ -11,7 +11,7 @@ from typing import Any
 from torchrl.record.loggers import get_logger
 from tqdm import tqdm
 
-from splatrl.files import replacing
+from splatrl.files import checked_name, replacing
 from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
 from splatrl.training.ppo import PPO
 
@@ -33,7 +33,7 @@ class Trainer:
         exp_name: name of the run for that logger.
 
     Raises:
-        ValueError: for any other backend.
+        ValueError: for any other backend, or a name that is no name of a file.
     """
 
     def __init__(
@@ -50,7 +50,9 @@ class Trainer:
             raise ValueError(f"logger.backend: expected one of {', '.join(BACKENDS)}, got {backend}")
         self.ppo, self.folder, self.test = ppo, folder, test
         self.test_interval, self.checkpoint_interval = test_interval, checkpoint_interval
-        self.logger = None if backend == "csv" else get_logger(backend, str(folder), exp_name)
+        self.logger = (
+            None if backend == "csv" else get_logger(backend, str(folder), checked_name("logger.exp_name", exp_name))
+        )
         self.history: list[dict[str, float]] = []
         self.best = -math.inf
         self.seconds = 0.0

@@ -88,15 +88,15 @@ def test_a_folder_without_a_frame_or_a_name_takes_the_defaults(folder: Path) -> 
     ("content", "message"),
     [
         ("splat: point_cloud.ply\nup: z\nsplats: 1", "expected the keys splat, name, .* got up, splats"),
-        ("name: x", "splat: expected the name of a file in this folder, got None"),
-        ("splat: ../other.ply", "splat: expected the name of a file in this folder, got '../other.ply'"),
-        ("splat: 3", "splat: expected the name of a file"),
-        ("splat: point_cloud.ply\nname: [1]", "name: expected text"),
+        ("name: x", "splat: expected a name, without slashes, got None"),
+        ("splat: ../other.ply", "splat: expected a name, without slashes, got '../other.ply'"),
+        ("splat: 3", "splat: expected a name, without slashes, got 3"),
+        ("splat: point_cloud.ply\nname: [1]", "name: expected a name, without slashes"),
         ("splat: point_cloud.ply\nworld_from_splat: upright", "world_from_splat: expected keys and values"),
         ("- splat", "expected keys and values, got \\['splat'\\]"),
-        ("splat: [", "expected YAML, got"),
+        ("splat: [", "expected plain YAML, got"),
         ("just text", "expected"),
-        ("", "splat: expected the name of a file in this folder, got None"),
+        ("", "splat: expected a name, without slashes, got None"),
     ],
 )
 def test_a_scene_yaml_that_is_wrong_is_refused_by_key(folder: Path, content: str, message: str) -> None:

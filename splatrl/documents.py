@@ -1,0 +1,95 @@
+"""YAML and JSON from strangers: plain values, small, and without the tricks that make a few bytes expensive."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+MAX_YAML = 128 * 2**10
+"""Bytes of a YAML file; those that splatrl writes have a tenth of it."""
+MAX_JSON = 64 * 2**20
+"""Bytes of a JSON file: poses of a capture's thousands of images."""
+MAX_DEPTH = 32
+REFERENCE = re.compile(r"\$\{[\w.]+\}")
+"""A reference to another key, such as ${robot.height}: the whole value, so that nothing grows, and no resolver."""
+
+
+def read_yaml(path: Path) -> DictConfig | ListConfig:
+    """Read a YAML file as data.
+
+    A value may refer to another key of the file (``${robot.height}``). Resolvers, which could read the environment or
+    make new nodes, and YAML's aliases, a few of which unfold to gigabytes, are refused.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: for a file that is too large, nested too deep, not YAML, or that uses what is refused.
+    """
+    text = _text(path, MAX_YAML)
+    try:
+        _check_events(text)
+        content = OmegaConf.create(text)
+    except (yaml.YAMLError, OmegaConfBaseException, ValueError, TypeError, ArithmeticError, LookupError) as error:
+        raise ValueError(f"{path}: expected plain YAML, got {error}") from error
+    if not isinstance(content, DictConfig | ListConfig):
+        raise ValueError(f"{path}: expected keys and values, got {content!r}")
+    return content
+
+
+def read_json(path: Path, limit: int = MAX_JSON) -> Any:
+    """Read a JSON file.
+
+    Args:
+        path: of the file.
+        limit: the most bytes that it may have.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: for a file that is too large, nested too deep or not JSON.
+    """
+    return parsed_json(str(path), _text(path, limit))
+
+
+def parsed_json(source: str, text: str | bytes) -> Any:
+    """The values that a JSON text holds.
+
+    Args:
+        source: what the text came from, for the message.
+        text: as text, or as bytes in UTF-8.
+
+    Raises:
+        ValueError: for text that is nested too deep or not JSON.
+    """
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:  # broken JSON, broken UTF-8 and numbers of thousands of digits
+        raise ValueError(f"{source}: expected JSON, got {error}") from error
+
+
+def _text(path: Path, limit: int) -> str:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: expected a file, found none")
+    with path.open("rb") as stream:
+        content = stream.read(limit + 1)
+    if len(content) > limit:
+        raise ValueError(f"{path}: expected at most {limit:,} bytes, got more")
+    try:
+        return content.decode()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: expected text in UTF-8, got {error}") from error
+
+
+def _check_events(text: str) -> None:
+    """Refuse what may unfold, by a pass over the text that builds nothing."""
+    depth = 0
+    for event in yaml.parse(text, Loader=yaml.SafeLoader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > MAX_DEPTH:
+            raise ValueError(f"values nested more than {MAX_DEPTH} deep")
+        if isinstance(event, yaml.AliasEvent):
+            raise ValueError(f"the alias *{event.anchor}")
+        if isinstance(event, yaml.ScalarEvent) and "${" in event.value and not REFERENCE.fullmatch(event.value):
+            raise ValueError(f"{event.value[:80]!r}: only whole values such as ${{robot.height}} may refer to others")

@@ -1,0 +1,111 @@
+"""Which constructors a config may name: a folder from a stranger holds a config, and must not run code."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from hydra.core.config_loader import ConfigLoader
+from hydra.plugins.config_source import ConfigSource
+from hydra.utils import get_object
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import InterpolationToMissingValueError, OmegaConfBaseException
+
+MAX_VALUES = 10_000
+"""Of a config whose references are followed; ours have 200."""
+HYDRAS_OWN = ("hydra", "schema")
+"""Providers of Hydra's own configs, whose constructors launch jobs."""
+
+
+def check_targets(cfg: DictConfig, loader: ConfigLoader) -> None:
+    """Refuse a config that names anything to build but what is known or trusted.
+
+    Known is every ``_target_`` in the configs on Hydra's search path: splatrl's, and those of installed plugins.
+    Trusted is what the packages of ``cfg.allow_targets`` define themselves, but not what they import from elsewhere.
+
+    Args:
+        cfg: a whole config.
+        loader: of configs, with the search path.
+
+    Raises:
+        ValueError: names the key and the target; or says that references in the config cannot be followed.
+    """
+    known = set[object]().union(*map(_standing, loader.get_sources()))
+    trusted = [str(package) for package in cfg.get("allow_targets") or []]
+    for key, target in targets(cfg):
+        if target not in known and not (isinstance(target, str) and _defined_in(target, trusted)):
+            raise ValueError(
+                f"{key}: expected a constructor that stands in conf/, or that a package of yours defines, with "
+                f"allow_targets=[<package>], got {target!r}"
+            )
+
+
+def targets(cfg: DictConfig) -> list[tuple[str, object]]:
+    """Key and value of every ``_target_`` in a config, with references followed as building follows them.
+
+    Raises:
+        ValueError: for references that go nowhere or in circles, or that unfold to more than ``MAX_VALUES``.
+    """
+    found = []
+    try:
+        for count, (key, value) in enumerate(_followed(cfg, "")):
+            if count == MAX_VALUES:
+                raise ValueError(f"config: expected at most {MAX_VALUES:,} values with references followed, got more")
+            if key.rpartition(".")[2] == "_target_":
+                found.append((key, value))
+    except (OmegaConfBaseException, RecursionError) as error:
+        raise ValueError(f"config: expected references that end in values, got {error}") from error
+    return found
+
+
+def _followed(node: DictConfig | ListConfig, place: str) -> Iterator[tuple[str, object]]:
+    for key in list(node) if isinstance(node, DictConfig) else range(len(node)):
+        if OmegaConf.is_missing(node, key):
+            continue
+        where = f"{place}.{key}" if place else str(key)
+        try:
+            value = node[key]
+        except InterpolationToMissingValueError:
+            continue  # nothing is built of it, either
+        yield where, value
+        if isinstance(value, DictConfig | ListConfig):
+            yield from _followed(value, where)
+
+
+def _defined_in(target: str, packages: Sequence[str]) -> bool:
+    def within(name: str) -> bool:
+        return any(f"{name}.".startswith(f"{package}.") for package in packages)
+
+    if not within(target):
+        return False
+    try:
+        return within(str(getattr(get_object(target), "__module__", None)))
+    except (ImportError, ValueError) as error:
+        raise ValueError(f"expected {target} to be there, got {error}") from error
+
+
+_known: dict[tuple[str, str], set[object]] = {}
+
+
+def _standing(source: ConfigSource) -> set[object]:
+    """Every ``_target_`` in a folder of configs, which is read once."""
+    place = source.provider, source.full_path()
+    if source.provider in HYDRAS_OWN or not source.available():
+        return set()
+    if place not in _known:
+        _known[place] = set(_written(source, ""))
+    return _known[place]
+
+
+def _written(source: ConfigSource, folder: str) -> Iterator[object]:
+    for name in source.list(folder, None):
+        path = f"{folder}/{name}".lstrip("/")
+        if source.is_config(path):
+            yield from _values_of("_target_", OmegaConf.to_container(source.load_config(path).config))
+        if source.is_group(path):
+            yield from _written(source, path)
+
+
+def _values_of(key: str, node: Any) -> Iterator[object]:
+    if isinstance(node, dict) and key in node:
+        yield node[key]
+    for value in node.values() if isinstance(node, dict) else node if isinstance(node, list) else []:
+        yield from _values_of(key, value)

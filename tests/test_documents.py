@@ -1,0 +1,74 @@
+"""YAML and JSON from strangers are small plain values, or a clear error."""
+
+import json
+import time
+from pathlib import Path
+
+import pytest
+
+from splatrl.documents import MAX_DEPTH, MAX_YAML, read_json, read_yaml
+
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n" for before, name in zip("abcdefg", "bcdefgh", strict=True)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (BOMB, r"the alias \*a"),
+        ("a: &x 1\nb: {<<: *x}", r"the alias \*x"),
+        ("a: " + "[" * 10_000, f"nested more than {MAX_DEPTH} deep"),
+        ("a: [" * 10_000, f"nested more than {MAX_DEPTH} deep"),
+        ("a: ${oc.env:HOME}", "only whole values"),
+        ("a: '${b}${b}'", "only whole values"),
+        ("a: '\\${oc.env:HOME}'", "only whole values"),
+        ("'${oc.env:HOME}': 1", "only whole values"),
+        ("a: !!python/object/apply:os.system [ls]", "python/object"),
+        ("a: 1\na: 2", "duplicate key"),
+        ("? [a]\n: 1", "expected plain YAML"),
+        ("? {a: 1}\n: 1", "expected plain YAML"),
+        (f"a: {'9' * 5000}", "expected plain YAML"),
+        ("a: !!binary x", "expected plain YAML"),
+        ("a: !!set {1}", "expected plain YAML"),
+        ("\x00", "expected plain YAML"),
+        ("- [", "expected plain YAML"),
+        ("#" * MAX_YAML + "\n", "expected at most 131,072 bytes"),
+    ],
+)
+def test_yaml_that_unfolds_runs_or_breaks_is_refused_by_file(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "config.yaml"
+    path.write_text(text)
+    began = time.process_time()
+    with pytest.raises(ValueError, match=message) as refused:
+        read_yaml(path)
+    assert str(path) in str(refused.value)
+    assert time.process_time() - began < 60  # not a speed: what unfolds would take hours
+
+
+def test_yaml_that_is_not_text_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_bytes(b"a: \xff\xfe")
+    with pytest.raises(ValueError, match="expected text in UTF-8"):
+        read_yaml(tmp_path / "a.yaml")
+
+
+def test_plain_yaml_is_read_and_may_refer_to_itself(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text("a: {b: 1e-3}\nc: ${a.b}\nd: [1, null, 'x']\n")
+    content = read_yaml(tmp_path / "a.yaml")
+    assert content == {"a": {"b": 0.001}, "c": 0.001, "d": [1, None, "x"]}
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "9" * 5000, "{", ""])
+def test_json_that_is_broken_or_too_deep_is_refused_by_file(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"a\.json: expected JSON"):
+        read_json(path)
+
+
+def test_json_is_read_up_to_a_size(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({"a": [1.5]}))
+    assert read_json(path) == {"a": [1.5]}
+    with pytest.raises(ValueError, match="expected at most 4 bytes"):
+        read_json(path, 4)

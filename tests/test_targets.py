@@ -1,0 +1,170 @@
+"""A run folder from a stranger runs no code: what it names is built only where it stands in conf/, or was allowed."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from splatrl.build import build_world
+from splatrl.configuration import load_config, resumed_config, run_config, save_config
+from splatrl.runs import load_policy
+from splatrl.scenes import read_scene
+from tests.tiny import tiny_overrides
+
+RUN = "import os; os.mkdir({made!r})"
+WAYS = [  # key, and what a stranger puts there
+    ("scene.name", "{{_target_: sympy.sympify, a: \"__import__('os').mkdir('{made}')\"}}"),
+    ("scene.name", "{{_target_: site.addsitedir, sitedir: {made}}}"),
+    ("scene.name", "{{_target_: torch.ops.load_library, path: {made}}}"),
+    ("scene.name", "{{_target_: pathlib.Path.touch, self: {{_target_: pathlib.Path, _args_: [{made}]}}}}"),
+    ("scene", "{{_target_: os.mkdir, path: {made}}}"),
+    ("scene", "{{_target_: builtins.exec, _args_: [\"import os; os.mkdir('{made}')\"]}}"),
+    ("scene", "{{_target_: builtins.eval, _args_: [\"__import__('os').mkdir('{made}')\"]}}"),
+    ("scene", "{{_target_: runpy.run_path, path_name: {made}}}"),
+    ("scene", "{{_target_: subprocess.Popen, args: [mkdir, {made}]}}"),
+    ("scene", "{{_target_: splatrl.experiments.running.subprocess.Popen, args: [mkdir, {made}]}}"),
+    ("scene", "{{_target_: splatrl.files.os.mkdir, path: {made}}}"),
+    ("scene", "{{_target_: splatrl.files.shutil.rmtree, path: {made}}}"),
+    ("scene", "{{_target_: splatrl.files.new_folder, path: {made}}}"),
+    ("scene", "{{_target_: splatrl.backyard.__globals__, path: {made}}}"),
+    ("scene", "{{_target_: torch.load, f: {made}, weights_only: false}}"),
+    ("scene", "{{_target_: torch.hub.load, repo_or_dir: {made}, model: x, source: local}}"),
+    ("scene", "{{_target_: numpy.load, file: {made}, allow_pickle: true}}"),
+    ("scene", "{{_target_: hydra.utils.instantiate, config: {{_target_: os.mkdir, path: {made}}}}}"),
+    ("scene", "{{_target_: hydra._internal.core_plugins.basic_launcher.BasicLauncher}}"),
+    ("robot.body", "{{_target_: os.mkdir, path: {made}}}"),
+    ("robot.body.size", "[{{_target_: os.mkdir, path: {made}}}, 1, 1]"),
+    ("robot.body.size", "[[[{{_target_: os.mkdir, path: {made}}}]], 1, 1]"),
+    ("task.motion.step", "{{a: {{b: {{_target_: os.mkdir, path: {made}}}}}}}"),
+    ("transforms.mine", "{{_target_: os.mkdir, path: {made}}}"),
+    ("collision.cpu", "{{_target_: os.mkdir, _partial_: true, path: {made}}}"),
+    ("network", "{{_target_: os.mkdir, path: {made}}}"),
+    ("curriculum", "{{_target_: os.mkdir, path: {made}}}"),
+    ("loss", "{{_target_: os.mkdir, path: {made}}}"),
+    ("optim", "{{_target_: importlib.import_module, name: antigravity}}"),
+    ("drawing", "{{_target_: os.mkdir, path: {made}}}"),
+    ("renderer.cache", "{{_target_: os.mkdir, path: {made}}}"),
+    ("renderer.cpu._target_", "os.system"),
+    ("renderer.cpu._target_", "${{robot.word}}"),
+    ("renderer.cpu._target_", "${{oc.env:SHELL}}"),
+    ("renderer.cpu", "${{oc.create:'{{_target_: os.mkdir, path: {made}}}'}}"),
+    ("renderer.cpu._target_", "[os.system]"),
+    ("renderer.cpu._target_", "null"),
+    ("allow_targets", "[os, {{_target_: os.mkdir, path: {made}}}]"),
+]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A run folder that nobody has changed yet."""
+    save_config(load_config(tiny_overrides(tmp_path)), tmp_path)
+    return tmp_path
+
+
+def changed(folder: Path, key: str, text: str) -> None:
+    cfg = OmegaConf.load(folder / "config.yaml")
+    cfg.robot.setdefault("word", "os.system")
+    OmegaConf.update(cfg, key, OmegaConf.create({"x": None}).x, merge=False, force_add=True)
+    saved = OmegaConf.to_yaml(cfg)
+    plain = OmegaConf.to_container(OmegaConf.create(saved))
+    *parents, leaf = key.split(".")
+    node = plain
+    for parent in parents:
+        node = node[parent]
+    node[leaf] = "PLACE"
+    (folder / "config.yaml").write_text(OmegaConf.to_yaml(OmegaConf.create(plain)).replace("PLACE", text))
+
+
+@pytest.mark.parametrize(("key", "text"), WAYS)
+def test_a_run_folder_names_only_what_stands_in_conf(key: str, text: str, folder: Path) -> None:
+    made = folder / "made"
+    changed(folder, key, text.format(made=made))
+    if key == "allow_targets":  # what the folder says of it is nothing
+        assert run_config(folder).allow_targets == []
+        return
+    for use in (run_config, load_policy, lambda run: resumed_config(run, [f"resume={run}"])):
+        with pytest.raises(
+            ValueError, match=r"config\.yaml: .*(expected a constructor that stands in conf/|only whole)"
+        ):
+            use(folder)
+    assert not made.exists() and "antigravity" not in sys.modules
+
+
+def test_the_key_and_the_target_are_named(folder: Path) -> None:
+    changed(folder, "robot.body.size", "[1, {a: {_target_: os.system}}, 1]")
+    with pytest.raises(ValueError, match=r"robot\.body\.size\.1\.a\._target_: expected .* got 'os\.system'"):
+        run_config(folder)
+
+
+@pytest.mark.parametrize("text", ["${robot}", "{a: {x: '${task.motion}'}}", "${task.motion.step}", "${nowhere.to_be}"])
+def test_references_in_circles_or_to_nowhere_are_refused(text: str, folder: Path) -> None:
+    changed(folder, "robot.word", "'${task.motion.step}'" if text == "${robot}" else "x")
+    changed(folder, "task.motion.step", text if text != "${robot}" else "'${robot.word}'")
+    with pytest.raises(ValueError, match=r"config\.yaml: config: expected"):
+        run_config(folder)
+
+
+def test_references_that_unfold_are_refused(folder: Path) -> None:
+    cfg = OmegaConf.load(folder / "config.yaml")
+    for level in range(40):
+        cfg[f"n{level}"] = {"x": f"${{n{level + 1}}}", "y": f"${{n{level + 1}}}"}
+    cfg.n40 = 1
+    OmegaConf.save(cfg, folder / "config.yaml")
+    with pytest.raises(ValueError, match="expected at most 10,000 values"):
+        run_config(folder)
+
+
+def test_a_package_is_allowed_what_it_defines_and_not_what_it_imports(folder: Path) -> None:
+    changed(folder, "network._target_", "tests.training.toys.policy")
+    given = "expected a constructor that stands in conf/"
+    changed(folder, "network._target_", "tests.test_targets.tiny_overrides")
+    with pytest.raises(ValueError, match=given):
+        run_config(folder)
+    assert run_config(folder, ["tests"]).network._target_ == "tests.test_targets.tiny_overrides"
+    resumed = resumed_config(folder, [f"resume={folder}", "allow_targets=[tests]"])
+    assert resumed.allow_targets == ["tests"]
+    for target in ("tests.test_targets.sys.exit", "tests.test_targets.OmegaConf.load", "tests.test_targets.Path"):
+        changed(folder, "network._target_", target)
+        with pytest.raises(ValueError, match=given):
+            run_config(folder, ["tests"])
+    changed(folder, "network._target_", "tests.test_targets.nothing")
+    with pytest.raises(ValueError, match=r"expected tests\.test_targets\.nothing to be there"):
+        run_config(folder, ["tests"])
+
+
+def test_what_is_built_passes_the_same_gate_wherever_it_comes_from(tmp_path: Path) -> None:
+    cfg = load_config([*tiny_overrides(tmp_path), "scene._target_=builtins.print"])
+    with pytest.raises(ValueError, match=r"scene\._target_: expected a constructor that stands in conf/"):
+        build_world(cfg)
+
+
+def test_a_config_without_its_sections_is_refused(folder: Path) -> None:
+    whole = OmegaConf.load(folder / "config.yaml")
+    for key in ("scene", "logger.video", "collector", "device", "threads"):
+        cfg = whole.copy()
+        parent, _, leaf = key.rpartition(".")
+        del (OmegaConf.select(cfg, parent) if parent else cfg)[leaf]
+        OmegaConf.save(cfg, folder / "config.yaml")
+        with pytest.raises(ValueError, match=rf"config\.yaml: {key}: expected"):
+            run_config(folder)
+    (folder / "config.yaml").write_text("[1, 2]")
+    with pytest.raises(ValueError, match="expected the config of a training"):
+        run_config(folder)
+
+
+@pytest.mark.parametrize("name", ["../../x", "/x", "a/b", "..", ".", "a\\\\b", "a\\nb", "a\\0b", "x" * 300])
+def test_a_name_is_no_way_out_of_a_folder(name: str, tmp_path: Path) -> None:
+    tiny_overrides(tmp_path)
+    (tmp_path / "scene.yaml").write_text(f'splat: tiny.ply\nname: "{name}"\n')
+    with pytest.raises(ValueError, match=r"scene\.yaml: name: expected a name, without slashes"):
+        read_scene(tmp_path)
+    (tmp_path / "scene.yaml").write_text(f'splat: "{name}"\n')
+    with pytest.raises(ValueError, match=r"scene\.yaml: splat: expected a name, without slashes"):
+        read_scene(tmp_path)
+
+
+def test_the_name_of_a_scene_in_a_run_folder_is_no_way_out_either(folder: Path) -> None:
+    changed(folder, "scene.name", "../../x")
+    with pytest.raises(Exception, match=r"scene\.name: expected a name, without slashes, got '\.\./\.\./x'"):
+        build_world(run_config(folder))
