@@ -16,7 +16,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from splatrl.documents import read_yaml
+from splatrl.documents import read_config
 from splatrl.files import replacing
 from splatrl.scene_overrides import scene_overrides
 from splatrl.scenes.description import SCENE_FILE, read_description
@@ -206,10 +206,8 @@ def run_config(folder: Path, allow_targets: Sequence[str] = ()) -> DictConfig:
     path = folder / "config.yaml"
     if not path.is_file():
         raise FileNotFoundError(f"{folder}: expected a run folder with config.yaml, found none")
-    cfg = read_yaml(path)
+    cfg = read_config(path)
     try:
-        if not isinstance(cfg, DictConfig):
-            raise ValueError(f"expected the config of a training, got {cfg!r:.80}")
         cfg.allow_targets = list(allow_targets)
         _check_sections(cfg, load_config())
         with _hydra() as loader:

@@ -2,11 +2,12 @@
 
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import yaml
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 MAX_YAML = 128 * 2**10
@@ -18,25 +19,37 @@ REFERENCE = re.compile(r"\$\{[\w.]+\}")
 """A reference to another key, such as ${robot.height}: the whole value, so that nothing grows, and no resolver."""
 
 
-def read_yaml(path: Path) -> DictConfig | ListConfig:
-    """Read a YAML file as data.
-
-    A value may refer to another key of the file (``${robot.height}``). Resolvers, which could read the environment or
-    make new nodes, and YAML's aliases, a few of which unfold to gigabytes, are refused.
+def read_yaml(path: Path) -> Any:
+    """Read a YAML file as plain values; aliases, a few of which unfold to gigabytes, are refused.
 
     Raises:
         FileNotFoundError: where there is no such file.
-        ValueError: for a file that is too large, nested too deep, not YAML, or that uses what is refused.
+        ValueError: for a file that is too large, nested too deep, not YAML, or that uses aliases.
     """
     text = _text(path, MAX_YAML)
     try:
         _check_events(text)
-        content = OmegaConf.create(text)
-    except (yaml.YAMLError, OmegaConfBaseException, ValueError, TypeError, ArithmeticError, LookupError) as error:
+        return OmegaConf.to_container(OmegaConf.create(text), resolve=False)
+    except (yaml.YAMLError, OmegaConfBaseException, ValueError, TypeError, LookupError, RecursionError) as error:
         raise ValueError(f"{path}: expected plain YAML, got {error}") from error
-    if not isinstance(content, DictConfig | ListConfig):
-        raise ValueError(f"{path}: expected keys and values, got {content!r}")
-    return content
+
+
+def read_config(path: Path) -> DictConfig:
+    """Read a YAML file whose values may refer to other keys of it (``${robot.height}``).
+
+    Resolvers, which could read the environment or make new nodes, are refused.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: as by ``read_yaml``, for a resolver, or for anything but keys and values.
+    """
+    content = read_yaml(path)
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: expected keys and values, got {content!r:.80}")
+    for text in _texts(content):
+        if "${" in text and not REFERENCE.fullmatch(text):
+            raise ValueError(f"{path}: expected references of a whole value such as ${{robot.height}}, got {text:.80}")
+    return OmegaConf.create(content)
 
 
 def read_json(path: Path, limit: int = MAX_JSON) -> Any:
@@ -91,5 +104,12 @@ def _check_events(text: str) -> None:
             raise ValueError(f"values nested more than {MAX_DEPTH} deep")
         if isinstance(event, yaml.AliasEvent):
             raise ValueError(f"the alias *{event.anchor}")
-        if isinstance(event, yaml.ScalarEvent) and "${" in event.value and not REFERENCE.fullmatch(event.value):
-            raise ValueError(f"{event.value[:80]!r}: only whole values such as ${{robot.height}} may refer to others")
+
+
+def _texts(node: Any) -> Iterator[str]:
+    """Every text among plain values, keys too."""
+    if isinstance(node, str):
+        yield node
+    elif isinstance(node, dict | list):
+        for each in [*node, *node.values()] if isinstance(node, dict) else node:
+            yield from _texts(each)

@@ -45,6 +45,29 @@ def new_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+@contextmanager
+def refusing(path: Path, expected: str) -> Iterator[None]:
+    """Turn whatever a decoder raises for a damaged file into a ValueError that names the file.
+
+    Decoders of images, archives and videos raise more than a dozen types, from IndexError to LZMAError. A file that is
+    not there, a library that is missing and memory that runs out stay what they are.
+
+    Args:
+        path: of the file.
+        expected: what it should have been, for the message.
+
+    Raises:
+        ValueError: for any other exception in the block.
+    """
+    try:
+        yield
+    except Exception as error:
+        told = isinstance(error, ValueError) and f"{path}:" in str(error)
+        if told or type(error) in (FileNotFoundError, ImportError, MemoryError):
+            raise
+        raise ValueError(f"{path}: expected {expected}, got {type(error).__name__}: {error}") from error
+
+
 def checked_name(what: str, name: object) -> str:
     """Check a name of which files are made, which may come from a stranger: one part of a path, and not a way out.
 

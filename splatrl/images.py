@@ -8,6 +8,8 @@ import av
 from av.container import InputContainer
 from PIL import Image, ImageOps
 
+from splatrl.files import refusing
+
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 CONTAINERS = ("mov", "matroska", "webm", "avi", "mpegts", "mpeg", "mpegvideo", "flv", "asf", "ogg", "mxf", "gif", "ivf")
 """FFmpeg's names of them. Playlists (concat, hls, dash) are absent: a script of one may name any file of the disk."""
@@ -24,14 +26,9 @@ def read_photo(path: Path) -> Image.Image:
     Raises:
         ValueError: for a file that is broken, of another kind, or too large.
     """
-    try:
-        with Image.open(path, formats=("PNG", "JPEG")) as image:  # reads the header only
-            if image.width * image.height <= MAX_PIXELS:
-                return ImageOps.exif_transpose(image).convert("RGB")
-            width, height = image.size
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise ValueError(f"{path}: expected a whole PNG or JPEG: {error}") from error
-    raise ValueError(_too_large(path, width, height))
+    with refusing(path, "a whole PNG or JPEG"), Image.open(path, formats=("PNG", "JPEG")) as image:
+        require_small(path, image.width, image.height)  # in the header, before anything is decoded
+        return ImageOps.exif_transpose(image).convert("RGB")
 
 
 @contextmanager
@@ -45,16 +42,14 @@ def open_video(path: Path) -> Iterator[InputContainer]:
         ValueError: where it cannot be read, is not a video in one of ``CONTAINERS``, or has too large images.
     """
     options = {"protocol_whitelist": "file", "format_whitelist": ",".join(CONTAINERS)}
-    try:
-        with av.open(str(path.resolve()), container_options=options) as container:
-            if not set(container.format.name.split(",")) & set(CONTAINERS):
-                raise ValueError(f"{path}: expected a video, got the format {container.format.name}")
-            if not container.streams.video:
-                raise ValueError(f"{path}: expected a video, found no stream of images")
-            require_small(path, container.streams.video[0].width, container.streams.video[0].height)
-            yield container
-    except (av.FFmpegError, OSError) as error:
-        raise ValueError(f"{path}: expected a whole video ({', '.join(CONTAINERS)}): {error}") from error
+    whole = f"a whole video ({', '.join(CONTAINERS)})"
+    with refusing(path, whole), av.open(str(path.resolve()), container_options=options) as container:
+        if not set(container.format.name.split(",")) & set(CONTAINERS):
+            raise ValueError(f"{path}: expected a video, got the format {container.format.name}")
+        if not container.streams.video:
+            raise ValueError(f"{path}: expected a video, found no stream of images")
+        require_small(path, container.streams.video[0].width, container.streams.video[0].height)
+        yield container
 
 
 def require_small(path: Path, width: int, height: int) -> None:
@@ -64,8 +59,4 @@ def require_small(path: Path, width: int, height: int) -> None:
         ValueError: naming the file.
     """
     if width * height > MAX_PIXELS:
-        raise ValueError(_too_large(path, width, height))
-
-
-def _too_large(path: Path, width: int, height: int) -> str:
-    return f"{path}: expected images of at most {MAX_PIXELS:,} pixels, got {width} × {height}"
+        raise ValueError(f"{path}: expected images of at most {MAX_PIXELS:,} pixels, got {width} × {height}")

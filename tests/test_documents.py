@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from splatrl.documents import MAX_DEPTH, MAX_YAML, read_json, read_yaml
+from splatrl.documents import MAX_DEPTH, MAX_YAML, read_config, read_json, read_yaml
 
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n" for before, name in zip("abcdefg", "bcdefgh", strict=True)
@@ -20,10 +20,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
         ("a: &x 1\nb: {<<: *x}", r"the alias \*x"),
         ("a: " + "[" * 10_000, f"nested more than {MAX_DEPTH} deep"),
         ("a: [" * 10_000, f"nested more than {MAX_DEPTH} deep"),
-        ("a: ${oc.env:HOME}", "only whole values"),
-        ("a: '${b}${b}'", "only whole values"),
-        ("a: '\\${oc.env:HOME}'", "only whole values"),
-        ("'${oc.env:HOME}': 1", "only whole values"),
+        ("a: " + "${" * 3000, "expected plain YAML"),
         ("a: !!python/object/apply:os.system [ls]", "python/object"),
         ("a: 1\na: 2", "duplicate key"),
         ("? [a]\n: 1", "expected plain YAML"),
@@ -52,10 +49,20 @@ def test_yaml_that_is_not_text_is_refused(tmp_path: Path) -> None:
         read_yaml(tmp_path / "a.yaml")
 
 
-def test_plain_yaml_is_read_and_may_refer_to_itself(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "text", ["a: ${oc.env:HOME}", "a: '${b}${b}'", "a: '\\${oc.env:HOME}'", "'${oc.env:HOME}': 1", "a: [{b: 'x ${a}'}]"]
+)
+def test_a_config_refers_only_to_its_own_keys(text: str, tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text(text)
+    with pytest.raises(ValueError, match=r"a\.yaml: expected references of a whole value"):
+        read_config(tmp_path / "a.yaml")
+    assert "${" in str(read_yaml(tmp_path / "a.yaml"))  # elsewhere it is text
+
+
+def test_plain_yaml_is_read_and_a_config_may_refer_to_itself(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text("a: {b: 1e-3}\nc: ${a.b}\nd: [1, null, 'x']\n")
-    content = read_yaml(tmp_path / "a.yaml")
-    assert content == {"a": {"b": 0.001}, "c": 0.001, "d": [1, None, "x"]}
+    assert read_yaml(tmp_path / "a.yaml") == {"a": {"b": 0.001}, "c": "${a.b}", "d": [1, None, "x"]}
+    assert read_config(tmp_path / "a.yaml").c == 0.001
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "9" * 5000, "{", ""])

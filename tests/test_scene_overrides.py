@@ -108,7 +108,7 @@ def test_a_folder_that_proposes_nothing_changes_nothing(garden: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("robot_height: ${oc.env:HOME}", r"'\$\{oc\.env:HOME\}': only whole values"),
+        ("robot_height: ${oc.env:HOME}", r"robot_height: expected metres above 0, got '\$\{oc.env:HOME\}'"),
         ("robot_height: -1.0", "robot_height: expected metres above 0, got -1.0"),
         ("robot_height: .inf", "robot_height: expected metres above 0, got inf"),
         ("voxel_size: true", "voxel_size: expected metres above 0, got True"),

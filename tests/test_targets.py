@@ -48,7 +48,7 @@ WAYS = [  # key, and what a stranger puts there
     ("renderer.cpu._target_", "os.system"),
     ("renderer.cpu._target_", "${{robot.word}}"),
     ("renderer.cpu._target_", "${{oc.env:SHELL}}"),
-    ("renderer.cpu", "${{oc.create:'{{_target_: os.mkdir, path: {made}}}'}}"),
+    ("renderer.cpu", "\"${{oc.create:'{{_target_: os.mkdir, path: {made}}}'}}\""),
     ("renderer.cpu._target_", "[os.system]"),
     ("renderer.cpu._target_", "null"),
     ("allow_targets", "[os, {{_target_: os.mkdir, path: {made}}}]"),
@@ -84,9 +84,7 @@ def test_a_run_folder_names_only_what_stands_in_conf(key: str, text: str, folder
         assert run_config(folder).allow_targets == []
         return
     for use in (run_config, load_policy, lambda run: resumed_config(run, [f"resume={run}"])):
-        with pytest.raises(
-            ValueError, match=r"config\.yaml: .*(expected a constructor that stands in conf/|only whole)"
-        ):
+        with pytest.raises(ValueError, match=r"config\.yaml: .*(a constructor that stands in|references of a whole)"):
             use(folder)
     assert not made.exists() and "antigravity" not in sys.modules
 
@@ -149,7 +147,7 @@ def test_a_config_without_its_sections_is_refused(folder: Path) -> None:
         with pytest.raises(ValueError, match=rf"config\.yaml: {key}: expected"):
             run_config(folder)
     (folder / "config.yaml").write_text("[1, 2]")
-    with pytest.raises(ValueError, match="expected the config of a training"):
+    with pytest.raises(ValueError, match="expected keys and values"):
         run_config(folder)
 
 

@@ -22,6 +22,9 @@ from splatrl.scenes.gaussians import Gaussians
 if TYPE_CHECKING:
     from splatrl.scenes.scene import Scene
 
+HEADERS = 4096
+"""Bytes of an occupancy's arrays besides its bits, at most."""
+
 
 @dataclass(frozen=True, eq=False)
 class Occupancy(Voxels):
@@ -204,7 +207,7 @@ class Occupancy(Voxels):
             occupancy = occupancy.carved(cleared[:, 0], cleared[:, 1]).with_boxes(added[:, 0], added[:, 1])
             return (occupancy if flood is None else occupancy.solid(**flood)).to_arrays()
 
-        return cls.from_arrays(scene.cached("occupancy", recipe, build))
+        return cls.from_arrays(scene.cached("occupancy", recipe, build, max_voxels // 8 + HEADERS), max_voxels)
 
     def __or__(self, other: "Occupancy") -> "Occupancy":
         """What is solid in either of two grids of one resolution.

@@ -6,17 +6,14 @@ from hashlib import blake2b
 from pathlib import Path
 
 import numpy as np
-import plyfile
 from numpy.typing import NDArray
 
 from splatrl.collision.pcd import read_pcd
-from splatrl.files import replacing
-from splatrl.scenes.formats.ply_header import PlyElement, PlyHeader, read_ply_header
+from splatrl.files import refusing, replacing
+from splatrl.scenes.formats.ply_header import read_ply_header
+from splatrl.scenes.formats.ply_rows import vertex_columns
 
 AXES = ("x", "y", "z")
-TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
-TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
-TYPES |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
 
 
 def read_points(path: str | os.PathLike[str]) -> NDArray[np.float64]:
@@ -36,7 +33,8 @@ def read_points(path: str | os.PathLike[str]) -> NDArray[np.float64]:
         ValueError: for a file that is not what its ending says, is damaged, or holds no point.
     """
     path = _checked_path(path)
-    points = READERS[path.suffix.lower()](path)
+    with refusing(path, "a whole point cloud"):
+        points = READERS[path.suffix.lower()](path)
     finite = points[np.isfinite(points).all(1)]
     if len(finite) == 0:
         raise ValueError(f"{path}: expected points, got {len(points)}, none of them finite")
@@ -72,7 +70,7 @@ def _checked_path(path: str | os.PathLike[str]) -> Path:
         )
     if path.is_dir():
         raise ValueError(f"{path}: expected a point cloud, got a folder")
-    if not path.exists():
+    if not path.is_file():
         raise FileNotFoundError(f"{path}: no such point cloud")
     return path
 
@@ -88,35 +86,7 @@ def _read_ply(path: Path) -> NDArray[np.float64]:
             f"{path}: expected vertices with x, y and z, got none with {', '.join(missing)}; "
             f"they have {', '.join(vertex.properties) or 'nothing'}"
         )
-    header.check_size(path)
-    try:
-        rows = _ascii_rows(path) if header.format == "ascii" else _binary_rows(path, header, vertex)
-        return np.stack([rows[axis].astype(np.float64) for axis in AXES], 1)
-    except (plyfile.PlyParseError, ValueError, OverflowError) as error:
-        raise ValueError(f"{path}: expected the rows that the header describes, got a damaged file: {error}") from error
-
-
-def _ascii_rows(path: Path) -> NDArray[np.void]:
-    return plyfile.PlyData.read(str(path))["vertex"].data
-
-
-def _binary_rows(path: Path, header: PlyHeader, vertex: PlyElement) -> NDArray[np.void]:
-    """The vertices alone: the lengths of a mesh's lists, which nothing bounds, are never read."""
-    if "list" in vertex.properties.values():
-        raise ValueError("expected vertices of a fixed size, got lists in them")
-    before = 0
-    for name, element in header.elements.items():
-        if name == "vertex":
-            break
-        if element.size is None:
-            raise ValueError(f"expected the vertices before any element with lists, got {name} first")
-        before += element.size
-    order = "<" if header.format == "binary_little_endian" else ">"
-    row = np.dtype([(name, order + TYPES[kind]) for name, kind in vertex.properties.items()])
-    held = header.file_size - header.size - before
-    if held < vertex.count * row.itemsize:
-        raise ValueError(f"expected {vertex.count * row.itemsize} bytes of vertices, got {held}")
-    return np.fromfile(path, row, vertex.count, offset=header.size + before)
+    return vertex_columns(path, header, AXES, np.float64)
 
 
 READERS: dict[str, Callable[[Path], NDArray[np.float64]]] = {".ply": _read_ply, ".pcd": read_pcd}

@@ -13,14 +13,20 @@ Bounds = tuple[Sequence[float], Sequence[float]]
 """Lower and upper corner of an axis-aligned box, metres."""
 
 
+FINEST, COARSEST = 1e-4, 1e3
+"""Edges of voxels, metres."""
+FARTHEST_KEY = 2**40
+"""Largest key of a voxel along an axis: with it, double precision still tells places in a voxel apart."""
+
+
 def check_resolution(resolution: float) -> None:
-    """Refuse a voxel edge that is not finite and positive.
+    """Refuse a voxel edge with which places could not be computed.
 
     Raises:
-        ValueError: for such an edge.
+        ValueError: for anything but a number from ``FINEST`` to ``COARSEST`` metres.
     """
-    if not (np.isfinite(resolution) and resolution > 0):
-        raise ValueError(f"resolution: expected finite metres above 0, got {resolution}")
+    if isinstance(resolution, bool) or not (np.isreal(resolution) and FINEST <= resolution <= COARSEST):
+        raise ValueError(f"resolution: expected {FINEST:g} to {COARSEST:g} metres, got {resolution}")
 
 
 def checked_points(name: str, values: Tensor | ArrayLike) -> NDArray[np.float64]:
@@ -64,6 +70,7 @@ def grid_shape(
         lower, upper = (np.round(key * resolution, 3).tolist() for key in (first_key, end_key))
         raise ValueError(
             f"grid from {lower} to {upper} m at a resolution of {resolution} m: expected at most {max_voxels} voxels, "
-            f"got {[x, y, z]}, {x * y * z} in all; crop it, take a coarser resolution or raise max_voxels"
+            f"got {[x, y, z]}, {x * y * z} in all; crop it, take a coarser resolution or raise "
+            "collision.occupancy.max_voxels"
         )
     return x, y, z

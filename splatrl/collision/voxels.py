@@ -12,7 +12,7 @@ from scipy import ndimage
 from torch import Tensor
 
 from splatrl.collision.report import OccupancyReport
-from splatrl.collision.voxel_grid import check_resolution, checked_points
+from splatrl.collision.voxel_grid import FARTHEST_KEY, MAX_VOXELS, check_resolution, checked_points
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -32,7 +32,7 @@ class Voxels:
         filled: how many voxels were made solid because nothing can reach them.
 
     Raises:
-        ValueError: for another shape or dtype, or a resolution that is not finite and positive.
+        ValueError: for another shape or dtype, or a resolution or an origin that ``voxel_grid`` does not allow.
     """
 
     occupied: NDArray[np.bool_]  # [X, Y, Z]
@@ -46,8 +46,9 @@ class Voxels:
             raise ValueError(
                 f"Occupancy.occupied: expected bool [X, Y, Z], got {self.occupied.dtype} {list(self.occupied.shape)}"
             )
-        if len(self.origin_key) != 3:
-            raise ValueError(f"Occupancy.origin_key: expected 3 integers, got {self.origin_key}")
+        keys = self.origin_key
+        if len(keys) != 3 or not all(int(key) == key and abs(key) <= FARTHEST_KEY for key in keys):
+            raise ValueError(f"Occupancy.origin_key: expected 3 integers of at most 2^40, got {keys}")
         check_resolution(self.resolution)
         object.__setattr__(self, "origin_key", tuple(int(key) for key in self.origin_key))
         object.__setattr__(self, "resolution", float(self.resolution))
@@ -105,14 +106,26 @@ class Voxels:
         }
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "Self":
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], max_voxels: int = MAX_VOXELS) -> "Self":
         """Undo ``to_arrays``.
 
         Raises:
-            ValueError: where the bits do not fill the shape.
+            ValueError: where an array is missing or of another kind, the bits do not fill the shape, or the grid has
+                more than ``max_voxels``.
         """
+        try:
+            return cls._unpacked(arrays, max_voxels)
+        except (LookupError, TypeError, AttributeError, OverflowError) as error:
+            raise ValueError(f"occupancy: expected the arrays that to_arrays gives, got {error}") from error
+
+    @classmethod
+    def _unpacked(cls, arrays: Mapping[str, NDArray[Any]], max_voxels: int) -> "Self":
         shape = tuple(int(extent) for extent in arrays["shape"])
         count, packed = math.prod(shape), arrays["occupied_bits"]
+        if count > max_voxels:
+            raise ValueError(
+                f"shape: expected at most {max_voxels} voxels, got {shape}; collision.occupancy.max_voxels raises it"
+            )
         if min(shape, default=0) < 0 or packed.dtype != np.uint8 or packed.shape != ((count + 7) // 8,):
             raise ValueError(f"occupied_bits: expected uint8 bits of {shape} voxels, got {packed.dtype} {packed.shape}")
         bits = np.unpackbits(packed, count=count).astype(bool).reshape(shape)

@@ -5,8 +5,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
-
 from splatrl.documents import read_yaml
 from splatrl.evaluation.report import write_json
 from splatrl.experiments.experiment import Experiment, Run
@@ -32,7 +30,7 @@ def check_settings(runs: Sequence[Run], fresh: bool) -> None:
     for run in runs:
         if status(run) == "new":
             continue
-        found = OmegaConf.to_container(read_yaml(run.folder / "config.yaml"))
+        found = read_yaml(run.folder / "config.yaml")
         assert isinstance(found, Mapping), type(found)
         changed = differences(run.config, {str(key): value for key, value in found.items()})
         if changed and not fresh:

@@ -95,5 +95,5 @@ def cached_levels(scene: Scene, arrays: Mapping[str, Tensor]) -> Arrays:
         limit = np.finfo(np.float16).max
         return levels | {"sh": levels["sh"].clip(-limit, limit).astype(np.float16)}
 
-    levels = scene.cached("levels", {"version": LEVELS_VERSION}, build, compressed=False)
+    levels = scene.cached("levels", {"version": LEVELS_VERSION}, build)
     return levels | {"sh": levels["sh"].astype(np.float32)}

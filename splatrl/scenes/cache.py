@@ -1,10 +1,8 @@
 """A cache of arrays on disk: everything in it can be rebuilt."""
 
 import functools
-import struct
 import warnings
 import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,11 +14,8 @@ from splatrl.files import cache_dir, replacing
 
 Arrays = dict[str, NDArray[Any]]
 
-DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, KeyError, OSError, RuntimeError, ValueError)
-"""What ``np.load`` raises for a damaged npz file."""
 
-
-def cached_arrays(name: str, build: Callable[[], Arrays], compressed: bool = True) -> Arrays:
+def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = None) -> Arrays:
     """Load the arrays cached under a name, or build them and cache them.
 
     A damaged file is rebuilt, with a warning. Where the folder cannot be written to, one warning is given and nothing
@@ -29,25 +24,35 @@ def cached_arrays(name: str, build: Callable[[], Arrays], compressed: bool = Tru
     Args:
         name: of the file, without its extension; it holds a digest of everything that the arrays are made from.
         build: makes the arrays.
-        compressed: whether the file on disk is compressed.
+        most: bytes of the arrays at most, for a file that is compressed on disk; None for one that is not.
     """
     path = cache_dir() / f"{name}.npz"
     try:
+        _check_size(path, most)
         with np.load(path, allow_pickle=False) as arrays:
             return dict(arrays)
     except (FileNotFoundError, NotADirectoryError):
         pass
-    except DAMAGED as error:
+    except Exception as error:  # zipfile and np.load raise more than a dozen types for damaged files
         warnings.warn(f"{path}: cannot read this cache file, rebuilding it: {error}", stacklevel=2)
     arrays = build()
     named: dict[str, Any] = dict(arrays)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as stream:
-            (np.savez_compressed if compressed else np.savez)(stream, **named)
+            (np.savez if most is None else np.savez_compressed)(stream, **named)
     except OSError as error:
         _warn_unwritable(path.parent, error.strerror)
     return arrays
+
+
+def _check_size(path: Path, most: int | None) -> None:
+    """Refuse a file that holds more than it may, before any of it is read."""
+    with zipfile.ZipFile(path) as archive:
+        held = sum(entry.file_size for entry in archive.infolist())
+    limit = path.stat().st_size if most is None else most
+    if held > limit:
+        raise ValueError(f"expected at most {limit:,} bytes of arrays, got {held:,}")
 
 
 @functools.cache

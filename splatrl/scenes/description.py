@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from omegaconf import OmegaConf
 
 from splatrl.documents import read_yaml
 from splatrl.files import checked_name, replacing
@@ -43,7 +42,7 @@ def read_description(folder: Path) -> dict[str, Any]:
     path = folder / SCENE_FILE
     if not path.is_file():
         raise FileNotFoundError(f"{folder}: expected a scene folder with {SCENE_FILE}, found none")
-    content = OmegaConf.to_container(read_yaml(path), resolve=False)
+    content = read_yaml(path)
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected keys and values, got {content!r}")
     unknown = [str(key) for key in content if key not in SCENE_KEYS]

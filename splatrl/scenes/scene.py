@@ -61,7 +61,7 @@ class Scene:
         checked_name("scene.name", self.name)
 
     def cached(
-        self, kind: str, settings: Mapping[str, Any], build: Callable[[], Arrays], compressed: bool = True
+        self, kind: str, settings: Mapping[str, Any], build: Callable[[], Arrays], most: int | None = None
     ) -> Arrays:
         """Arrays derived from the Gaussians, built once and kept on disk.
 
@@ -71,12 +71,13 @@ class Scene:
             kind: an identifier of what they are.
             settings: everything else that ``build`` depends on, as JSON can write it.
             build: makes the arrays.
-            compressed: whether to compress them on disk; False where reading should be fast and little would be saved.
+            most: bytes of the arrays at most, to compress them on disk; None leaves them as they are, where reading
+                should be fast and little would be saved.
         """
         assert kind.isidentifier(), kind
         recipe = [CACHE_VERSION, dict(settings), self.digest]
         key = blake2b(json.dumps(recipe, sort_keys=True, default=list).encode(), digest_size=16)
-        return cached_arrays(f"{kind}-{key.hexdigest()}", build, compressed)
+        return cached_arrays(f"{kind}-{key.hexdigest()}", build, most)
 
     @cached_property
     def digest(self) -> str:

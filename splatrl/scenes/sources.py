@@ -9,8 +9,10 @@ from typing import Any
 
 from torch import Tensor
 
-from splatrl.scenes.description import read_description
+from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.formats import read_gaussians
+from splatrl.scenes.formats.limits import MAX_INFLATION
+from splatrl.scenes.formats.reading import META
 from splatrl.scenes.frame import checked_similarity, similarity
 from splatrl.scenes.scene import Bounds, FreeSpace, Point, Scene, robust_bounds
 from splatrl.scenes.yard import backyard_gaussians
@@ -47,6 +49,7 @@ def read_scene(
     world_from_splat: Mapping[str, Any] | Tensor | None = None,
     bounds: Sequence[Sequence[float]] | None = None,
     name: str | None = None,
+    max_inflation: float = MAX_INFLATION,
 ) -> Scene:
     """Read a scene from a splat file or from a folder.
 
@@ -63,6 +66,7 @@ def read_scene(
             Without it, splat coordinates are world metres.
         bounds: lower and upper corner, world, metres; by default where the opaque Gaussians are.
         name: by default that of the file or folder.
+        max_inflation: as in ``read_gaussians``.
 
     Raises:
         FileNotFoundError: where there is no such file or folder.
@@ -71,13 +75,17 @@ def read_scene(
     splat = Path(path).expanduser()
     stated: dict[str, Any] = {}
     fallback, free = splat.stem, None
-    if splat.is_dir():
+    if splat.name == META:
+        fallback = splat.resolve().parent.name
+    if splat.is_dir() and (splat / META).is_file() and not (splat / SCENE_FILE).is_file():
+        splat, fallback = splat / META, splat.resolve().name
+    elif splat.is_dir():
         stated, fallback = read_description(splat), splat.resolve().name
         if stated.get("metric") is False:
             warnings.warn(f"{splat}: not metric: nothing told its scale, so its lengths are not metres", stacklevel=2)
         free = None if _says_something(world_from_splat) else _free_space(splat, stated)
         splat = splat / stated["splat"]
-    gaussians = read_gaussians(splat)
+    gaussians = read_gaussians(splat, max_inflation)
     transform = _transform(stated.get("world_from_splat"), world_from_splat)
     if transform is not None:
         gaussians = gaussians.transformed(transform)

@@ -1,13 +1,17 @@
 """Checkpoints that a crash cannot leave half-written."""
 
+import pickletools
+import re
 import zipfile
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
 
 import torch
 
-from splatrl.files import replacing
+from splatrl.files import refusing, replacing
+
+MADE = re.compile(r"collections OrderedDict|torch\._utils _rebuild_tensor_v2|torch \w+Storage|torch (Size|device)")
+"""What a checkpoint's pickle may make: a bytearray, which PyTorch would allow too, has any size."""
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -30,14 +34,27 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str,
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected a checkpoint, found none")
-    try:
+    with refusing(path, "a whole checkpoint of tensors and plain values"):
         with zipfile.ZipFile(path) as archive:  # its checksums find damage that PyTorch would read as numbers
+            _check_entries(archive, path.stat().st_size)
             damaged = archive.testzip()
         if damaged is not None:
             raise ValueError(f"the checksum of {damaged} differs")
         state = torch.load(path, map_location=device, weights_only=True)
-    except (zipfile.BadZipFile, RuntimeError, UnpicklingError, EOFError, OSError, ValueError) as error:
-        raise ValueError(f"{path}: expected a whole checkpoint of tensors and plain values: {error}") from error
     if not isinstance(state, dict):
         raise ValueError(f"{path}: expected a checkpoint, found a {type(state).__name__}")
     return state
+
+
+def _check_entries(archive: zipfile.ZipFile, size: int) -> None:
+    """Refuse entries that unpack to more than the file holds, and pickles that make anything but tensors and values."""
+    entries = archive.infolist()
+    if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):
+        raise ValueError("expected entries that are stored, got compressed ones")
+    if sum(entry.file_size for entry in entries) > size:
+        raise ValueError(f"expected entries of at most {size:,} bytes, got more")
+    for entry in entries:
+        if entry.filename.endswith(".pkl"):
+            made = {argument for code, argument, _ in pickletools.genops(archive.read(entry)) if code.name == "GLOBAL"}
+            if strange := sorted(str(name) for name in made if not MADE.fullmatch(str(name))):
+                raise ValueError(f"expected tensors and plain values, got {', '.join(strange)}")

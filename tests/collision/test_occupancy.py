@@ -1,6 +1,7 @@
 import json
 import pickle
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -131,7 +132,7 @@ def remembering(gaussians: Gaussians, bounds=((0.0, 0.0, 0.0), (1.0, 0.6, 1.2)))
     """A scene with a cache in memory, and the keys under which it was built."""
     kept: dict[str, dict] = {}
 
-    def cached(kind, settings, build):
+    def cached(kind, settings, build, most):
         if (key := json.dumps([kind, settings])) not in kept:
             kept[key] = build()
             builds.append(key)
@@ -207,7 +208,7 @@ def test_from_scene_ends_a_tenth_beyond_the_bounds_or_at_the_crop():
         free=None,
         gaussians=blobs(grid, 0.06),
         bounds=((0.0, 0.0, 0.0), (2.0, 1.0, 0.0)),  # flat, as the sheet is
-        cached=lambda kind, settings, build: build(),
+        cached=lambda kind, settings, build, most: build(),
     )
     bounds = Occupancy.from_scene(scene, resolution=0.1).bounds
     assert bounds[0][:2] == pytest.approx([-0.2, -0.2])
@@ -255,9 +256,9 @@ def test_a_grid_above_the_cap_is_refused_with_its_bounds_and_resolution():
 
 @pytest.mark.parametrize("resolution", [0.0, -0.1, float("nan"), float("inf")])
 def test_a_resolution_that_is_no_length_is_refused(resolution):
-    with pytest.raises(ValueError, match="resolution: expected finite metres above 0"):
+    with pytest.raises(ValueError, match=r"resolution: expected 0\.0001 to 1000 metres"):
         Occupancy.empty(resolution)
-    with pytest.raises(ValueError, match="resolution: expected finite metres above 0"):
+    with pytest.raises(ValueError, match=r"resolution: expected 0\.0001 to 1000 metres"):
         Occupancy.from_points([[0.0, 0.0, 0.0]], resolution)
 
 
@@ -276,3 +277,39 @@ def test_malformed_arguments_are_refused_by_name():
         Occupancy(np.zeros((2, 2, 2), np.uint8), (0, 0, 0), 0.1)
     with pytest.raises(ValueError, match="origin_key: expected 3 integers"):
         Occupancy(np.zeros((2, 2, 2), bool), (0, 0), 0.1)
+
+
+def arrays(**changes: Any) -> dict[str, np.ndarray]:
+    """What an occupancy of 2 × 2 × 2 voxels is kept as, changed."""
+    kept = Occupancy(np.ones((2, 2, 2), bool), (0, 0, 0), 0.1).to_arrays()
+    return {key: np.array(value) for key, value in {**kept, **changes}.items() if value is not None}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"shape": [1 << 20, 1 << 20, 1 << 20]}, r"shape: expected at most 67108864 voxels, .*max_voxels raises it"),
+        ({"shape": [1 << 12] * 3, "occupied_bits": np.zeros(24_000, np.uint8)}, "shape: expected at most"),
+        ({"shape": [-2, -2, 2]}, "occupied_bits: expected"),
+        ({"shape": 8}, "expected the arrays"),
+        ({"shape": [2.5, 2, np.nan]}, "cannot convert"),
+        ({"shape": None}, "expected the arrays that to_arrays gives, got 'shape'"),
+        ({"resolution": 1e-310}, "resolution: expected 0.0001 to 1000 metres"),
+        ({"resolution": 1e300}, "resolution: expected 0.0001 to 1000 metres"),
+        ({"resolution": [0.1, 0.2]}, "expected the arrays"),
+        ({"origin_key": [0, 0, 2**62]}, "origin_key: expected 3 integers"),
+        ({"origin_key": [0.5, 0, 0]}, "origin_key: expected 3 integers"),
+        ({"origin_key": [np.inf, 0, 0]}, "expected the arrays"),
+        ({"origin_key": ["a", "b", "c"]}, ""),
+        ({"floaters": [1, 2]}, "expected the arrays"),
+    ],
+)
+def test_kept_arrays_that_are_not_an_occupancy_are_refused(changes: dict[str, Any], message: str) -> None:
+    assert Occupancy.from_arrays(arrays()).count == 8
+    with pytest.raises(ValueError, match=message):
+        Occupancy.from_arrays(arrays(**changes))
+
+
+def test_the_largest_grid_holds_on_load_too() -> None:
+    with pytest.raises(ValueError, match="expected at most 7 voxels"):
+        Occupancy.from_arrays(arrays(), max_voxels=7)

@@ -1,4 +1,5 @@
 import os
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +57,34 @@ def test_a_file_with_pickled_objects_is_not_loaded(folder: Path) -> None:
     folder.mkdir(parents=True)
     np.savez(folder / "x-1.npz", a=np.array([print], dtype=object))
     with pytest.warns(UserWarning, match="Object arrays cannot be loaded"):
+        assert_arrays(cached_arrays("x-1", Build()))
+
+
+def deflated(folder: Path, most: int) -> dict[str, np.ndarray]:
+    """Cache a megabyte of zeros where ``most`` bytes may be."""
+    return cached_arrays("x-1", lambda: {"a": np.zeros(1 << 20, np.uint8)}, most)
+
+
+def test_a_file_that_holds_more_than_it_may_is_not_loaded(folder: Path) -> None:
+    deflated(folder, 2 << 20)
+    assert (folder / "x-1.npz").stat().st_size < 4096
+    assert deflated(folder, 2 << 20)["a"].shape == (1 << 20,)
+    with pytest.warns(UserWarning, match="expected at most 1,000 bytes of arrays, got 1,048,704"):
+        deflated(folder, 1000)
+    with pytest.warns(UserWarning, match="expected at most .* bytes of arrays"):  # where nothing is compressed
+        assert_arrays(cached_arrays("x-1", Build()))
+
+
+def test_a_bare_array_or_an_absurd_shape_is_made_again(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    np.save(folder / "x-1.npy", np.zeros(3))
+    (folder / "x-1.npy").rename(folder / "x-1.npz")
+    with pytest.warns(UserWarning, match="cannot read this cache file"):
+        assert_arrays(cached_arrays("x-1", Build()))
+    with zipfile.ZipFile(folder / "x-1.npz", "w") as archive:
+        header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"
+        archive.writestr("a.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+    with pytest.warns(UserWarning, match="cannot read this cache file"):
         assert_arrays(cached_arrays("x-1", Build()))
 
 

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from splatrl.scenes.formats import read_gaussians
+from splatrl.scenes.sources import read_scene
 from splatrl.spherical_harmonics import C0
-from tests.scenes.samples import assert_valid, compressed_ply_bytes, sog_entries, sog_meta, zip_bytes
+from tests.scenes.samples import assert_same, assert_valid, compressed_ply_bytes, sog_entries, sog_meta, zip_bytes
 
 CHUNK = np.array([-1, -2, -3, 1, 2, 3, -5, -6, -7, -1, -2, -3, 0, 0.1, 0.2, 1, 0.9, 0.8], np.float64)
 IDENTITY = 0b00_1000000000_1000000000_1000000000
@@ -117,8 +118,8 @@ class TestSog:
         [
             (("version",), 1, "version: expected 2, got 1"),
             (("count",), 9, "means: expected a texture of 9 pixels, got 4 by 2"),
-            (("count",), True, "count: expected 1 to"),
-            (("count",), 10**9, "count: expected 1 to"),
+            (("count",), True, "count: expected a whole number of at least 1, got True"),
+            (("count",), 10**9, r"count: expected at most 16 bytes .*; scene\.max_inflation raises"),
             (("means", "mins"), [0.0, 1.0], "means.mins: expected 3 numbers"),
             (("means", "maxs"), [0.0, 1.0, "x"], "means.maxs: expected finite numbers, got 'x'"),
             (("scales", "codebook"), [0.0] * 255, "scales.codebook: expected 256 numbers"),
@@ -209,3 +210,48 @@ def test_without_the_extra_the_error_says_how_to_install_it(
     )
     with pytest.raises(ImportError, match=r"a\.(sog|ply): to read this format: pip install 'splatrl\[gsply\]'"):
         read_gaussians(path)
+
+    @pytest.mark.parametrize("bands", [0, 1])
+    def test_an_unpacked_bundle_is_the_same_scene(self, tmp_path: Path, bands: int) -> None:
+        entries, _ = sog_entries(bands=bands)
+        packed = read_gaussians(written(tmp_path / "a.sog", zip_bytes(entries)))
+        folder = tmp_path / "garden"
+        folder.mkdir()
+        for name, content in entries.items():
+            written(folder / name, content)
+        for path in (folder, folder / "meta.json"):
+            assert_same(read_gaussians(path), packed)
+        scene = read_scene(folder)
+        assert scene.name == "garden"
+        assert_same(scene.gaussians, packed)
+
+    @pytest.mark.parametrize(
+        ("name", "message"),
+        [
+            ("../a.webp", "files: expected a name, without slashes"),
+            ("/etc/passwd", "files: expected a name, without slashes"),
+            (7, "files: expected a name, without slashes, got 7"),
+            ("none.webp", "files: expected none.webp beside it, found none"),
+        ],
+    )
+    def test_an_unpacked_bundle_names_only_files_beside_it(self, tmp_path: Path, name: object, message: str) -> None:
+        entries, _ = sog_entries()
+        meta = json.loads(entries["meta.json"])
+        meta["quats"]["files"] = [name]
+        with pytest.raises(ValueError, match=rf"meta\.json: {message}"):
+            read_gaussians(written(tmp_path / "meta.json", json.dumps(meta).encode()))
+
+    def test_more_gaussians_than_a_file_can_hold_need_to_be_allowed(self, tmp_path: Path) -> None:
+        import imagecodecs
+
+        entries, pixels = sog_entries()
+        size = 1024
+        for name in pixels:
+            image = np.tile(pixels[name][:1, :1], (size, size, 1))
+            entries[f"{name}.webp"] = imagecodecs.webp_encode(image, lossless=True)
+        meta = json.loads(entries["meta.json"]) | {"count": size * size}
+        path = written(tmp_path / "a.sog", zip_bytes({**entries, "meta.json": json.dumps(meta).encode()}))
+        assert path.stat().st_size < 50_000
+        with pytest.raises(ValueError, match=r"a\.sog: count: expected at most 16 bytes .*; scene\.max_inflation"):
+            read_gaussians(path)
+        assert len(read_gaussians(path, max_inflation=1e6).means) == size * size

@@ -30,11 +30,12 @@ def test_fields_are_found_by_name_whatever_their_order_and_encoding(tmp_path: Pa
 def test_other_types_and_other_elements_do_not_matter(tmp_path: Path) -> None:
     gaussians = sample_gaussians(3, 0)
     fields = ply_fields(gaussians)
-    header = ["ply", "format binary_little_endian 1.0", "element camera 2", "property list uchar int ids"]
-    header += ["element vertex 3", *(f"property double {name}" for name in fields), "end_header", ""]
+    header = ["ply", "format binary_little_endian 1.0", "element sensor 2", "property ushort id", "element vertex 3"]
+    header += [*(f"property double {name}" for name in fields), "element camera 2", "property list uchar int ids"]
+    header += ["end_header", ""]
     camera = bytes([1]) + (5).to_bytes(4, "little") + bytes([0])
     rows = np.stack(list(fields.values()), 1).astype("<f8").tobytes()
-    path = written(tmp_path / "A.PLY", "\r\n".join(header).encode() + camera + rows)
+    path = written(tmp_path / "A.PLY", "\r\n".join(header).encode() + bytes(4) + rows + camera)
     assert_same(read_gaussians(path), gaussians)
 
 
@@ -182,7 +183,9 @@ def test_a_missing_file_a_folder_an_empty_file_and_an_unknown_ending_are_told_ap
         read_gaussians(tmp_path)
     with pytest.raises(ValueError, match=r"a\.ply: expected a splat file, got an empty one"):
         read_gaussians(written(tmp_path / "a.ply", b""))
-    with pytest.raises(ValueError, match=r"expected a file that ends in \.ply, \.sog, \.splat, \.spz, got '\.obj'"):
+    with pytest.raises(
+        ValueError, match=r"expected a file that ends in \.ply, \.sog, \.json, \.splat, \.spz, got '\.obj'"
+    ):
         read_gaussians(tmp_path / "a.obj")
     with pytest.raises(ValueError, match="got 'no ending'"):
         read_gaussians(tmp_path / "a")
@@ -192,3 +195,21 @@ def test_a_trained_scene_reads(shared_scenes: Path) -> None:
     with pytest.warns(UserWarning, match="dropped 0 non-finite or degenerate and 1 fully transparent of 11843"):
         gaussians = read_gaussians(shared_scenes / "brighton" / "brighton.ply")
     assert (len(gaussians), gaussians.sh_degree) == (11842, 1)
+
+
+def test_rows_of_lists_are_not_read(tmp_path: Path) -> None:
+    fields = ply_fields(sample_gaussians(3, 0))
+    content = ply_bytes(fields, "ascii").decode()
+    lists = "element face 2\nproperty list uchar int vertex_indices\nend_header"
+    path = written(tmp_path / "a.ply", (content.replace("end_header", lists) + "not\nread\n").encode())
+    assert_same(read_gaussians(path), sample_gaussians(3, 0))
+    path = written(tmp_path / "a.ply", content.replace("end_header", "property list uchar int x2\nend_header").encode())
+    with pytest.raises(ValueError, match=r"a\.ply: vertex: expected rows of a fixed size, got lists in them"):
+        read_gaussians(path)
+
+
+def test_a_header_of_thousands_of_elements_is_refused_at_once(tmp_path: Path) -> None:
+    many = "".join(f"element e{i} 1\nproperty char c\n" for i in range(30_000))
+    path = written(tmp_path / "a.ply", f"ply\nformat ascii 1.0\n{many}end_header\n".encode())
+    with pytest.raises(ValueError, match="expected a PLY file with a header"):
+        read_gaussians(path)

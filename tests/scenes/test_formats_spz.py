@@ -7,7 +7,16 @@ import pytest
 import torch
 
 from splatrl.scenes.formats import read_gaussians
-from tests.scenes.samples import assert_valid, random_spz, sample_gaussians, spz_bytes, spz_payload
+from splatrl.scenes.sources import read_scene
+from tests.scenes.samples import (
+    assert_same,
+    assert_valid,
+    random_spz,
+    sample_gaussians,
+    spz_4_bytes,
+    spz_bytes,
+    spz_payload,
+)
 
 
 def written(path: Path, content: bytes) -> Path:
@@ -119,7 +128,10 @@ def test_what_another_writer_writes_reads_back_within_its_quantisation(tmp_path:
         ({"count": 10}, "expected 200 bytes after the header, got 180: truncated"),
         ({"count": 8}, "expected 160 bytes after the header, got more"),
         ({"degree": 1}, "expected 261 bytes after the header, got 180: truncated"),
-        ({"count": 0xFFFFFFFF}, "numPoints: 4294967295 Gaussians need 85899345900 bytes, more than a file of"),
+        (
+            {"count": 0xFFFFFFFF},
+            r"numPoints: expected at most 16 bytes .* got 85,899,345,900; scene\.max_inflation",
+        ),
     ],
 )
 def test_a_header_that_does_not_fit_is_refused_by_field(tmp_path: Path, header: dict[str, int], message: str) -> None:
@@ -154,8 +166,8 @@ def test_a_flipped_bit_is_refused_by_the_checksum(tmp_path: Path) -> None:
 def test_a_stream_of_something_else_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="magic: expected b'NGSP', got b'some'"):
         read_gaussians(written(tmp_path / "a.spz", gzip.compress(b"something else altogether")))
-    with pytest.raises(ValueError, match="version: expected gzipped SPZ 2 or 3, got 4"):
-        read_gaussians(written(tmp_path / "a.spz", b"NGSP" + (4).to_bytes(4, "little") + bytes(40)))
+    with pytest.raises(ValueError, match="version: expected 4, got 3"):
+        read_gaussians(written(tmp_path / "a.spz", b"NGSP" + (3).to_bytes(4, "little") + bytes(40)))
 
 
 def test_a_stream_that_unpacks_to_more_than_its_header_promises_is_not_unpacked(tmp_path: Path) -> None:
@@ -173,3 +185,54 @@ def test_the_captured_kitchen_reads(shared_scenes: Path) -> None:
     gaussians = read_gaussians(shared_scenes / "kitchen" / "kitchen.spz")
     assert (len(gaussians), gaussians.sh_degree) == (213_944, 0)
     assert_valid(gaussians)
+
+
+def test_a_few_kilobytes_do_not_unpack_to_a_gigabyte_unless_that_is_allowed(tmp_path: Path) -> None:
+    count = 200_000
+    path = written(tmp_path / "a.spz", spz_bytes(bytes(9 * count) + bytes([255]) * (11 * count), count))
+    assert path.stat().st_size < 20_000
+    with pytest.raises(ValueError, match=r"a\.spz: numPoints: expected at most 16 bytes .*; scene\.max_inflation"):
+        read_gaussians(path)
+    assert len(read_gaussians(path, max_inflation=1000.0).means) == count
+    assert len(read_scene(path, max_inflation=1000.0).gaussians.means) == count
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_version_4_holds_the_same_as_version_3(tmp_path: Path, degree: int) -> None:
+    pytest.importorskip("imagecodecs", reason="needs the extra gsply")
+    payload, count = random_spz(3, degree)
+    third = read_gaussians(written(tmp_path / "3.spz", spz_bytes(payload, count, 3, degree)))
+    for extension in (b"", b"vendor's records"):
+        fourth = read_gaussians(written(tmp_path / "4.spz", spz_4_bytes(payload, count, degree, extension)))
+        assert_same(third, fourth)
+
+
+@pytest.mark.parametrize(
+    ("claims", "message"),
+    [
+        ({"version": 5}, "version: expected 4, got 5"),
+        ({"degree": 4}, "shDegree: expected 0 to 3, got 4"),
+        ({"degree": 1}, "expected a table of 6 streams in the file, got 5 at 32"),
+        ({"streams": 6}, "expected a table of 5 streams in the file, got 6 at 32"),
+        ({"contents": 4}, "expected a table of 5 streams in the file, got 5 at 4"),
+        ({"contents": 0xFFFFFFFF}, "expected a table of 5 streams in the file, got 5 at 4294967295"),
+        ({"contents": 33}, "stream 0: expected 81 bytes"),
+        ({"count": 8}, "stream 0: expected 72 bytes, got 81"),
+        ({"count": 0xFFFFFFFF}, r"numPoints: expected at most 16 bytes .*scene\.max_inflation"),
+    ],
+)
+def test_a_header_of_version_4_that_does_not_fit_is_refused(
+    tmp_path: Path, claims: dict[str, int], message: str
+) -> None:
+    pytest.importorskip("imagecodecs", reason="needs the extra gsply")
+    path = written(tmp_path / "a.spz", spz_4_bytes(*random_spz(3, 0), claims=claims))
+    with pytest.raises(ValueError, match=rf"a\.spz: {message}"):
+        read_gaussians(path)
+
+
+def test_a_stream_of_version_4_that_is_damaged_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("imagecodecs", reason="needs the extra gsply")
+    whole = spz_4_bytes(*random_spz(3, 0))
+    for damaged in (whole[:20], whole[:-1], whole[:112] + b"x" + whole[113:]):
+        with pytest.raises(ValueError, match=r"a\.spz: "):
+            read_gaussians(written(tmp_path / "a.spz", damaged))

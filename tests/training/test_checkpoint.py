@@ -2,6 +2,7 @@
 
 import io
 import os
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -94,3 +95,38 @@ def test_a_checkpoint_cut_at_any_place_is_refused(tmp_path: Path) -> None:
 def test_a_checkpoint_that_is_not_there_is_told(tmp_path: Path, name: str) -> None:
     with pytest.raises(FileNotFoundError, match="expected a checkpoint, found none"):
         load_checkpoint(tmp_path / name)
+
+
+def test_entries_that_unpack_are_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(io.BytesIO(saved({"a": torch.zeros(1 << 20)}))) as plain:
+        entries = {name: plain.read(name) for name in plain.namelist()}
+    path = tmp_path / "last.pt"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in entries.items():
+            archive.writestr(name, content)
+    assert path.stat().st_size < 10_000 and "a" in torch.load(path, weights_only=True)
+    with pytest.raises(ValueError, match=r"last\.pt: .*expected entries that are stored"):
+        load_checkpoint(path)
+
+
+@pytest.mark.parametrize("value", [bytearray(8), {1, 2}, 1j, torch.nn.Parameter(torch.ones(1)), torch.float32])
+def test_only_tensors_and_plain_values_are_made(value: Any, tmp_path: Path) -> None:
+    (tmp_path / "last.pt").write_bytes(saved({"a": value}))
+    with pytest.raises(ValueError, match=r"last\.pt: .*expected tensors and plain values, got"):
+        load_checkpoint(tmp_path / "last.pt")
+
+
+def test_overlapping_entries_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "last.pt"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("archive/a", bytes(1000))
+        info = archive.infolist()[0]
+        for number in range(50):  # more names for the same bytes
+            twin = zipfile.ZipInfo(f"archive/{number}")
+            twin.file_size, twin.compress_size, twin.CRC = info.file_size, info.compress_size, info.CRC
+            twin.header_offset = info.header_offset
+            archive.filelist.append(twin)
+            archive.NameToInfo[twin.filename] = twin
+        archive._didModify = True
+    with pytest.raises(ValueError, match=r"last\.pt: .*expected entries of at most"):
+        load_checkpoint(path)

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from splatrl.envs.drawing.apple_picture import apple
+from splatrl.files import refusing
 
 TAPS = 3
 """Texels that a pixel reads along an axis; smaller levels are padded to this many with empty texels."""
@@ -104,12 +105,9 @@ def _read_png(path: Path) -> np.ndarray:
     """Read a PNG with alpha: [H, W, 4] uint8."""
     if not path.is_file():
         raise ValueError(f"sprite: expected apple or the path of a PNG with alpha, got {path}, which is not a file")
-    try:
-        with Image.open(path, formats=["PNG"]) as image:
-            if max(image.size) > LARGEST:  # read from the header, before anything is allocated
-                raise ValueError(f"sprite {path}: expected at most {LARGEST} pixels per side, got {image.size}")
-            if not image.has_transparency_data:
-                raise ValueError(f"sprite {path}: expected an alpha channel, got mode {image.mode}")
-            return np.array(image.convert("RGBA"))
-    except (Image.DecompressionBombError, UnidentifiedImageError, OSError, SyntaxError) as error:
-        raise ValueError(f"sprite {path}: expected a PNG file, got {error}") from error
+    with refusing(path, "a PNG file"), Image.open(path, formats=["PNG"]) as image:
+        if max(image.size) > LARGEST:  # read from the header, before anything is allocated
+            raise ValueError(f"sprite {path}: expected at most {LARGEST} pixels per side, got {image.size}")
+        if not image.has_transparency_data:
+            raise ValueError(f"sprite {path}: expected an alpha channel, got mode {image.mode}")
+        return np.array(image.convert("RGBA"))

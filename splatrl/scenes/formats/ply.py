@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import plyfile
-from numpy.typing import NDArray
 
 from splatrl.files import replacing
 from splatrl.scenes.formats.compressed_ply import is_compressed, read_compressed_ply
 from splatrl.scenes.formats.ply_header import PlyHeader, read_ply_header
+from splatrl.scenes.formats.ply_rows import vertex_columns
 from splatrl.scenes.formats.stored import activated, opacity_logits
 from splatrl.scenes.gaussians import Gaussians
 
@@ -20,7 +20,7 @@ SCALES = ("scale_0", "scale_1", "scale_2")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 
 
-def read_ply(path: Path) -> Gaussians:
+def read_ply(path: Path, max_inflation: float) -> Gaussians:
     """Read a PLY file of Gaussians: fields by name in any order, ASCII or binary, SH degree 0 to 3.
 
     Raises:
@@ -30,21 +30,12 @@ def read_ply(path: Path) -> Gaussians:
     if is_compressed(header):
         return read_compressed_ply(path, header)
     rest = _checked_fields(path, header)
-    header.check_size(path)
-    try:
-        rows = plyfile.PlyData.read(str(path))["vertex"].data
-    except (plyfile.PlyParseError, ValueError, OverflowError) as error:
-        raise ValueError(f"{path}: expected the rows that the header describes, got a damaged file: {error}") from error
-    sh0 = _columns(rows, SH0)[:, None, :]
-    sh_rest = _columns(rows, rest).reshape(len(rows), 3, -1).transpose(0, 2, 1)  # the file keeps channels together
-    return activated(
-        path,
-        means=_columns(rows, MEANS),
-        quats=_columns(rows, QUATS),
-        log_scales=_columns(rows, SCALES),
-        opacity_logits=_columns(rows, ("opacity",))[:, 0],
-        sh=np.concatenate([sh0, sh_rest], 1),
-    )
+    groups = (MEANS, QUATS, SCALES, ("opacity",), SH0, rest)
+    columns = vertex_columns(path, header, [name for names in groups for name in names], np.float32)
+    ends = np.cumsum([len(names) for names in groups])
+    means, quats, log_scales, opacity_logits, sh0, sh_rest = np.split(columns, ends[:-1], 1)
+    sh_rest = sh_rest.reshape(len(columns), 3, -1).transpose(0, 2, 1)  # the file keeps channels together
+    return activated(path, means, quats, log_scales, opacity_logits[:, 0], np.concatenate([sh0[:, None], sh_rest], 1))
 
 
 def write_gaussians(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
@@ -104,15 +95,6 @@ def _checked_fields(path: Path, header: PlyHeader) -> tuple[str, ...]:
             f"it has {', '.join(properties) or 'none'}"
         )
     return rest
-
-
-def _columns(rows: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.float32]:
-    """Some fields side by side: [N, len(names)], whatever their types and byte order."""
-    columns = np.empty((len(rows), len(names)), np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):  # a double too large for float32 becomes inf, and is dropped
-        for i, name in enumerate(names):
-            columns[:, i] = rows[name]
-    return columns
 
 
 READERS = {".ply": read_ply}

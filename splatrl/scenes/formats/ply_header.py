@@ -7,7 +7,7 @@ from typing import Literal, cast
 
 PlyFormat = Literal["ascii", "binary_little_endian", "binary_big_endian"]
 
-MAX_HEADER = 1 << 20
+MAX_HEADER = 1 << 16
 SIZES = {"char": 1, "uchar": 1, "short": 2, "ushort": 2, "int": 4, "uint": 4, "float": 4, "double": 8}
 SIZES |= {"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4, "float32": 4, "float64": 8}
 
@@ -83,7 +83,7 @@ def read_ply_header(path: Path) -> PlyHeader:
 
 
 def _add_property(path: Path, elements: dict[str, PlyElement], name: str, kind: str) -> None:
-    element = list(elements)[-1]
+    element = next(reversed(elements))
     if name in elements[element].properties:
         raise ValueError(f"{path}: header: expected each property of {element} once, got {name} twice")
     elements[element].properties[name] = kind

@@ -7,10 +7,15 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
+from splatrl.files import refusing
+from splatrl.scenes.formats.limits import MAX_INFLATION
 from splatrl.scenes.gaussians import Gaussians
 
-Reader = Callable[[Path], Gaussians]
-"""Reads an existing, non-empty file."""
+Reader = Callable[[Path, float], Gaussians]
+"""Reads an existing, non-empty file, a byte of which may unpack to so many where the format is compressed."""
+
+META = "meta.json"
+"""The file of an unpacked SOG that names the others."""
 
 
 @cache
@@ -21,28 +26,33 @@ def readers() -> dict[str, Reader]:
     return {ending: read for module in modules for ending, read in vars(module).get("READERS", {}).items()}
 
 
-def read_gaussians(path: str | os.PathLike[str]) -> Gaussians:
+def read_gaussians(path: str | os.PathLike[str], max_inflation: float = MAX_INFLATION) -> Gaussians:
     """Read a splat file, in the file's own frame and unit.
 
     Args:
-        path: a .ply (3DGS as trainers write it, or compressed), .spz (version 2 or 3), .splat or .sog file. SOG and
-            compressed PLY need ``pip install 'splatrl[gsply]'``.
+        path: a .ply (3DGS as trainers write it, or compressed), .spz (version 2 to 4), .splat or .sog file, or the
+            folder or the meta.json of an unpacked SOG. SOG, compressed PLY and SPZ 4 need the extra:
+            ``pip install 'splatrl[gsply]'``.
+        max_inflation: bytes that a byte of a compressed file may unpack to; more than ``MAX_INFLATION`` is rarely real.
 
     Raises:
         FileNotFoundError: where there is no such file.
         ValueError: for a file that is not what its ending says, is damaged, or holds no visible Gaussian.
-        ImportError: for SOG and compressed PLY without the extra.
+        ImportError: for SOG, compressed PLY and SPZ 4 without the extra.
     """
     path = Path(path)
     if path.is_dir():
-        raise ValueError(f"{path}: expected a splat file, got a folder")
+        if not (path / META).is_file():
+            raise ValueError(f"{path}: expected a splat file, got a folder")
+        path = path / META
     reader = readers().get(path.suffix.lower())
     if reader is None:
         raise ValueError(
             f"{path}: expected a file that ends in {', '.join(readers())}, got {path.suffix or 'no ending'!r}"
         )
-    if not path.exists():
+    if not path.is_file():
         raise FileNotFoundError(f"{path}: no such splat file")
     if path.stat().st_size == 0:
         raise ValueError(f"{path}: expected a splat file, got an empty one")
-    return reader(path)
+    with refusing(path, "a whole splat file"):
+        return reader(path, max_inflation)

@@ -1,26 +1,27 @@
-"""PlayCanvas's SOG, version 2: a ZIP of lossless WebP textures, one pixel per Gaussian, and a meta.json."""
+"""PlayCanvas's SOG, version 2: lossless WebP textures, one pixel per Gaussian, and a meta.json, zipped or not."""
 
 import io
-import json
-import struct
 import zipfile
 import zlib
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
+from splatrl.documents import parsed_json
+from splatrl.files import checked_name
 from splatrl.scenes.formats.extra import extra_module, from_gsply
+from splatrl.scenes.formats.limits import check_inflation
 from splatrl.scenes.gaussians import Gaussians
-
-DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, RuntimeError, ValueError)
-"""What zipfile raises for a damaged archive."""
 
 TEXTURES = {"means": 2, "quats": 1, "scales": 1, "sh0": 1}
 """How many textures each attribute has, with one pixel per Gaussian."""
 
 MAX_PALETTE = 1 << 16
+UNPACKED = 64
+"""Bytes of a Gaussian, as SPZ counts them: real bundles take 15 or more."""
 
 
-def read_sog(path: Path) -> Gaussians:
+def read_sog(path: Path, max_inflation: float) -> Gaussians:
     """Read a .sog bundle of version 2.
 
     Everything that gsply's compiled loops take for granted is checked first, because they do not check bounds.
@@ -29,46 +30,76 @@ def read_sog(path: Path) -> Gaussians:
         ValueError: for a damaged bundle, another version or textures that do not fit ``count``.
         ImportError: without the extra ``gsply``.
     """
-    reader, images = extra_module("gsply.sog_reader", path), extra_module("imagecodecs", path)
+    _extra(path)
     data = path.read_bytes()
     entries = _unzip(path, data)
-    _check(path, _meta(path, entries), entries, len(data))
+    _check(path, _meta(path, entries), entries, len(data), max_inflation)
+    return _decoded(path, data)
+
+
+def read_unpacked_sog(path: Path, max_inflation: float) -> Gaussians:
+    """Read the files of a SOG bundle beside its meta.json; the same as from the bundle.
+
+    Raises:
+        ValueError: as by ``read_sog``, or for a texture that is not beside the meta.json.
+        ImportError: without the extra ``gsply``.
+    """
+    _extra(path)
+    entries = {"meta.json": path.read_bytes()}
+    for section in _meta(path, entries).values():
+        for name in section.get("files", ()) if isinstance(section, dict) else ():
+            texture = path.with_name(checked_name(f"{path}: files", name))
+            if not texture.is_file():
+                raise ValueError(f"{path}: files: expected {name} beside it, found none")
+            entries[name] = texture.read_bytes()
+    _check(path, _meta(path, entries), entries, sum(map(len, entries.values())), max_inflation)
+    bundle = io.BytesIO()
+    with zipfile.ZipFile(bundle, "w") as archive:
+        for name, content in entries.items():
+            archive.writestr(name, content)
+    return _decoded(path, bundle.getvalue())
+
+
+def _decoded(path: Path, bundle: bytes) -> Gaussians:
+    """The Gaussians of a bundle that has been checked."""
+    reader, images = _extra(path)
     try:
-        return from_gsply(path, reader.sogread(data))
+        return from_gsply(path, reader.sogread(bundle))
     except images.WebpError as error:
         raise ValueError(f"{path}: expected WebP textures, got a damaged one: {error}") from error
+
+
+def _extra(path: Path) -> tuple[ModuleType, ModuleType]:
+    return extra_module("gsply.sog_reader", path), extra_module("imagecodecs", path)
 
 
 def _unzip(path: Path, data: bytes) -> dict[str, bytes]:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as bundle:
             promised = sum(entry.file_size for entry in bundle.infolist())
-            if promised > 16 * len(data) + (1 << 20):  # textures are compressed already: a real bundle hardly grows
+            if promised > 2 * len(data) + (1 << 20):  # textures are compressed already: a real bundle hardly grows
                 raise zipfile.BadZipFile(f"entries of {promised} bytes are more than {len(data)} bytes can hold")
             return {name: bundle.read(name) for name in bundle.namelist()}
-    except DAMAGED as error:
+    except (zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(f"{path}: expected a ZIP bundle, got a damaged one: {error}") from error
 
 
 def _meta(path: Path, entries: dict[str, bytes]) -> dict[str, Any]:
     if "meta.json" not in entries:
         raise ValueError(f"{path}: expected an entry meta.json, got {', '.join(sorted(entries)) or 'none'}")
-    try:
-        meta = json.loads(entries["meta.json"].decode())
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: meta.json: expected JSON, got {error}") from error
+    meta = parsed_json(f"{path}: meta.json", entries["meta.json"])
     if not isinstance(meta, dict) or meta.get("version") != 2:
         found = meta.get("version") if isinstance(meta, dict) else meta
         raise ValueError(f"{path}: meta.json: version: expected 2, got {found!r}")
     return meta
 
 
-def _check(path: Path, meta: dict[str, Any], entries: dict[str, bytes], size: int) -> None:
+def _check(path: Path, meta: dict[str, Any], entries: dict[str, bytes], size: int, inflation: float) -> None:
     """Check that every field that decoding reads exists, has its type and agrees with the textures."""
     count = meta.get("count")
-    most = 8 * size + (1 << 16)  # real bundles take 15 bytes or more for each Gaussian
-    if type(count) is not int or not 1 <= count <= most:
-        raise ValueError(f"{path}: count: expected 1 to {most} for a file of {size} bytes, got {count!r}")
+    if type(count) is not int or count < 1:
+        raise ValueError(f"{path}: count: expected a whole number of at least 1, got {count!r:.80}")
+    check_inflation(path, "count", UNPACKED * count, size, inflation)
     for name, files in TEXTURES.items():
         for width, height in _sizes(path, meta, name, files, entries):
             if not count <= width * height <= 2 * count + 4096:
@@ -127,4 +158,4 @@ def _sizes(path: Path, meta: dict[str, Any], name: str, count: int, entries: dic
     return sizes
 
 
-READERS = {".sog": read_sog}
+READERS = {".sog": read_sog, ".json": read_unpacked_sog}

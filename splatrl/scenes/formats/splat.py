@@ -11,7 +11,7 @@ from splatrl.spherical_harmonics import C0
 RECORD = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)])
 
 
-def read_splat(path: Path) -> Gaussians:
+def read_splat(path: Path, max_inflation: float) -> Gaussians:
     """Read a .splat file: plain scales, colour and opacity in bytes, quaternions wxyz as ``128 q + 128``."""
     size = path.stat().st_size
     if size % RECORD.itemsize:

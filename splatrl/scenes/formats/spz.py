@@ -1,8 +1,9 @@
-"""Niantic's SPZ, versions 2 and 3: a gzip stream of quantised Gaussians, one attribute after another.
+"""Niantic's SPZ, versions 2 to 4: quantised Gaussians, one attribute after another.
 
-The format is described at https://github.com/nianticlabs/spz. Positions and harmonics stay in the axes of the file
-(x right, y up, z back where its writer follows the format's advice); the order and signs of the harmonics are those
-of 3DGS, with the colour channel varying fastest.
+Versions 2 and 3 are one gzip stream; version 4 has a plain header, vendors' records, a table of contents, and a
+Zstandard stream for each attribute. The format is described at https://github.com/nianticlabs/spz. Positions and
+harmonics stay in the axes of the file (x right, y up, z back where its writer follows the format's advice); the order
+and signs of the harmonics are those of 3DGS, with the colour channel varying fastest.
 """
 
 import struct
@@ -14,10 +15,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from splatrl.scenes.formats.extra import extra_module
+from splatrl.scenes.formats.limits import check_inflation
 from splatrl.scenes.gaussians import Gaussians, checked_gaussians
 
+MAGIC = b"NGSP"
 HEADER = struct.Struct("<4sIIBBBB")
-MAX_INFLATION = 1032  # a deflate stream cannot unpack to more than this many times its size
+HEADER_4 = struct.Struct("<4sIIBBBBI12x")
+"""As ``HEADER``, with the number of streams for the reserved byte, and where the table of contents begins."""
+ENTRY = struct.Struct("<QQ")
+"""Of the table of contents: bytes of a stream, and bytes that it unpacks to."""
 COLOR_SCALE = 0.15  # of the degree-0 harmonics, so that colours a little out of range fit a byte
 HAS_EXTENSIONS = 0x2  # vendors' records may follow the attributes
 
@@ -43,13 +50,14 @@ class Header(NamedTuple):
         return {"positions": 9, "alphas": 1, "colors": 3, "scales": 3, "rotations": rotation, "sh": harmonics}
 
 
-def read_spz(path: Path) -> Gaussians:
-    """Read an SPZ file of version 2 or 3.
+def read_spz(path: Path, max_inflation: float) -> Gaussians:
+    """Read an SPZ file of version 2, 3 or 4.
 
     Raises:
         ValueError: for another version, a damaged stream or a size other than the header promises.
     """
-    header, payload = _unpack(path, path.read_bytes())
+    data = path.read_bytes()
+    header, payload = (_join if data[:4] == MAGIC else _unpack)(path, data, max_inflation)
     columns: dict[str, Bytes] = {}
     start = 0
     for name, width in header.widths.items():
@@ -68,23 +76,16 @@ def read_spz(path: Path) -> Gaussians:
     )
 
 
-def _unpack(path: Path, data: bytes) -> tuple[Header, Bytes]:
+def _unpack(path: Path, data: bytes, max_inflation: float) -> tuple[Header, Bytes]:
     """Header and attributes; unpacks no more than the header promises, and refuses one that promises too much."""
-    if data[:4] == b"NGSP":
-        version = int.from_bytes(data[4:8], "little")
-        raise ValueError(f"{path}: version: expected gzipped SPZ 2 or 3, got {version}")
     inflater = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
     try:
         start = inflater.decompress(data, HEADER.size)
         if len(start) < HEADER.size:
             raise ValueError(f"{path}: header: expected {HEADER.size} bytes, got {len(start)}")
-        header = _checked(path, Header(*HEADER.unpack(start)))
+        header = _checked(path, Header(*HEADER.unpack(start)), (2, 3))
         promised = sum(header.widths.values()) * header.points
-        if promised > MAX_INFLATION * len(data):
-            raise ValueError(
-                f"{path}: numPoints: {header.points} Gaussians need {promised} bytes, more than a file of "
-                f"{len(data)} bytes can hold"
-            )
+        check_inflation(path, "numPoints", promised, len(data), max_inflation)
         payload = inflater.decompress(inflater.unconsumed_tail, promised)
         surplus = inflater.decompress(inflater.unconsumed_tail, 1)
     except zlib.error as error:
@@ -97,11 +98,36 @@ def _unpack(path: Path, data: bytes) -> tuple[Header, Bytes]:
     return header, np.frombuffer(payload, np.uint8)
 
 
-def _checked(path: Path, header: Header) -> Header:
-    if header.magic != b"NGSP":
-        raise ValueError(f"{path}: magic: expected b'NGSP', got {header.magic!r}")
-    if header.version not in (2, 3):
-        raise ValueError(f"{path}: version: expected 2 or 3, got {header.version}")
+def _join(path: Path, data: bytes, max_inflation: float) -> tuple[Header, Bytes]:
+    """Header and attributes of version 4, as ``_unpack`` gives those of the others."""
+    if len(data) < HEADER_4.size:
+        raise ValueError(f"{path}: header: expected {HEADER_4.size} bytes, got {len(data)}")
+    magic, version, points, degree, bits, flags, streams, contents = HEADER_4.unpack_from(data)
+    header = _checked(path, Header(magic, version, points, degree, bits, flags, 0), (4,))
+    sizes = [width * header.points for width in header.widths.values() if width]
+    check_inflation(path, "numPoints", sum(sizes), len(data), max_inflation)
+    start = contents + ENTRY.size * len(sizes)
+    if streams != len(sizes) or not HEADER_4.size <= contents <= start <= len(data):
+        raise ValueError(f"{path}: expected a table of {len(sizes)} streams in the file, got {streams} at {contents}")
+    decode = extra_module("imagecodecs", path).zstd_decode
+    parts = []
+    for number, size in enumerate(sizes):
+        packed, unpacked = ENTRY.unpack_from(data, contents + ENTRY.size * number)
+        if unpacked != size or packed > len(data) - start:
+            raise ValueError(f"{path}: stream {number}: expected {size} bytes, got {unpacked} in {packed} of the file")
+        parts.append(bytes(decode(data[start : start + packed], out=size)))
+        if len(parts[-1]) != size:
+            raise ValueError(f"{path}: stream {number}: expected {size} bytes, got {len(parts[-1])}: truncated")
+        start += packed
+    return header, np.frombuffer(b"".join(parts), np.uint8)
+
+
+def _checked(path: Path, header: Header, versions: tuple[int, ...]) -> Header:
+    if header.magic != MAGIC:
+        raise ValueError(f"{path}: magic: expected {MAGIC!r}, got {header.magic!r}")
+    if header.version not in versions:
+        expected = " or ".join(map(str, versions))
+        raise ValueError(f"{path}: version: expected {expected}, got {header.version}")
     if header.points == 0:
         raise ValueError(f"{path}: numPoints: expected at least 1, got 0")
     if header.sh_degree > 3:
