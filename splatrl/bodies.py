@@ -3,10 +3,13 @@
 import math
 from dataclasses import dataclass
 
+LARGEST = 1e6
+"""Of a length, metres: in voxels it is still a number that can be counted with."""
+
 
 def _positive(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise ValueError(f"{name}: expected finite metres above 0, got {value}")
+    if not 0 < value <= LARGEST:
+        raise ValueError(f"{name}: expected finite metres above 0, at most {LARGEST:,.0f}, got {value}")
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,9 @@ from torch import Tensor
 
 from splatrl.geometry import rigid
 
+MOST_PIXELS = 65536
+"""Along a side of an image."""
+
 
 @dataclass(frozen=True)
 class Cameras:
@@ -21,7 +24,7 @@ class Cameras:
         height: image height in pixels.
 
     Raises:
-        ValueError: for shapes other than these or an image without pixels.
+        ValueError: for shapes other than these, or an image without pixels or with too many.
     """
 
     camera_to_world: Tensor  # [B, 4, 4]
@@ -37,8 +40,9 @@ class Cameras:
             object.__setattr__(self, "K", self.K.expand(batch, *self.K.shape))
         if self.K.shape != (batch, 3, 3):
             raise ValueError(f"K: expected shape [{batch}, 3, 3] or [3, 3], got {list(self.K.shape)}")
-        if self.width < 1 or self.height < 1:
-            raise ValueError(f"width, height: expected at least 1 pixel, got {self.width} × {self.height}")
+        for name, side in (("width", self.width), ("height", self.height)):
+            if isinstance(side, bool) or not isinstance(side, int) or not 1 <= side <= MOST_PIXELS:
+                raise ValueError(f"{name}: expected a whole number of pixels from 1 to {MOST_PIXELS}, got {side!r}")
 
     def __len__(self) -> int:
         return self.camera_to_world.shape[0]

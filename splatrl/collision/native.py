@@ -11,7 +11,7 @@ from splatrl.collision.distances import DistanceField
 from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.voxel_grid import checked_points
 from splatrl.native import _core
-from splatrl.native.threads import usable_cores
+from splatrl.native.threads import threads_of
 
 
 class NativeChecker:
@@ -39,16 +39,14 @@ class NativeChecker:
         Args:
             occupancy: what is solid.
             body: what is tested.
-            threads: cores that a large batch is spread over; None takes all that this process may use.
+            threads: cores that a large batch is spread over, at most all that this process may use, as None does.
 
         Raises:
             ValueError: for fewer threads than one.
         """
-        if threads is not None and threads < 1:
-            raise ValueError(f"threads: expected at least 1, or None for all cores, got {threads}")
         self.occupancy = occupancy
         self.body = body
-        self.threads = threads or usable_cores()
+        self.threads = threads_of(threads)
         self._core = collider(occupancy, body)
 
     def __reduce__(self) -> tuple[type["NativeChecker"], tuple[Occupancy, Body, int]]:
@@ -109,6 +107,8 @@ def corner_of(occupancy: Occupancy) -> tuple[float, float, float]:
 
 def check_shape(name: str, values: Tensor, shape: tuple[int, ...]) -> None:
     """Refuse anything but a batch of tensors of this shape."""
+    if not isinstance(values, Tensor):
+        raise ValueError(f"{name}: expected a torch.Tensor, got {type(values).__name__}")
     if values.shape[1:] != shape or values.ndim != len(shape) + 1:
         raise ValueError(f"{name}: expected shape [B, {', '.join(map(str, shape))}], got {list(values.shape)}")
 
@@ -139,9 +139,9 @@ def _dimensions(body: Body) -> tuple[tuple[float, float, float], float, float]:
 def _floats(name: str, values: Tensor, shape: tuple[int, ...]) -> Tensor:
     """The same numbers as contiguous float32 in main memory."""
     check_shape(name, values, shape)
-    if values.dtype is torch.float32 and values.device.type == "cpu" and values.is_contiguous():
+    if values.dtype is torch.float32 and values.device.type == "cpu" and values.is_contiguous() and not values.is_neg():
         return values
-    return values.detach().to("cpu", torch.float32).contiguous()
+    return values.detach().to("cpu", torch.float32).resolve_neg().contiguous()
 
 
 def _to_device_of(values: Tensor, like: Tensor) -> Tensor:

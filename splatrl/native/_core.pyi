@@ -16,6 +16,12 @@ def isa() -> str:
 def supported_isas() -> list[str]:
     """The instruction sets that this processor can run, slowest first."""
 
+def first_bad_camera(
+    camera_to_world: Tensor,  # [B, 4, 4] float32
+    K: Tensor,  # [B, 3, 3] float32
+) -> int:
+    """The first row whose pose is not rigid or whose K is not a pinhole's; -1 where all are right."""
+
 def add_density(
     means: NDArray[np.float64],  # [N, 3], in voxels like all lengths here, from the corner of the grid
     axes: NDArray[np.float64],  # [N, 3, 3], columns: the unit axes of the Gaussian

@@ -8,6 +8,7 @@ namespace splatrl {
 void bind_collision(nanobind::module_& m);
 void bind_fit(nanobind::module_& m);
 void bind_flat_scene(nanobind::module_& m);
+void bind_interpreter(nanobind::module_& m);
 void bind_isa(nanobind::module_& m);
 void bind_levels(nanobind::module_& m);
 void bind_occupancy(nanobind::module_& m);

@@ -13,6 +13,7 @@ namespace splatrl {
 
 constexpr double MARGIN = 1e-4;      // voxels: more than the rounding of the distance field to single precision
 constexpr double TURN_SLACK = 0.1;   // voxels
+constexpr double MOST_PARTS_OF_TURN = 16384.0;
 constexpr double NEARLY_ALL = 1.0 - 1e-7;
 
 // What the distance field alone says about a pose; MAYBE is for `touches` to decide.
@@ -47,7 +48,8 @@ SPLAT_INLINE Turn turn_of(const Shape& shape, const Mat3& from, const Mat3& to) 
     if (shape.kind == Shape::SPHERE || same(from, to)) return out;
     out.angle = turn_between(from, to, out.axis);
     // A point that turns by φ / 2 to either side of the middle is off by at most 2 R sin(φ / 4).
-    out.parts = max(1, int(ceil(0.5 * shape.outer * out.angle / TURN_SLACK)));
+    // Where that takes too many parts, the slack grows with them instead: nothing is missed.
+    out.parts = int(min(max(ceil(0.5 * shape.outer * out.angle / TURN_SLACK), 1.0), MOST_PARTS_OF_TURN));
     return out;
 }
 

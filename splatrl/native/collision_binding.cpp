@@ -8,6 +8,7 @@
 #include "bindings.h"
 #include "collision.h"
 #include "first_contact.h"
+#include "interpreter.h"
 #include "packed_grid.h"
 #include "rigid.h"
 #include "threads.h"
@@ -18,6 +19,7 @@ namespace splatrl {
 
 namespace {
 
+constexpr double FINEST = 1e-4, COARSEST = 1e3, FARTHEST_CORNER = 2e15;  // metres, as in voxel_grid.py
 constexpr double TOUCH = 1e-6;   // metres: a gap within the rounding of a pose is a touch, wherever it is in the world
 constexpr size_t CHUNK = 2048;   // queries that a thread takes at once
 constexpr size_t AT_ONCE = 32;  // queries that are prepared before they are answered
@@ -84,7 +86,7 @@ public:
         if (chunks <= 1) {
             if (chunks == 1) run(0, 0);
         } else {
-            const nb::gil_scoped_release release;
+            const Release release;
             parallel_for(chunks, std::min(threads, chunks), run);
         }
         return bad == count ? -1 : int64_t(bad);
@@ -205,6 +207,11 @@ void bind_collision(nb::module_& m) {
             "__init__",
             [](Collider* self, Solid solid, Distances distance, std::array<double, 3> corner, double resolution,
                std::array<double, 3> half, double half_length, double radius) {
+                // What searches take for granted: places and sizes in voxels stay far below what a double can count.
+                bool right = resolution >= FINEST && resolution <= COARSEST;
+                for (double length : {corner[0], corner[1], corner[2], half[0], half[1], half[2], half_length, radius})
+                    right = right && std::abs(length) <= FARTHEST_CORNER;
+                if (!right) throw std::invalid_argument("Collider: expected a resolution and lengths within bounds");
                 const auto kind = radius == 0.0 ? Shape::BOX : half_length > 0.0 ? Shape::CAPSULE : Shape::SPHERE;
                 const Shape shape =
                     shape_of(kind, quotient(half, resolution), half_length / resolution, radius / resolution);

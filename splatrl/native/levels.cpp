@@ -6,6 +6,7 @@
 
 #include "kd_order.h"
 #include "splat.h"
+#include "threads.h"
 
 namespace splatrl {
 
@@ -176,6 +177,7 @@ public:
 private:
     // Append the node over [first, last) and all below it. Returns its Gaussians, to be merged further up.
     std::vector<Item> build(uint32_t* first, uint32_t* last) {
+        poll();
         const auto mean = [this](uint32_t i) { return gaussians_.means + 3 * size_t(i); };
         const size_t index = levels.nodes.size();
         const bool leaf = size_t(last - first) <= capacity_;

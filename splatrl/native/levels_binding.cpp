@@ -3,6 +3,7 @@
 
 #include "arrays.h"
 #include "bindings.h"
+#include "interpreter.h"
 #include "kernel.h"
 #include "levels.h"
 #include "levels_binding.h"
@@ -70,7 +71,7 @@ void bind_levels(nb::module_& m) {
             const GaussianArrays gaussians{means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0), degree};
             Levels levels;
             {
-                const nb::gil_scoped_release release;
+                const Release release;
                 levels = build_levels(gaussians, CLUSTER, GROUP, true);
             }
             std::vector<uint32_t> table;

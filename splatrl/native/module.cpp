@@ -23,6 +23,7 @@ NB_MODULE(_core, m) {
     splatrl::bind_collision(m);
     splatrl::bind_fit(m);
     splatrl::bind_flat_scene(m);
+    splatrl::bind_interpreter(m);
     splatrl::bind_isa(m);
     splatrl::bind_levels(m);
     splatrl::bind_occupancy(m);

@@ -9,6 +9,8 @@
 
 #include "arrays.h"
 #include "bindings.h"
+#include "interpreter.h"
+#include "threads.h"
 
 namespace nb = nanobind;
 
@@ -81,8 +83,9 @@ void add_density(Tensor<const double, -1, 3> means, Tensor<const double, -1, 3, 
     if (axes.shape(0) != count || scales.shape(0) != count || opacities.shape(0) != count ||
         first.shape(0) != count || end.shape(0) != count)
         throw nb::value_error("expected as many axes, scales, opacities and voxel ranges as means");
-    const nb::gil_scoped_release release;
+    const Release release;
     for (size_t n = 0; n < count; ++n) {
+        poll();
         Triple low, high;
         for (size_t i = 0; i < 3; ++i) {
             low[i] = std::max<int64_t>(first.data()[3 * n + i], 0);

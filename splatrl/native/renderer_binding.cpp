@@ -4,7 +4,9 @@
 
 #include "arrays.h"
 #include "bindings.h"
+#include "interpreter.h"
 #include "levels_binding.h"
+#include "rigid.h"
 #include "renderer.h"
 
 namespace nb = nanobind;
@@ -28,7 +30,7 @@ void add_model(Renderer& renderer, Tensor<const float, -1, 3> means, Tensor<cons
 
 void render(Renderer& renderer, const Models& models, const Poses& camera_to_models, const Lenses& K, int width,
             int height, size_t threads, const Images& images, const Efforts& efforts) {
-    const nb::gil_scoped_release release;
+    const Release release;
     const Batch batch{models ? models->data() : nullptr, camera_to_models.data(), K.data(), K.shape(0),
                       camera_to_models.shape(1), width, height};
     std::vector<Effort> taken(batch.rows);
@@ -40,9 +42,17 @@ void render(Renderer& renderer, const Models& models, const Poses& camera_to_mod
             *to++ = value;
 }
 
+// The first row whose pose is no camera's or whose K is no pinhole's; -1 where all are right.
+int64_t first_bad_camera(const Tensor<const float, -1, 4, 4>& poses, const Lenses& K) {
+    for (size_t row = 0; row < poses.shape(0); ++row)
+        if (!is_pose_by_fours(poses.data() + 16 * row) || !is_lens(K.data() + 9 * row)) return int64_t(row);
+    return -1;
+}
+
 }  // namespace
 
 void bind_renderer(nb::module_& m) {
+    m.def("first_bad_camera", &first_bad_camera, nb::arg("camera_to_world"), nb::arg("K"));
     nb::class_<Renderer>(m, "Renderer")
         .def(
             "__init__",

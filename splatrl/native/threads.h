@@ -9,8 +9,22 @@
 
 namespace splatrl {
 
-// Call work(worker, item) for every item in [0, count), from at most `threads` workers numbered from 0.
-// The first exception that a worker throws is rethrown here.
+// Asked now and then by the thread that called, during long work; it may throw to end it. interpreter.cpp sets it.
+inline void (*on_poll)() = nullptr;
+
+inline void poll() {
+    if (on_poll != nullptr) on_poll();
+}
+
+struct Joined {
+    std::vector<std::thread> threads;
+    ~Joined() {
+        for (std::thread& thread : threads) thread.join();
+    }
+};
+
+// Call work(worker, item) for every item in [0, count), from at most `threads` workers numbered from 0; from fewer where
+// the system has no more threads. The first exception that a worker throws is rethrown here.
 template <class Work>
 void parallel_for(size_t count, size_t threads, Work&& work) {
     std::atomic<size_t> next{0};
@@ -18,17 +32,24 @@ void parallel_for(size_t count, size_t threads, Work&& work) {
     std::mutex error_mutex;
     auto run = [&](size_t worker) {
         try {
-            for (size_t item = next++; item < count; item = next++) work(worker, item);
+            for (size_t item = next++; item < count; item = next++) {
+                work(worker, item);
+                if (worker == 0) poll();
+            }
         } catch (...) {
             const std::lock_guard<std::mutex> lock(error_mutex);
             if (!error) error = std::current_exception();
             next = count;
         }
     };
-    std::vector<std::thread> others;
-    for (size_t worker = 1; worker < threads && worker < count; ++worker) others.emplace_back(run, worker);
-    run(0);
-    for (std::thread& other : others) other.join();
+    {
+        Joined others;
+        try {
+            for (size_t worker = 1; worker < threads && worker < count; ++worker) others.threads.emplace_back(run, worker);
+        } catch (const std::exception&) {  // no more threads or memory: those that run take all items
+        }
+        run(0);
+    }
     if (error) std::rethrow_exception(error);
 }
 

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
+from splatrl.geometry import first_not_rigid
 from splatrl.renderers.parts import Parts, require_parts_of
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
@@ -43,6 +44,17 @@ class Renderer(Protocol):
         """The pixels of an observation: [B, H, W, 3] uint8, ``round(255 · rgb)``."""
         ...
 
+
+UNIT = 1e-3
+"""By how much the length of a quaternion may differ from 1."""
+DRAWABLE = {
+    "means": "finite metres",
+    "quats": "a unit quaternion",
+    "scales": "finite metres above 0",
+    "opacities": "a number from 0 to 1",
+    "sh": "finite values",
+}
+"""What each field of ``Gaussians`` must be to be drawn."""
 
 Drawn = TypeVar("Drawn", Tensor, RenderOutput)
 
@@ -110,20 +122,47 @@ def models_of(scene: Scene | Gaussians | Sequence[Scene | Gaussians]) -> list[Sc
     return models
 
 
-def require_finite(cameras: Cameras) -> None:
+def require_cameras(cameras: Cameras) -> None:
     """Refuse cameras that no renderer can draw.
 
     Raises:
-        ValueError: names the first row whose pose or intrinsics are not finite, or whose focal length is not positive.
+        ValueError: names the first row whose pose is not rigid, or whose K is not that of a pinhole without skew.
     """
-    poses = cameras.camera_to_world.flatten(1).isfinite().all(1)
-    lenses = cameras.K.flatten(1).isfinite().all(1) & (cameras.K[:, 0, 0] > 0) & (cameras.K[:, 1, 1] > 0)
-    if bool((poses & lenses).all()):
-        return
-    row = int((poses & lenses).int().argmin())
-    if not poses[row]:
-        raise ValueError(f"camera_to_world[{row}]: expected finite values, got {cameras.camera_to_world[row].tolist()}")
-    raise ValueError(f"K[{row}]: expected finite values and positive focal lengths, got {cameras.K[row].tolist()}")
+    fault = first_not_rigid(cameras.camera_to_world.detach())
+    if fault is not None:
+        row, expected = fault
+        raise ValueError(f"camera_to_world[{row}]: expected {expected}, got {cameras.camera_to_world[row].tolist()}")
+    K = cameras.K
+    fixed = K[:, [0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] == K.new_tensor([0.0, 0.0, 0.0, 0.0, 1.0])
+    pinhole = K.flatten(1).isfinite().all(1) & (K[:, 0, 0] > 0) & (K[:, 1, 1] > 0) & fixed.all(1)
+    if not bool(pinhole.all()):
+        row = int(pinhole.int().argmin())
+        raise ValueError(
+            f"K[{row}]: expected finite values, positive focal lengths, no skew and a last row of 0, 0, 1, "
+            f"got {K[row].tolist()}"
+        )
+
+
+def require_drawable(gaussians: Gaussians) -> None:
+    """Refuse Gaussians that no renderer can draw; see ``Gaussians`` for what each field must be.
+
+    Raises:
+        ValueError: names the field and the first row.
+    """
+    g, most = gaussians, torch.finfo(torch.float32).max
+    lengths = g.quats.detach().double().norm(dim=1)
+    right = {
+        "means": (g.means.abs() <= most).all(1),
+        "quats": (lengths - 1.0).abs() <= UNIT,
+        "scales": ((g.scales > 0) & (g.scales <= most)).all(1),
+        "opacities": (g.opacities >= 0) & (g.opacities <= 1),
+        "sh": (g.sh.abs() <= most).flatten(1).all(1),
+    }
+    for name, rows in right.items():
+        if not bool(rows.all()):
+            row = int(rows.int().argmin())
+            got = getattr(g, name)[row].tolist()
+            raise ValueError(f"gaussians.{name}[{row}]: expected {DRAWABLE[name]}, got {got!r:.200}")
 
 
 def checked_background(background: Sequence[float]) -> tuple[float, float, float]:

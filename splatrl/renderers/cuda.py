@@ -86,10 +86,10 @@ class CudaRenderer:
     what may show a slab at a time in shared memory, and blends it with the pixels in registers. Frame i has the same
     bytes alone and in any batch. Kernels are compiled once per machine, in seconds, and cached.
 
-    A camera that is not finite, or whose focal length is not positive, gives a black image. A part whose pose is not
-    rigid, or whose model does not exist, shows nothing; a row whose parts together have more Gaussians than fit shows
-    the background. ``raise_faults`` reports all three. A row has at most 128 parts, with at most 2²⁴ Gaussians
-    in all, merged ones included.
+    A camera whose pose is not rigid, or whose K has a skew or no positive focal lengths, gives a black image. A part
+    whose pose is not rigid, or whose model does not exist, shows nothing; a row whose parts together have more
+    Gaussians than fit shows the background. ``raise_faults`` reports all three. A row has at most 128 parts, with at
+    most 2²⁴ Gaussians in all, merged ones included.
 
     Args:
         scene: a scene, whose levels of detail are kept in its cache; or Gaussians; or several such models, which the
@@ -165,7 +165,9 @@ class CudaRenderer:
         """Raise the faults recorded in cameras and parts since the last call; see ``Faulty``."""
         row = self._faults.take()
         if row is not None:
-            raise ValueError(f"cameras[{row}]: expected finite camera_to_world and K with positive focal lengths")
+            raise ValueError(
+                f"cameras[{row}]: expected rigid camera_to_world and K with positive focal lengths and no skew"
+            )
         if self._parts is not None:
             self._parts[1].raise_faults()
 

@@ -14,7 +14,7 @@ from splatrl.renderers.base import (
     draw_only,
     gaussians_of,
     models_of,
-    require_finite,
+    require_cameras,
     to_pixels,
 )
 from splatrl.renderers.parts import Parts
@@ -102,7 +102,7 @@ class GsplatRenderer:
         if parts is not None:
             got = list(parts.model.shape)
             raise ValueError(f"parts: expected no parts, since gsplat draws one model where it stands, got {got}")
-        require_finite(cameras)
+        require_cameras(cameras)
         return [cameras[first : first + self.at_once] for first in range(0, max(1, len(cameras)), self.at_once)]
 
     @torch.no_grad()

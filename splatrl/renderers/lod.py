@@ -15,7 +15,7 @@ from torch import Tensor
 
 from splatrl.geometry import quats_to_rotations
 from splatrl.native import _core
-from splatrl.renderers.base import gaussians_of
+from splatrl.renderers.base import gaussians_of, require_drawable
 from splatrl.scenes.cache import Arrays
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
@@ -32,19 +32,16 @@ def gaussian_arrays(gaussians: Gaussians) -> dict[str, Tensor]:
         [N, harmonics, 3]: float32, contiguous, in main memory.
 
     Raises:
-        ValueError: for a value that is not finite.
+        ValueError: for Gaussians that ``require_drawable`` refuses.
     """
+    require_drawable(gaussians)
     fields = {
         "means": gaussians.means,
         "axes": quats_to_rotations(gaussians.quats.double()) * gaussians.scales.double().unsqueeze(-2),
         "opacities": gaussians.opacities,
         "sh": gaussians.sh,
     }
-    arrays = {name: value.detach().to("cpu", torch.float32).contiguous() for name, value in fields.items()}
-    for name, value in arrays.items():
-        if not bool(value.isfinite().all()):
-            raise ValueError(f"gaussians.{name}: expected finite values")
-    return arrays
+    return {name: value.detach().to("cpu", torch.float32).resolve_neg().contiguous() for name, value in fields.items()}
 
 
 def levels_for(scene: Scene | Gaussians, arrays: Mapping[str, Tensor], tolerance: float) -> Arrays | None:

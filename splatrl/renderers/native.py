@@ -1,15 +1,15 @@
 """The renderer for CPUs: C++, exact or with level of detail, one frame per core."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.native import _core
-from splatrl.native.threads import usable_cores
-from splatrl.renderers.base import RenderOutput, checked_background, draw_only, gaussians_of, models_of, require_finite
+from splatrl.native.threads import threads_of
+from splatrl.renderers.base import RenderOutput, checked_background, draw_only, gaussians_of, models_of, require_cameras
 from splatrl.renderers.lod import gaussian_arrays, levels_for
 from splatrl.renderers.parts import Parts, camera_to_models, checked_parts
 from splatrl.scenes.gaussians import Gaussians
@@ -45,18 +45,18 @@ class NativeRenderer:
 
     Frame i has the same bytes alone, in any batch, in any order and with any number of threads. Instruction sets may
     differ in the last bits; ``SPLATRL_ISA=avx512|avx2|baseline|portable`` forces one for the renderers made after
-    it is set.
+    it is set. Pickling and copying it keeps the scene and the settings, from which it is built again.
 
     Args:
         scene: the scene, whose levels of detail are kept in its cache; or Gaussians; or several of them, which
             ``Parts.model`` indexes. Values are copied.
         antialiased: keep the energy of Gaussians smaller than a pixel; False is the classic 3DGS image.
         background: colour behind the Gaussians, in [0, 1].
-        threads: cores that a batch is spread over; None takes all that this process may use.
+        threads: cores that a batch is spread over, at most all that this process may use, as None does.
         tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
 
     Raises:
-        ValueError: for Gaussians that are not finite, fewer threads than one, a tolerance that is negative or not
+        ValueError: for Gaussians that cannot be drawn, fewer threads than one, a tolerance that is negative or not
             finite, or an unknown ``SPLATRL_ISA``.
     """
 
@@ -68,10 +68,9 @@ class NativeRenderer:
         threads: int | None = None,
         tolerance: float = 0.0,
     ) -> None:
-        if threads is not None and threads < 1:
-            raise ValueError(f"threads: expected at least 1, or None for all cores, got {threads}")
-        self.threads = threads or usable_cores()
+        self.threads = threads_of(threads)
         models = models_of(scene)
+        self._made_of = scene, antialiased, background, threads, tolerance
         self._models = len(models)
         self._core = _core.Renderer(antialiased, checked_background(background), tolerance)
         for model in models:
@@ -79,6 +78,9 @@ class NativeRenderer:
             arrays = gaussian_arrays(gaussians)
             levels = levels_for(model, arrays, tolerance)
             self._core.add_model(**arrays, degree=gaussians.sh_degree, levels=levels)
+
+    def __reduce__(self) -> tuple[type["NativeRenderer"], tuple[Any, ...]]:
+        return NativeRenderer, self._made_of
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera, float32, on the cameras' device."""
@@ -151,13 +153,15 @@ def _checked_out(out: Tensor, cameras: Cameras) -> Tensor:
 
 
 def _cpu_floats(value: Tensor) -> Tensor:
-    return value.detach().to("cpu", torch.float32).contiguous()
+    return value.detach().to("cpu", torch.float32).resolve_neg().contiguous()
 
 
 def _placed(cameras: Cameras, parts: Parts | None) -> tuple[Tensor | None, Tensor, Tensor]:
     """Models, poses in their frames and intrinsics as the core reads them, after the checks that it relies on."""
-    require_finite(cameras)
-    K = _cpu_floats(cameras.K)
+    poses, K = _cpu_floats(cameras.camera_to_world), _cpu_floats(cameras.K)
+    if _core.first_bad_camera(poses, K) >= 0:
+        require_cameras(cameras)
+        raise ValueError("cameras: expected rigid poses and pinholes")
     if parts is None:
-        return None, _cpu_floats(cameras.camera_to_world).unsqueeze(1), K
+        return None, poses.unsqueeze(1), K
     return parts.model.cpu().contiguous(), _cpu_floats(camera_to_models(cameras, parts)), K

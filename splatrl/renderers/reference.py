@@ -14,7 +14,8 @@ from splatrl.renderers.base import (
     draw_only,
     gaussians_of,
     models_of,
-    require_finite,
+    require_cameras,
+    require_drawable,
     to_pixels,
 )
 from splatrl.renderers.parts import ABSENT, Parts, camera_to_models, checked_parts
@@ -70,6 +71,9 @@ class ReferenceRenderer:
             dilation adds in area is taken from the opacity. False is the classic 3DGS image.
         background: colour behind the Gaussians, in [0, 1].
         device: on which images are made; None takes that of the Gaussians.
+
+    Raises:
+        ValueError: for Gaussians that cannot be drawn.
     """
 
     def __init__(
@@ -80,6 +84,8 @@ class ReferenceRenderer:
         device: torch.device | str | None = None,
     ) -> None:
         models = [gaussians_of(model) for model in models_of(scene)]
+        for model in models:
+            require_drawable(model)
         self.models = models if device is None else [model.to(device) for model in models]
         self.antialiased = antialiased
         self.background = checked_background(background)
@@ -90,7 +96,7 @@ class ReferenceRenderer:
         return draw_only(self._rendered, cameras, checked_parts(parts, cameras, len(self.models)), only)
 
     def _rendered(self, cameras: Cameras, parts: Parts | None) -> RenderOutput:
-        require_finite(cameras)
+        require_cameras(cameras)
         shape = (len(cameras), cameras.height, cameras.width)
         outputs = self.models[0].means.new_zeros(*shape, 5)
         background = outputs.new_tensor(self.background)

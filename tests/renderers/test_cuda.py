@@ -162,17 +162,23 @@ def test_only_the_rows_that_are_asked_for_are_drawn(make: Make) -> None:
         renderer.pixels(cameras, only=only.long())
 
 
-@pytest.mark.parametrize("fault", ["pose", "K", "focal"])
+@pytest.mark.parametrize("fault", ["pose", "K", "focal", "scaled", "mirrored", "skew"])
 def test_a_camera_that_cannot_be_drawn_is_black_and_told_of_later(make: Make, fault: str) -> None:
     renderer = make(random_gaussians(3, 300), background=(1.0, 1.0, 1.0))
     cameras = random_cameras(4, 4)
-    {"pose": cameras.camera_to_world, "K": cameras.K, "focal": cameras.K}[fault][2, 0, 0] = (
-        -1.0 if fault == "focal" else torch.nan
-    )
+    pose, K = cameras.camera_to_world[2], cameras.K[2]
+    if fault in ("pose", "K"):
+        (pose if fault == "pose" else K)[0, 0] = torch.nan
+    elif fault == "focal":
+        K[0, 0] = -1.0
+    elif fault == "skew":
+        K[0, 1] = 0.5
+    else:
+        pose[:3, :1] *= {"scaled": 2.0, "mirrored": -1.0}[fault]
     pixels = renderer.pixels(on(renderer, cameras))
     assert not pixels[2].any() and pixels[[0, 1, 3]].flatten(1).any(1).all()
     with pytest.raises(
-        ValueError, match=r"cameras\[2\]: expected finite camera_to_world and K with positive focal lengths"
+        ValueError, match=r"cameras\[2\]: expected rigid camera_to_world and K with positive focal lengths"
     ):
         renderer.raise_faults()
     renderer.raise_faults()  # a fault is reported once
@@ -204,5 +210,5 @@ def test_a_scene_without_level_of_detail_is_refused_a_wrong_one() -> None:
 def test_gaussians_that_are_not_finite_are_refused() -> None:
     scene = random_gaussians(0, 10)
     scene.means[3, 1] = torch.nan
-    with pytest.raises(ValueError, match=r"gaussians.means: expected finite values"):
+    with pytest.raises(ValueError, match=r"gaussians\.means\[3\]: expected finite metres"):
         emulated_renderer(scene)

@@ -243,7 +243,7 @@ def test_wrong_settings_are_refused_by_name() -> None:
     with pytest.raises(ValueError, match="background"):
         NativeRenderer(scene, background=(0.0, 0.0, 1.5))
     scene.scales[1, 2] = math.nan
-    with pytest.raises(ValueError, match=r"gaussians\.axes"):
+    with pytest.raises(ValueError, match=r"gaussians\.scales\[1\]"):
         NativeRenderer(scene)
 
 

@@ -10,16 +10,9 @@
 #include "blend.h"
 #include "candidates.h"
 #include "order.h"
+#include "rigid.h"
 
 namespace splatrl {
-
-// Whether a camera can be drawn: finite, with positive focal lengths.
-SPLAT_INLINE bool is_camera(const float* pose, const float* K) {
-    float sum = 0.0f;  // NaN where any of them is not finite
-    for (int i = 0; i < 16; ++i) sum += 0.0f * pose[i];
-    for (int i = 0; i < 9; ++i) sum += 0.0f * K[i];
-    return sum == 0.0f && K[0] > 0.0f && K[4] > 0.0f;
-}
 
 // Take the next tile. Returns whether there is one; shared.drawn says whether it is drawn.
 SPLAT_INLINE bool next_tile(const Views& views, const Workspace& workspace, Shared& shared) {
@@ -38,7 +31,7 @@ SPLAT_INLINE bool next_tile(const Views& views, const Workspace& workspace, Shar
                            bottom < views.height ? bottom : views.height};
             shared.camera = camera_of(pose, K, views.width, views.height);
             if (!WITH_PARTS) shared.views[0] = {shared.camera, frustum_of(shared.camera, shared.tile)};
-            shared.drawn = is_camera(pose, K);
+            shared.drawn = is_pose(pose) && is_lens(K);
             if (!shared.drawn) atomicMin(workspace.fault, shared.row);
         }
     }

@@ -1,0 +1,66 @@
+#include "interpreter.h"
+
+#include <atomic>
+#include <chrono>
+#include <stdexcept>
+#include <thread>
+
+#if !defined(_WIN32)
+#include <pthread.h>
+#endif
+
+#include "bindings.h"
+#include "threads.h"
+
+namespace nb = nanobind;
+
+namespace splatrl {
+
+namespace {
+
+using namespace std::chrono_literals;
+
+std::atomic<int> released{0};  // calls that work without the lock
+std::atomic<bool> ending{false};
+
+// Answer signals ten times a second, so that Ctrl-C ends long work; and end it where the interpreter wants to end.
+void answer() {
+    static thread_local std::chrono::steady_clock::time_point last;
+    const auto now = std::chrono::steady_clock::now();
+    if (now - last < 100ms) return;
+    last = now;
+    if (ending && !PyGILState_Check()) throw std::runtime_error("expected Python to go on running, it ends");
+    const nb::gil_scoped_acquire held;
+    if (PyErr_CheckSignals() != 0) throw nb::python_error();
+}
+
+// Runs as Python exits, before daemon threads lose their lock for ever: wait until none works without it.
+void end() {
+    ending = true;
+    const nb::gil_scoped_release release;
+    while (released > 0) std::this_thread::sleep_for(1ms);
+}
+
+}  // namespace
+
+Release::Release() {
+    if (ending) return;
+    ++released;
+    release_.emplace();
+}
+
+Release::~Release() {
+    if (!release_) return;
+    release_.reset();
+    --released;
+}
+
+void bind_interpreter(nb::module_&) {
+    on_poll = answer;
+    nb::module_::import_("atexit").attr("register")(nb::cpp_function(&end));
+#if !defined(_WIN32)
+    pthread_atfork(nullptr, nullptr, [] { released = 0; });  // the threads of others do not live on in a child
+#endif
+}
+
+}  // namespace splatrl

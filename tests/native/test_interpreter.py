@@ -1,0 +1,228 @@
+"""The core and its interpreter: threads that cannot start, Ctrl-C, daemon threads at the end, bad numbers."""
+
+import copy
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import torch
+
+from splatrl import Box, Cameras
+from splatrl.cameras import intrinsics
+from splatrl.collision import NativeChecker, Occupancy
+from splatrl.native import _core
+from splatrl.native.threads import threads_of, usable_cores
+from splatrl.renderers import LatticeRenderer, NativeRenderer, ReferenceRenderer
+from tests.tiny import tiny_gaussians
+
+LONG = """
+import sys, threading, time, torch
+from splatrl import Box
+from splatrl.collision import NativeChecker, Occupancy
+from splatrl.geometry import rigid, axis_rotations
+checker = NativeChecker(Occupancy.from_boxes([[-2.0, -2.0, 0.0]], [[2.0, 2.0, 0.02]], 0.02), Box((0.5, 0.5, 0.5)))
+count = 2048 * 2000
+start = torch.eye(4).repeat(count, 1, 1)
+start[:, 2, 3] = 0.5
+end = start.clone()
+end[:, :3, :3] = axis_rotations(0, torch.tensor(0.5))
+end[:, 0, 3] = 0.1
+def work():
+    checker.free_fraction(start, end)
+"""
+
+
+def script(text: str, **options: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", LONG + text], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **options
+    )
+
+
+def test_ctrl_c_ends_a_long_call() -> None:
+    process = script("print('begun', flush=True)\nwork()\nprint('done')")
+    assert process.stdout is not None and process.stdout.readline() == "begun\n"
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=60)
+    assert "KeyboardInterrupt" in output and "done" not in output
+    assert process.returncode == -signal.SIGINT
+
+
+def test_daemon_threads_in_the_core_end_with_the_interpreter() -> None:
+    text = """
+def always():
+    while True:
+        work()
+for _ in range(3):
+    threading.Thread(target=always, daemon=True).start()
+time.sleep(0.5)
+print("ends", flush=True)
+"""
+    for _ in range(3):
+        output, _ = (process := script(text)).communicate(timeout=60)
+        assert process.returncode == 0, (process.returncode, output)
+        assert "ends\n" in output and "terminate" not in output
+
+
+def test_what_runs_at_exit_may_still_use_the_core() -> None:
+    text = "import atexit\natexit.register(lambda: print(checker.free_fraction(start[:4096], end[:4096]).mean()))"
+    output, _ = (process := script(text)).communicate(timeout=60)
+    assert process.returncode == 0 and "tensor(" in output
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc and a limit of the address space")
+def test_threads_that_cannot_start_are_done_without() -> None:
+    text = """
+import resource
+checker.threads = 64  # the core is asked for more threads than there are
+some = (start[:200_000], end[:200_000])
+expected = checker.free_fraction(*some)
+held = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (held + (24 << 20), held + (24 << 20)))
+print(torch.equal(checker.free_fraction(*some), expected), flush=True)
+try:
+    threads = [threading.Thread(target=time.sleep, args=(1,)) for _ in range(64)]
+    for thread in threads: thread.start()
+except RuntimeError as error:
+    print(error)
+"""
+    output, _ = (process := script(text)).communicate(timeout=60)
+    assert process.returncode == 0, (process.returncode, output)
+    assert "True\n" in output and "can't start new thread" in output  # so the limit was one
+
+
+def test_a_child_of_a_process_at_work_ends() -> None:
+    text = """
+import os
+threading.Thread(target=work, daemon=True).start()
+time.sleep(0.3)
+if os.fork() == 0:
+    work_small = checker.free_fraction(start[:8192], end[:8192])
+    sys.exit(0)
+print(os.wait()[1], flush=True)
+"""
+    output, _ = (process := script(text)).communicate(timeout=60)
+    assert process.returncode == 0 and "0\n" in output
+
+
+def test_there_are_no_more_threads_than_cores() -> None:
+    assert threads_of(None) == threads_of(1000) == usable_cores()
+    assert threads_of(1) == 1
+    assert NativeRenderer(tiny_gaussians(), threads=1000).threads == usable_cores()
+    for wrong in (0, -1, True, 2.0, "2"):
+        with pytest.raises(ValueError, match="threads: expected at least 1, or None for all cores, got"):
+            threads_of(wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("place", [3.4e38, -3.4e38, 1e30, 1e-45])
+@pytest.mark.parametrize("resolution", [1e-4, 1e3])
+def test_places_far_away_are_free_and_near_nothing(place: float, resolution: float) -> None:
+    occupancy = Occupancy.from_keys([[0, 0, 0], [3, 2, 1]], resolution)
+    checker = NativeChecker(occupancy, Box((resolution, resolution, resolution)))
+    points = torch.tensor([[place, 0.0, 0.0], [0.0, place, place], [place, -place, place]])
+    assert (checker.clearance(points) >= 0).all()
+    poses = torch.eye(4).repeat(3, 1, 1)
+    poses[:, :3, 3] = points
+    hits = checker.collides(poses)
+    assert hits.all() if abs(place) < 1 else not hits.any()
+    assert (checker.free_fraction(poses, poses.flip(0)) <= 1).all()
+
+
+def test_the_core_refuses_lengths_that_it_cannot_count_in_voxels() -> None:
+    occupancy = Occupancy.from_keys([[0, 0, 0]], 0.1)
+    right = {
+        "solid": occupancy.occupied, "distance": torch.zeros(1, 1, 1), "corner": (0.0, 0.0, 0.0), "resolution": 0.1,
+        "half": (0.1, 0.1, 0.1), "half_length": 0.0, "radius": 0.0,
+    }  # fmt: skip
+    _core.Collider(**right)
+    wrong = {"resolution": 1e-310}, {"resolution": 1e300}, {"resolution": float("nan")}, {"corner": (2.0**62, 0.0, 0.0)}
+    for change in (*wrong, {"corner": (0.0, float("nan"), 0.0)}, {"half": (1e300, 1.0, 1.0)}, {"radius": float("inf")}):
+        with pytest.raises(ValueError, match="expected a resolution and lengths within bounds"):
+            _core.Collider(**{**right, **change})
+
+
+def test_a_turn_of_a_body_of_any_size_misses_nothing() -> None:
+    occupancy = Occupancy.from_keys([[0, 0, 0]], 1e-4)
+    checker = NativeChecker(occupancy, Box((1e6, 1e-3, 1e-3)))  # 10¹⁰ voxels long
+    start, end = torch.eye(4).unsqueeze(0), torch.eye(4).unsqueeze(0)
+    start[0, 1, 3] = end[0, 1, 3] = 10.0  # passes over the voxel as it turns
+    end[0, :2, :2] = torch.tensor([[0.0, -1.0], [1.0, 0.0]])
+    assert checker.sweeps(start, end).item() and checker.free_fraction(start, end).item() < 1
+
+
+def test_negated_views_and_arrays_are_right_or_refused() -> None:
+    checker = NativeChecker(Occupancy.from_keys([[0, 0, 0]], 1.0), Box((0.5, 0.5, 0.5)))
+    points = torch.tensor([[3.0, 0.5, 0.5], [-7.0, 0.5, 0.5]])
+    torch.testing.assert_close(checker.clearance(torch._neg_view(points)), checker.clearance(-points))
+    poses = torch.eye(4).repeat(2, 1, 1)
+    mirrored = -poses
+    assert torch.equal(checker.collides(torch._neg_view(mirrored)), checker.collides(poses))
+    for call in (checker.clearance, checker.collides):
+        with pytest.raises(ValueError, match=r"expected a torch\.Tensor, got ndarray"):
+            call(points.numpy())
+    renderer, K = NativeRenderer(tiny_gaussians()), intrinsics(1.0, 8, 6)
+    seen = renderer.pixels(Cameras(poses, K, 8, 6))
+    assert torch.equal(renderer.pixels(Cameras(torch._neg_view(mirrored), K, 8, 6)), seen)
+
+
+BAD = {
+    "orthonormal rotation": lambda pose, K: pose[:3, :3].mul_(2),
+    "orthonormal": lambda pose, K: pose[:3, :3].zero_(),
+    "not a reflection": lambda pose, K: pose[0, :3].neg_(),
+    "bottom row": lambda pose, K: pose[3].fill_(7),
+    "finite numbers": lambda pose, K: pose[0, 3].fill_(float("nan")),
+    "no skew": lambda pose, K: K[0, 1].fill_(0.5),
+    "K.1.: expected finite values, positive": lambda pose, K: K[0, 0].fill_(-1),
+    "a last row of 0, 0, 1": lambda pose, K: K[2].fill_(1),
+}
+
+
+@pytest.mark.parametrize("renderer", [NativeRenderer, ReferenceRenderer])
+@pytest.mark.parametrize("message", BAD)
+def test_cameras_that_cannot_be_drawn_are_refused(renderer: type, message: str) -> None:
+    poses, K = torch.eye(4).repeat(2, 1, 1), intrinsics(1.0, 8, 6).repeat(2, 1, 1)
+    drawn = renderer(tiny_gaussians())
+    drawn.pixels(Cameras(poses, K, 8, 6))
+    BAD[message](poses[1], K[1])
+    with pytest.raises(ValueError, match=rf"\[1\]: expected.*{message}|{message}"):
+        drawn.pixels(Cameras(poses, K, 8, 6))
+
+
+@pytest.mark.parametrize("size", [(2**31, 1), (0, 4), (4, 65537), (4.0, 4), (True, 4)])
+def test_images_have_a_whole_number_of_pixels(size: tuple[int, int]) -> None:
+    with pytest.raises(ValueError, match="expected a whole number of pixels from 1 to 65536, got"):
+        Cameras(torch.eye(4).unsqueeze(0), intrinsics(1.0, 8, 6), *size)
+
+
+@pytest.mark.parametrize("renderer", [NativeRenderer, ReferenceRenderer])
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("opacities", 2.0, r"opacities\[3\]: expected a number from 0 to 1, got 2\.0"),
+        ("opacities", float("nan"), r"opacities\[3\]: expected a number from 0 to 1"),
+        ("quats", 0.0, r"quats\[3\]: expected a unit quaternion, got \[0\.0, 0\.0, 0\.0, 0\.0\]"),
+        ("scales", 0.0, r"scales\[3\]: expected finite metres above 0"),
+        ("means", float("inf"), r"means\[3\]: expected finite metres"),
+        ("sh", float("nan"), r"sh\[3\]: expected finite values"),
+    ],
+)
+def test_gaussians_that_cannot_be_drawn_are_refused(renderer: type, field: str, value: float, message: str) -> None:
+    gaussians = tiny_gaussians().clone()
+    getattr(gaussians, field)[3] = value
+    with pytest.raises(ValueError, match=rf"gaussians\.{message}"):
+        renderer(gaussians)
+
+
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
+def test_renderers_are_copied_and_pickled_by_what_they_are_made_of(again: object) -> None:
+    renderer = NativeRenderer(tiny_gaussians(), antialiased=False, background=(0.1, 0.2, 0.3), threads=1, tolerance=0.5)
+    cameras = Cameras(torch.eye(4).unsqueeze(0), intrinsics(1.0, 8, 6), 8, 6)
+    expected = renderer.pixels(cameras)
+    for one in (renderer, LatticeRenderer(renderer)):
+        twin = again(one)  # type: ignore[operator]
+        assert torch.equal(twin.pixels(cameras), expected)
+    assert twin.renderer.threads == 1 and os.getpid()
