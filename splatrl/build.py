@@ -15,7 +15,7 @@ from torchrl.modules import ActorValueOperator
 from splatrl.bodies import Body
 from splatrl.collision import NativeChecker
 from splatrl.collision.base import Checker
-from splatrl.configuration import check_config, load_config
+from splatrl.configuration import check_config, load_config, made_with
 from splatrl.curriculum import plan
 from splatrl.device import AUTO, KINDS, chosen_device
 from splatrl.envs.tasks import Task
@@ -132,11 +132,21 @@ def build_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
     test_env = world.env(min(cfg.env.num_envs, len(starts)), seed=cfg.seed)
 
     def test() -> float:
-        episodes = run_episodes(test_env, model.get_policy_operator(), starts, seed=cfg.evaluation.seed)
+        test_env.set_seed(cfg.logger.test_seed)  # a test depends on the policy alone, not on the tests before it
+        episodes = run_episodes(test_env, model.get_policy_operator(), starts, seed=cfg.logger.test_seed)
         return episodes.success.double().mean().item()
 
     logger, checkpoint = cfg.logger, cfg.checkpoint
-    return Trainer(ppo, folder, test, logger.test_interval, checkpoint.interval, logger.backend, logger.exp_name)
+    return Trainer(
+        ppo,
+        folder,
+        test,
+        logger.test_interval,
+        checkpoint.interval,
+        logger.backend,
+        logger.exp_name,
+        made_with(cfg, world.scene.digest),
+    )
 
 
 def _cuda_graph(choice: bool | str) -> bool | None:

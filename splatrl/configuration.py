@@ -1,11 +1,14 @@
 """Hydra configs: composing them, checking them, and keeping them in run folders."""
 
 import difflib
+import functools
 import itertools
 import sys
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_loader import ConfigLoader
@@ -18,11 +21,27 @@ from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.documents import read_config
 from splatrl.files import replacing
+from splatrl.native import _core
 from splatrl.scene_overrides import scene_overrides
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.targets import check_targets
+from splatrl.values import require_number
 
-OmegaConf.register_new_resolver("splatrl.run_dir", lambda resume, fresh: resume or fresh, replace=True)
+
+@functools.cache
+def _new_folder(path: str) -> str:
+    """A new folder of this name, or with a number behind it: two runs may begin in the same second."""
+    for number in itertools.count(1):
+        folder = Path(path if number == 1 else f"{path}-{number}")
+        try:
+            folder.mkdir(parents=True)
+            return str(folder)
+        except FileExistsError:
+            continue
+    raise AssertionError
+
+
+OmegaConf.register_new_resolver("splatrl.run_dir", lambda resume, fresh: resume or _new_folder(fresh), replace=True)
 
 
 def conf_dir() -> Path:
@@ -30,6 +49,32 @@ def conf_dir() -> Path:
     package = Path(__file__).parent
     return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
 
+
+SPEED_ONLY = {"threads", "renderer.threads", "resume", "collector.cuda_graph", "optim.compile"}
+SPEED_ONLY |= {"resume_changed", "allow_targets"}
+"""Keys of a config that do not change the results."""
+FREE = ("device:", "scene.path:", "scene.name:", "logger.", "checkpoint.", "evaluation.", "collector.total_frames:")
+"""How lines of ``differences`` begin that a resumed run may have: a scene is known by its content."""
+MOST = 2**31 - 1
+WHOLE_NUMBERS = {
+    "seed": (0, 2**63 - 1),
+    "threads": (1, 1024),
+    "env.num_envs": (1, MOST),
+    "collector.frames_per_batch": (1, MOST),
+    "collector.total_frames": (1, 2**53),
+    "logger.test_interval": (1, 2**53),
+    "logger.num_test_episodes": (1, MOST),
+    "logger.test_seed": (0, 2**63 - 1),
+    "checkpoint.interval": (1, 2**53),
+    "evaluation.starts": (1, MOST),
+    "evaluation.repeats": (1, MOST),
+    "evaluation.batch_size": (1, MOST),
+    "evaluation.seed": (0, 2**63 - 1),
+    "starts.farthest": (0, MOST),
+    "renderer.threads": (1, 1024),
+}
+"""Keys whose values are read here and there rather than by one constructor, and their ranges."""
+NULLABLE = ("starts.farthest", "renderer.threads")
 
 PATHS = ("scene.path", "collision.occupancy.cloud")
 """Keys that hold a path, which is made absolute in a run folder."""
@@ -263,3 +308,68 @@ def check_config(cfg: DictConfig) -> None:
     missing = sorted(OmegaConf.missing_keys(cfg))
     if missing:
         raise ValueError(f"expected a value for {', '.join(missing)}; give it as {missing[0]}=...")
+    for key, (low, high) in WHOLE_NUMBERS.items() if "collector" in cfg else ():  # of a training
+        value = OmegaConf.select(cfg, key)
+        if value is not None or key not in NULLABLE:
+            require_number(key, value, low, high, whole=True)
+
+
+def differences(asked: Mapping[str, Any], found: Mapping[str, Any]) -> list[str]:
+    """Keys in which two configs differ, with both values; keys that only change speed are left out."""
+    wanted, there = dict(_flat(asked)), dict(_flat(found))
+    return [
+        f"{key}: asked for {wanted.get(key, 'nothing')}, found {there.get(key, 'nothing')}"
+        for key in sorted(wanted.keys() | there.keys())
+        if key not in SPEED_ONLY and wanted.get(key) != there.get(key)
+    ]
+
+
+def made_with(cfg: DictConfig, scene_digest: str) -> dict[str, Any]:
+    """What a training depends on, as plain values for its checkpoints.
+
+    Args:
+        cfg: its config.
+        scene_digest: fingerprint of the scene's Gaussians.
+    """
+    settings = OmegaConf.to_container(cfg)
+    assert isinstance(settings, dict)
+    return {"settings": settings, "scene": scene_digest, "isa": _core.isa(), "threads": cfg.threads}
+
+
+def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
+    """Refuse to go on with a training that began with another scene or other settings.
+
+    What only says how a run is watched, where its scene is found or how long it lasts may change. Where PyTorch's
+    threads or the processor's instructions differ, a warning says that bytes may.
+
+    Args:
+        now: ``made_with`` of the training that is to go on.
+        then: that of its checkpoint; empty where there is none.
+
+    Raises:
+        ValueError: names the differences, and what to give to go on all the same.
+    """
+    if not then:
+        return
+    changed = [line for line in differences(now["settings"], then["settings"]) if not line.startswith(FREE)]
+    if now["scene"] != then["scene"]:
+        changed.append("scene: its Gaussians are others")
+    if changed:
+        lines = ["resume: expected the scene and settings with which the run began, got others:"]
+        raise ValueError(
+            "\n".join([*lines, *(f"  {line}" for line in changed), "resume_changed=true goes on with them"])
+        )
+    other = [f"{key} {now[key]} in place of {then[key]}" for key in ("isa", "threads") if now[key] != then[key]]
+    if other:
+        warnings.warn(
+            f"resume: going on with {', '.join(other)}; the bytes may differ in the last places", stacklevel=2
+        )
+
+
+def _flat(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in node.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{name}.")
+        else:
+            yield name, str(Path(value).expanduser().absolute()) if name in PATHS and value is not None else value

@@ -1,11 +1,12 @@
 """Files that appear whole or not at all, and the folder of those that can be rebuilt."""
 
+import fcntl
 import os
 import re
 import secrets
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -23,8 +24,37 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(temporary, path)
+    except OSError as error:  # a disk that is full says so without a name
+        raise OSError(error.errno, f"cannot write: {error.strerror or error}", str(path)) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def remove_stale(folder: Path) -> None:
+    """Remove temporary files that a killed process left in a folder, which no other process may be writing to."""
+    for path in folder.iterdir():
+        if re.fullmatch(r".+\.[0-9a-f]{8}\.tmp", path.name) and path.is_file():
+            path.unlink()
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """A block in which no other process may be in the same block with the same folder.
+
+    The system frees the folder when the process ends, however it ends.
+
+    Raises:
+        ValueError: where another process is.
+    """
+    held = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError as error:
+        raise ValueError(f"{folder}: expected an unused folder, but another process trains there") from error
+    finally:
+        os.close(held)
 
 
 @contextmanager

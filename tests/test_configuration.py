@@ -360,3 +360,29 @@ def test_a_folder_without_a_run_is_named(tmp_path: Path) -> None:
 def test_a_saved_config_keeps_its_interpolations(tmp_path: Path) -> None:
     save_config(load_config(), tmp_path)
     assert OmegaConf.to_container(run_config(tmp_path))["task"]["motion"]["height"] == "${robot.height}"
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("logger.test_interval=0", r"logger\.test_interval: expected a whole number from 1 to \d+, got 0"),
+        ("checkpoint.interval=0", r"checkpoint\.interval: expected a whole number from 1 to"),
+        ("env.num_envs=abc", r"env\.num_envs: expected a whole number from 1 to \d+, got 'abc'"),
+        ("env.num_envs=null", r"env\.num_envs: expected a whole number from 1 to \d+, got None"),
+        ("collector.frames_per_batch=0", r"collector\.frames_per_batch: expected a whole number from 1 to"),
+        ("seed=-1", r"seed: expected a whole number from 0 to \d+, got -1"),
+        ("threads=0", r"threads: expected a whole number from 1 to 1024, got 0"),
+        ("renderer.threads=0", r"renderer\.threads: expected a whole number from 1 to 1024, got 0"),
+        ("evaluation.batch_size=2.5", r"evaluation\.batch_size: expected a whole number from 1 to \d+, got 2\.5"),
+        ("robot.image_width=64.5", r"robot\.image_width: expected a whole number from 1 to 65536, got 64\.5"),
+        ("task.max_steps=2.5", r"task\.max_steps: expected a whole number of at least 1, got 2\.5"),
+        ("task.rewards.step=nan", r"task\.rewards\.step: expected a number from .*, got nan"),
+        ("robot.fov_deg=180", r"robot\.fov_deg: expected a number from 1 to 179, got 180"),
+        ("optim.lr=1e400", r"optim\.lr: expected a number of at least 0\.0, got inf"),
+        ("network.pool=0", r"network\.pool: expected a whole number of at least 1, got 0"),
+    ],
+)
+def test_a_value_out_of_range_is_named_before_anything_is_lost(override: str, message: str, tmp_path: Path) -> None:
+    cfg = load_config([*tiny_overrides(tmp_path), override])
+    with pytest.raises(Exception, match=message):  # Hydra wraps what constructors raise
+        build_trainer(cfg, build_world(cfg), tmp_path)

@@ -1,6 +1,7 @@
 """``splatrl-train``: train a policy, evaluate it, and leave pictures in the run folder."""
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import hydra
@@ -10,29 +11,62 @@ from omegaconf import DictConfig
 
 from splatrl.build import build_trainer, build_world
 from splatrl.commands.evaluate import evaluate_run
-from splatrl.configuration import check_config, command_line, conf_dir, resumed_config, save_config
+from splatrl.configuration import (
+    check_config,
+    check_made_with,
+    command_line,
+    conf_dir,
+    quoted,
+    resumed_config,
+    save_config,
+)
 from splatrl.device import device_line
+from splatrl.files import alone_in
+
+INTERRUPTED = 130
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="train")
-def run(cfg: DictConfig) -> None:
-    """Train and evaluate what a config describes, or resume a run folder."""
+def run(cfg: DictConfig) -> float:
+    """Train and evaluate what a config describes, or resume a run folder; returns the success rate, for sweepers."""
+    folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder}: expected a run folder, found none")
+    with alone_in(folder):
+        try:
+            return train(cfg, folder)
+        except KeyboardInterrupt:
+            print(f"\nstopped; splatrl-train {quoted(f'resume={folder}')} goes on", file=sys.stderr)
+            sys.exit(INTERRUPTED)
+
+
+def train(cfg: DictConfig, folder: Path) -> float:
+    """Train in a folder and evaluate; returns the success rate.
+
+    Args:
+        cfg: the config, whose ``resume`` says whether to go on with the folder's run.
+        folder: the run folder.
+
+    Raises:
+        ValueError: for a folder with a run that is not to be resumed, or one that began with other settings.
+    """
     resume = cfg.resume
-    folder = Path(resume or HydraConfig.get().runtime.output_dir)
     if resume:
         cfg = resumed_config(folder, HydraConfig.get().overrides.task)
     elif any(folder.glob("checkpoints/*.pt")):
         raise ValueError(f"hydra.run.dir: expected a new folder, got a run; continue it with resume={folder}")
     check_config(cfg)
-    save_config(cfg, folder)
+    if not resume:
+        save_config(cfg, folder)
     torch.set_num_threads(cfg.threads)
     world = build_world(cfg)
     print(device_line(world.device))
     trainer = build_trainer(cfg, world, folder)
     if resume:
-        trainer.resume()
+        trainer.resume((lambda then: None) if cfg.resume_changed else partial(check_made_with, trainer.made_with))
+        save_config(cfg, folder)
     trainer.fit()
-    evaluate_run(cfg, folder, world)
+    return float(evaluate_run(cfg, folder, world)["success_rate"])
 
 
 def main() -> None:

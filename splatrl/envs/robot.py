@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from splatrl.bodies import Body
-from splatrl.cameras import Cameras, intrinsics
+from splatrl.cameras import MOST_PIXELS, Cameras, intrinsics
 from splatrl.geometry import CAMERA_TO_BODY, axis_rotations, rigid
+from splatrl.values import require_number
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,11 @@ class Robot:
     )
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.height):
-            raise ValueError(f"robot.height: expected finite metres, got {self.height}")
+        require_number("robot.height", self.height, -1e6, 1e6)
+        require_number("robot.pitch_deg", self.pitch_deg, -180, 180)
+        require_number("robot.fov_deg", self.fov_deg, 1, 179)
+        for name in ("image_width", "image_height"):
+            require_number(f"robot.{name}", getattr(self, name), 1, MOST_PIXELS, whole=True)
         down = axis_rotations(1, torch.tensor(math.radians(self.pitch_deg)))
         object.__setattr__(self, "camera_to_body", rigid(down, torch.zeros(3)) @ CAMERA_TO_BODY)
         K = intrinsics(math.radians(self.fov_deg), self.image_width, self.image_height)

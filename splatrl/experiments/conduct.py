@@ -5,10 +5,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from splatrl.configuration import differences
 from splatrl.documents import read_yaml
 from splatrl.evaluation.report import write_json
 from splatrl.experiments.experiment import Experiment, Run
-from splatrl.experiments.folders import differences, status
+from splatrl.experiments.folders import status
 from splatrl.experiments.machine import machine
 from splatrl.experiments.report import MACHINE, SCORES, write_joint_report, write_report
 from splatrl.experiments.running import train

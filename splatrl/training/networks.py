@@ -10,6 +10,7 @@ from torchrl.modules import ActorValueOperator, ValueOperator
 
 from splatrl.training.heads import orthogonal, policy_head
 from splatrl.training.memory import gru
+from splatrl.values import require_number
 
 GAIN = 2**0.5
 """Orthogonal-initialisation gain for layers followed by a ReLU."""
@@ -24,6 +25,7 @@ class PoolPixels(nn.Module):
 
     def __init__(self, pool: int):
         super().__init__()
+        require_number("network.pool", pool, 1, whole=True)
         self.pool = nn.AvgPool2d(pool)
 
     def forward(self, pixels: Tensor) -> Tensor:

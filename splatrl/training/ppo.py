@@ -13,6 +13,7 @@ from splatrl.faults import Faulty
 from splatrl.training.collectors import Collector, HostCollector, device_collector
 from splatrl.training.learner import Learner
 from splatrl.training.settings import LossSettings, OptimSettings
+from splatrl.values import require_number
 
 
 class PPO:
@@ -45,6 +46,8 @@ class PPO:
         cuda_graph: bool | None = None,
         on_device: bool | None = None,
     ):
+        for name, frames in (("frames_per_batch", frames_per_batch), ("total_frames", total_frames)):
+            require_number(f"collector.{name}", frames, 1, whole=True)
         if frames_per_batch % env.numel():
             raise ValueError(
                 f"collector.frames_per_batch: expected a multiple of env.num_envs = {env.numel()}, "

@@ -1,15 +1,8 @@
 """The settings of learning, under the keys of TorchRL's examples."""
 
-import math
 from dataclasses import dataclass
 
-
-def _require(name: str, value: object, low: float, high: float = math.inf, whole: bool = False) -> None:
-    kinds = (int,) if whole else (int, float)
-    if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:
-        kind = "whole number" if whole else "number"
-        limit = f"of at least {low}" if high == math.inf else f"from {low} to {high}"
-        raise ValueError(f"{name}: expected a {kind} {limit}, got {value!r}")
+from splatrl.values import require_number
 
 
 @dataclass(frozen=True)
@@ -43,11 +36,11 @@ class LossSettings:
 
     def __post_init__(self) -> None:
         for name in ("gamma", "gae_lambda"):
-            _require(f"loss.{name}", getattr(self, name), 0.0, 1.0)
+            require_number(f"loss.{name}", getattr(self, name), 0.0, 1.0)
         for name in ("clip_epsilon", "critic_coeff", "entropy_coeff", "reward_scale"):
-            _require(f"loss.{name}", getattr(self, name), 0.0)
+            require_number(f"loss.{name}", getattr(self, name), 0.0)
         for name in ("ppo_epochs", "mini_batch_size"):
-            _require(f"loss.{name}", getattr(self, name), 1, whole=True)
+            require_number(f"loss.{name}", getattr(self, name), 1, whole=True)
 
 
 @dataclass(frozen=True)
@@ -73,4 +66,4 @@ class OptimSettings:
 
     def __post_init__(self) -> None:
         for name in ("lr", "eps", "max_grad_norm"):
-            _require(f"optim.{name}", getattr(self, name), 0.0)
+            require_number(f"optim.{name}", getattr(self, name), 0.0)

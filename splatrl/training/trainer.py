@@ -3,25 +3,35 @@
 import csv
 import io
 import math
+import shutil
+import signal
+import sys
+import threading
 import time
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from torchrl.record.loggers import get_logger
 from tqdm import tqdm
 
-from splatrl.files import checked_name, replacing
+from splatrl.files import checked_name, remove_stale, replacing
 from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
 from splatrl.training.ppo import PPO
+from splatrl.values import require_number
 
 BACKENDS = ("csv", "tensorboard", "wandb")
+TABLE = "progress.csv"
 
 
 class Trainer:
     """Runs PPO for its total number of frames, and leaves a run folder from which it can be resumed.
 
-    Writes ``checkpoints/last.pt``, ``checkpoints/best.pt`` and ``progress.csv``, each under a temporary name first.
+    Writes ``checkpoints/last.pt``, ``checkpoints/best.pt`` and ``progress.csv``, each under a temporary name first. The
+    last checkpoint but one is kept as ``checkpoints/previous.pt``. An interrupt (Ctrl-C) ends the training once the
+    batch is learned from and saved; a second one ends it at once.
 
     Args:
         ppo: the learner.
@@ -31,6 +41,7 @@ class Trainer:
         checkpoint_interval: frames between checkpoints.
         backend: csv, or a TorchRL logger (tensorboard, wandb) in addition to it.
         exp_name: name of the run for that logger.
+        made_with: plain values on which the training depends, kept in checkpoints.
 
     Raises:
         ValueError: for any other backend, or a name that is no name of a file.
@@ -45,10 +56,14 @@ class Trainer:
         checkpoint_interval: int,
         backend: str = "csv",
         exp_name: str = "splatrl",
+        made_with: Mapping[str, Any] | None = None,
     ):
         if backend not in BACKENDS:
             raise ValueError(f"logger.backend: expected one of {', '.join(BACKENDS)}, got {backend}")
+        require_number("logger.test_interval", test_interval, 1, whole=True)
+        require_number("checkpoint.interval", checkpoint_interval, 1, whole=True)
         self.ppo, self.folder, self.test = ppo, folder, test
+        self.made_with = dict(made_with or {})
         self.test_interval, self.checkpoint_interval = test_interval, checkpoint_interval
         self.logger = (
             None if backend == "csv" else get_logger(backend, str(folder), checked_name("logger.exp_name", exp_name))
@@ -63,18 +78,51 @@ class Trainer:
         """Number of levels of the curriculum."""
         return self.ppo.env.curriculum.starts.levels
 
-    def resume(self) -> None:
-        """Continue from the folder's last checkpoint, or start over if the run was stopped before its first one."""
-        path = self.folder / "checkpoints" / "last.pt"
-        if path.exists():
-            self.load_state_dict(load_checkpoint(path))
+    def resume(self, check: Callable[[Mapping[str, Any]], None] = lambda made_with: None) -> None:
+        """Continue from the folder's last checkpoint, or start over if the run was stopped before its first one.
+
+        A checkpoint that is damaged or missing is replaced by the one before, with a warning. The table is written anew
+        from the checkpoint, and what a killed process left half written is removed.
+
+        Args:
+            check: refuses the ``made_with`` of a checkpoint from which this training cannot go on.
+
+        Raises:
+            ValueError: where there are traces of a training, but no checkpoint that can be read.
+        """
+        for folder in (self.folder, self.folder / "checkpoints"):
+            remove_stale(folder)
+        state = self._newest()
+        if state is None:
+            return
+        check(state.get("made_with", {}))
+        self.load_state_dict(state)
+        self._write_table()
+
+    def _newest(self) -> dict[str, Any] | None:
+        last, previous = (self.folder / "checkpoints" / f"{name}.pt" for name in ("last", "previous"))
+        traces = [path for path in (last, previous, last.with_name("best.pt"), self.folder / TABLE) if path.exists()]
+        if not traces:
+            return None
+        try:
+            return load_checkpoint(last)
+        except (FileNotFoundError, ValueError) as error:
+            if not previous.exists():
+                raise ValueError(f"{error}; there is none before it, so begin anew in another folder") from error
+            warnings.warn(f"{error}; going on from the one before it, {previous.name}", stacklevel=3)
+            state = load_checkpoint(previous)
+            save_checkpoint(last, state)  # or the next one would be kept as the one before
+            return state
 
     def fit(self) -> None:
         """Train until the frames are used up, with a progress bar."""
         batch = self.ppo.frames_per_batch
         total = self.ppo.total_frames // batch * batch
         began = time.monotonic() - self.seconds
-        with tqdm(total=total, initial=self.ppo.frames, unit="frame", desc="train", dynamic_ncols=True) as bar:
+        if self.ppo.frames == 0:
+            self.save()  # so that a run without a checkpoint is one that has not begun
+        bars = {"total": total, "initial": self.ppo.frames, "unit": "frame", "desc": "train", "dynamic_ncols": True}
+        with _interrupts() as interrupted, tqdm(**bars) as bar:
             while not self.ppo.finished:
                 before = self.ppo.frames
                 row = self.ppo.iterate()
@@ -87,6 +135,9 @@ class Trainer:
                     self.save()
                 bar.update(self.ppo.frames - before)
                 bar.set_postfix(success=f"{self._recent('success'):.2f}", level=f"{row['level'] + 1}/{self.levels}")
+                if interrupted and not self.ppo.finished:
+                    self.save()
+                    raise KeyboardInterrupt
 
     def _note(self, row: dict[str, float]) -> None:
         self.history.append(row)
@@ -102,24 +153,61 @@ class Trainer:
         return sum(values) / len(values) if values else math.nan
 
     def save(self) -> None:
-        """Write the last checkpoint and the history."""
-        save_checkpoint(self.folder / "checkpoints" / "last.pt", self.state_dict())
+        """Write the last checkpoint, keeping the one before, and the table."""
+        last = self.folder / "checkpoints" / "last.pt"
+        if last.exists():
+            with replacing(last.with_name("previous.pt")) as stream, last.open("rb") as source:
+                shutil.copyfileobj(source, stream)
+        save_checkpoint(last, self.state_dict())
+        self._write_table()
+
+    def _write_table(self) -> None:
+        """Write the history, which the checkpoint holds, as a table."""
+        if not self.history:
+            return
         keys = list(dict.fromkeys(key for row in self.history for key in row))
         table = io.StringIO(newline="")
         writer = csv.DictWriter(table, keys)
         writer.writeheader()
         writer.writerows(self.history)
-        with replacing(self.folder / "progress.csv") as stream:
+        with replacing(self.folder / TABLE) as stream:
             stream.write(table.getvalue().encode())
 
     def state_dict(self) -> dict[str, Any]:
         """PPO's state, with the history, the best test and the seconds spent."""
-        return {"ppo": self.ppo.state_dict(), "history": self.history, "best": self.best, "seconds": self.seconds}
+        return {
+            "ppo": self.ppo.state_dict(),
+            "history": self.history,
+            "best": self.best,
+            "seconds": self.seconds,
+            "made_with": self.made_with,
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from a ``state_dict()``."""
         self.ppo.load_state_dict(state["ppo"])
         self.history, self.best, self.seconds = list(state["history"]), state["best"], state["seconds"]
+
+
+@contextmanager
+def _interrupts() -> Iterator[list[int]]:
+    """Interrupts of a block as a list that grows; the second one raises ``KeyboardInterrupt`` at once."""
+    found: list[int] = []
+
+    def note(number: int, frame: Any) -> None:
+        if found:
+            raise KeyboardInterrupt
+        found.append(number)
+        print("\nstopping after this batch; interrupt again to stop at once", file=sys.stderr)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield found  # signals are for the main thread alone
+        return
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield found
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _crossed(before: int, after: int, interval: int) -> bool:

@@ -1,17 +1,27 @@
 """The commands from the outside: a run folder, a kill, a resume and an evaluation."""
 
+import contextlib
 import json
+import random
+import shutil
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
+from splatrl import configuration
+from splatrl.build import build_world
 from splatrl.commands import train
+from splatrl.configuration import check_made_with, made_with, resumed_config
+from splatrl.files import alone_in
+from splatrl.scenes import write_gaussians
 from splatrl.training import load_checkpoint
-from tests.tiny import tiny_overrides
+from tests.tiny import tiny_gaussians, tiny_overrides
 
 SETTINGS = [
     "collector.total_frames=1280",
@@ -69,7 +79,7 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(
 ) -> None:
     killed = command("train", *scene, *SETTINGS, f"hydra.run.dir={tmp_path}")
     last = tmp_path / "checkpoints" / "last.pt"
-    while not last.exists() and killed.poll() is None:
+    while not (tmp_path / "progress.csv").exists() and killed.poll() is None:
         time.sleep(0.01)
     killed.kill()
     killed.wait()
@@ -82,8 +92,109 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(
     assert torch.equal(whole["ppo"]["torch_rng"], resumed["ppo"]["torch_rng"])
     assert torch.equal(whole["ppo"]["carried"]["pixels"], resumed["ppo"]["carried"]["pixels"])
     assert [row["frames"] for row in resumed["history"]] == [row["frames"] for row in whole["history"]]
+    tables = [(folder / "progress.csv").read_text().splitlines() for folder in (run[0], tmp_path)]
+    assert [untimed(table) for table in tables] == [untimed(tables[0])] * 2
     figures = [json.loads((folder / "evaluation.json").read_text()) for folder in (run[0], tmp_path)]
     assert figures[0] | {"wall_seconds": 0} == figures[1] | {"wall_seconds": 0}
+
+
+def untimed(table: list[str]) -> list[list[str]]:
+    """The rows of a table without the column of seconds."""
+    place = table[0].split(",").index("seconds")
+    return [cells[:place] + cells[place + 1 :] for cells in (line.split(",") for line in table)]
+
+
+@pytest.mark.parametrize("count", [2, pytest.param(100, marks=pytest.mark.slow)])
+def test_kills_at_random_instants_change_nothing(
+    run: tuple[Path, str], scene: list[str], count: int, tmp_path: Path
+) -> None:
+    rng = random.Random(0)
+    for number in range(count):
+        folder = tmp_path / str(number)
+        process = command("train", *scene, *SETTINGS, f"hydra.run.dir={folder}")
+        for _ in range(2):  # killed as it begins, trains, tests or evaluates; then killed again
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(rng.uniform(2.0, 20.0))
+            process.kill()
+            process.wait()
+            again = [f"resume={folder}"] if (folder / "config.yaml").exists() else [*scene, *SETTINGS]
+            process = command("train", *again, *([] if "resume" in again[0] else [f"hydra.run.dir={folder}"]))
+        finish(process)
+        for name in ("last", "best"):
+            whole, resumed = (load_checkpoint(one / "checkpoints" / f"{name}.pt")["ppo"] for one in (run[0], folder))
+            assert whole["frames"] == resumed["frames"]
+            assert all(torch.equal(value, resumed["model"][key]) for key, value in whole["model"].items())
+        tables = [(one / "progress.csv").read_text().splitlines() for one in (run[0], folder)]
+        assert untimed(tables[0]) == untimed(tables[1])
+        figures = [json.loads((one / "evaluation.json").read_text()) for one in (run[0], folder)]
+        assert figures[0] | {"wall_seconds": 0} == figures[1] | {"wall_seconds": 0}
+        assert not list(folder.rglob("*.tmp"))
+
+
+def test_ctrl_c_saves_and_says_how_to_go_on(run: tuple[Path, str], scene: list[str], tmp_path: Path) -> None:
+    process = command("train", *scene, *SETTINGS, "checkpoint.interval=100000", f"hydra.run.dir={tmp_path}")
+    while not (tmp_path / "checkpoints" / "last.pt").exists() and process.poll() is None:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 130, output
+    assert f"splatrl-train 'resume={tmp_path}' goes on" in output
+    assert load_checkpoint(tmp_path / "checkpoints" / "last.pt")["ppo"]["frames"] > 0
+    finish(command("train", f"resume={tmp_path}"))
+    whole, resumed = (load_checkpoint(one / "checkpoints" / "last.pt")["ppo"]["model"] for one in (run[0], tmp_path))
+    assert all(torch.equal(value, resumed[key]) for key, value in whole.items())
+
+
+def test_a_run_folder_has_one_process_at_a_time(scene: list[str], tmp_path: Path) -> None:
+    with alone_in(tmp_path):
+        process = command("train", *scene, *SETTINGS, f"hydra.run.dir={tmp_path}")
+        output, _ = process.communicate(timeout=120)
+    assert process.returncode != 0 and f"{tmp_path}: expected an unused folder" in output
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ("seed=1", "seed: asked for 1, found 0"),
+        ("task.motion.step=0.25", "task.motion.step: asked for 0.25, found 0.5"),
+        ("loss.gamma=0.5", "loss.gamma: asked for 0.5, found 0.97"),
+        ("scene.path={other}", "scene: its Gaussians are others"),
+    ],
+)
+def test_a_run_goes_on_only_as_it_began_unless_that_is_asked_for(
+    run: tuple[Path, str], change: str, line: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(run[0], folder)
+    before = (folder / "config.yaml").read_text()
+    other = tmp_path / "other.ply"
+    gaussians = tiny_gaussians()
+    gaussians.opacities *= 0.9
+    write_gaussians(other, gaussians)
+    changed = resumed_config(folder, [f"resume={folder}", change.format(other=other)])
+    changed.resume = str(folder)
+    with pytest.raises(ValueError, match=f"got others:\n  {line}\nresume_changed=true"):
+        check_made_with(made_with(changed, build_world(changed).scene.digest), then(folder))
+    assert (folder / "config.yaml").read_text() == before
+
+
+def then(folder: Path) -> dict[str, Any]:
+    return load_checkpoint(folder / "checkpoints" / "last.pt")["made_with"]
+
+
+def test_what_only_says_how_a_run_is_watched_may_change(run: tuple[Path, str]) -> None:
+    changes = ["logger.video=false", "checkpoint.interval=7", "evaluation.seed=3", "collector.total_frames=9999"]
+    cfg = resumed_config(run[0], [f"resume={run[0]}", *changes])
+    now = made_with(cfg, then(run[0])["scene"])
+    check_made_with(now, then(run[0]))
+    with pytest.warns(UserWarning, match="resume: going on with isa portable in place of .*, threads 2 in place of 1"):
+        check_made_with(now | {"isa": "portable", "threads": 2}, then(run[0]))
+
+
+def test_two_runs_that_begin_in_the_same_second_get_two_folders(tmp_path: Path) -> None:
+    names = [configuration._new_folder.__wrapped__(str(tmp_path / "a" / "12-00-00")) for _ in range(3)]
+    assert [Path(name).name for name in names] == ["12-00-00", "12-00-00-2", "12-00-00-3"]
+    assert all(Path(name).is_dir() for name in names)
 
 
 def test_evaluating_again_gives_the_same_figures(run: tuple[Path, str]) -> None:

@@ -80,5 +80,5 @@ def test_an_offset_moves_along_the_worlds_axes_whatever_the_heading() -> None:
 
 
 def test_a_height_that_is_not_finite_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"robot\.height: expected finite metres, got nan"):
+    with pytest.raises(ValueError, match=r"robot\.height: expected a number from .*, got nan"):
         Robot(Sphere(0.1), math.nan)

@@ -1,9 +1,12 @@
 """The training loop around PPO."""
 
 import csv
+import os
+import signal
 from pathlib import Path
 
 import pytest
+from tensordict import TensorDictBase
 
 from splatrl.training import Trainer, load_checkpoint
 from tests.tiny import tiny_env
@@ -56,6 +59,77 @@ def test_a_folder_without_a_checkpoint_begins_anew(tmp_path: Path) -> None:
     loop = trainer(tmp_path, [])
     loop.resume()
     assert loop.ppo.frames == 0 and not loop.history
+
+
+def test_a_damaged_checkpoint_is_replaced_by_the_one_before(tmp_path: Path) -> None:
+    whole = trainer(tmp_path / "whole", [0.4, 0.9, 0.6])
+    whole.fit()
+    trainer(tmp_path / "half", [0.4, 0.9, 0.6]).fit()
+    last = tmp_path / "half" / "checkpoints" / "last.pt"
+    for damage in (lambda: last.write_bytes(last.read_bytes()[:1000]), last.unlink):
+        damage()
+        again = trainer(tmp_path / "half", [0.9, 0.6])
+        with pytest.warns(UserWarning, match=r"last\.pt: expected .*; going on from the one before it, previous\.pt"):
+            again.resume()
+        assert again.ppo.frames == 192
+        again.fit()
+        assert (parameters(again.ppo) == parameters(whole.ppo)).all()
+        trainer(tmp_path / "half", []).resume()  # whole again
+
+
+def test_traces_of_a_training_without_a_checkpoint_do_not_begin_anew(tmp_path: Path) -> None:
+    trainer(tmp_path, [0.4, 0.9, 0.6]).fit()
+    for name in ("last", "previous"):
+        (tmp_path / "checkpoints" / f"{name}.pt").unlink()
+    with pytest.raises(ValueError, match=r"last\.pt: expected a checkpoint, found none; there is none before it"):
+        trainer(tmp_path, []).resume()
+
+
+def test_resuming_completes_the_table_and_clears_up(tmp_path: Path) -> None:
+    trainer(tmp_path, [0.4, 0.9, 0.6]).fit()
+    table = (tmp_path / "progress.csv").read_text()
+    (tmp_path / "progress.csv").write_text(table[:100])
+    stale = [tmp_path / "progress.csv.0123abcd.tmp", tmp_path / "checkpoints" / "last.pt.89abcdef.tmp"]
+    kept = tmp_path / "mine.tmp"
+    for path in (*stale, kept):
+        path.write_text("half")
+    trainer(tmp_path, []).resume()
+    assert (tmp_path / "progress.csv").read_text() == table
+    assert kept.exists() and not any(path.exists() for path in stale)
+
+
+def test_an_interrupt_ends_the_training_when_the_batch_is_saved(tmp_path: Path) -> None:
+    loop = trainer(tmp_path, [0.4, 0.9, 0.6])
+    collect = loop.ppo.collect
+
+    def interrupted() -> TensorDictBase:
+        if loop.ppo.frames == 64:
+            signal.raise_signal(signal.SIGINT)
+        return collect()
+
+    loop.ppo.collect = interrupted  # type: ignore[method-assign]
+    with pytest.raises(KeyboardInterrupt):
+        loop.fit()
+    assert load_checkpoint(tmp_path / "checkpoints" / "last.pt")["ppo"]["frames"] == 128
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize("value", [0, -1, 1.5, True, "abc"])
+@pytest.mark.parametrize("key", ["logger.test_interval", "checkpoint.interval"])
+def test_an_interval_is_a_whole_number_above_0(tmp_path: Path, key: str, value: object) -> None:
+    intervals = {"logger.test_interval": 100, "checkpoint.interval": 100} | {key: value}
+    with pytest.raises(ValueError, match=rf"{key}: expected a whole number of at least 1, got {value!r}"):
+        Trainer(learner(tiny_env([4])), tmp_path, lambda: 0.0, *intervals.values())  # type: ignore[arg-type]
+
+
+def test_a_full_disk_names_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    loop = trainer(tmp_path, [])
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match=r"cannot write: No space left on device: '.*last\.pt'"):
+        loop.save()
 
 
 def test_an_unknown_backend_is_refused_with_those_there_are(tmp_path: Path) -> None:

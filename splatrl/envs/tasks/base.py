@@ -11,6 +11,7 @@ from torchrl.data import TensorSpec
 
 from splatrl.motions.base import Move, PlannedMotion
 from splatrl.renderers.parts import Parts
+from splatrl.values import require_number
 
 Memory = Mapping[str, Tensor]
 """What a task remembers of each robot, by key: [B, ...] tensors that travel in the TensorDict."""
@@ -154,8 +155,7 @@ class TaskModule(torch.nn.Module):
 
     def __init__(self, motion: PlannedMotion, max_steps: int):
         super().__init__()
-        if max_steps < 1:
-            raise ValueError(f"task.max_steps: expected at least 1, got {max_steps}")
+        require_number("task.max_steps", max_steps, 1, whole=True)
         self.motion, self.max_steps = motion, max_steps
 
     @property

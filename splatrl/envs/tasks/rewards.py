@@ -1,13 +1,14 @@
 """One reward per outcome of a step: what the tasks with goals share."""
 
 from abc import abstractmethod
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, fields
 
 import torch
 from torch import Tensor
 
 from splatrl.envs.tasks.base import Anywhere, Outcome, Step, TaskModule, Verdict
 from splatrl.motions.base import PlannedMotion
+from splatrl.values import require_number
 
 
 @dataclass(frozen=True)
@@ -19,12 +20,19 @@ class Rewards:
         goal: reward for reaching the goal.
         collision: reward for touching something.
         out_of_bounds: reward for leaving the bounds.
+
+    Raises:
+        ValueError: for a reward that is not a finite number.
     """
 
     step: float = -0.2
     goal: float = 50.0
     collision: float = -10.0
     out_of_bounds: float = -10.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            require_number(f"task.rewards.{field.name}", getattr(self, field.name), -1e9, 1e9)
 
 
 PUBLISHED = Rewards()
