@@ -169,8 +169,13 @@ def make_env(overrides: Sequence[str] = (), batch_size: Sequence[int] | None = N
         overrides: overrides in Hydra's grammar, such as ``["scene=kitchen", "scene.path=kitchen.spz"]``.
         batch_size: [B]; None takes ``env.num_envs``.
         seed: seed of the env's generator.
+
+    Raises:
+        ValueError: for another shape of the batch, or a config that is refused.
     """
+    if batch_size is not None and (len(batch_size) != 1 or batch_size[0] < 1):
+        raise ValueError(f"batch_size: expected one number of at least 1, or None, got {list(batch_size)}")
     cfg = load_config(overrides)
     world = build_world(cfg)
     curriculum = instantiate(cfg.curriculum)(world.plan)
-    return world.env(batch_size[0] if batch_size else cfg.env.num_envs, curriculum, seed)
+    return world.env(cfg.env.num_envs if batch_size is None else batch_size[0], curriculum, seed)

@@ -50,6 +50,8 @@ def conf_dir() -> Path:
     return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
 
 
+OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
+"""Options of Hydra that choose a config other than ours."""
 SPEED_ONLY = {"threads", "renderer.threads", "resume", "collector.cuda_graph", "optim.compile"}
 SPEED_ONLY |= {"resume_changed", "allow_targets"}
 """Keys of a config that do not change the results."""
@@ -190,6 +192,8 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
         result = with_scene_paths(arguments, name)
     except ValueError as error:
         sys.exit(str(error))
+    if any(argument.partition("=")[0] in OWN_CONFIG for argument in arguments):
+        return result  # Hydra itself reports a key that a config of one's own does not have
     plain = [a for a in result if "=" in a and not a.startswith(("-", "+", "~", "hydra"))]
     try:
         keys = [override.key_or_group for override in OverridesParser.create().parse_overrides(plain)]
@@ -255,8 +259,7 @@ def run_config(folder: Path, allow_targets: Sequence[str] = ()) -> DictConfig:
     try:
         cfg.allow_targets = list(allow_targets)
         _check_sections(cfg, load_config())
-        with _hydra() as loader:
-            check_targets(cfg, loader)
+        _check_targets(cfg)
     except (OmegaConfBaseException, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
     return cfg
@@ -295,6 +298,13 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
     return merged
 
 
+def _check_targets(cfg: DictConfig) -> None:
+    """Check targets against the configs on our search path, and on that of a Hydra that runs: ``--config-dir``."""
+    outer = GlobalHydra.instance().hydra
+    with _hydra() as loader:
+        check_targets(cfg, loader.get_sources() + ([] if outer is None else outer.config_loader.get_sources()))
+
+
 def check_config(cfg: DictConfig) -> None:
     """Refuse a config with missing values, or one that would build what is neither known nor allowed.
 
@@ -303,8 +313,7 @@ def check_config(cfg: DictConfig) -> None:
     Raises:
         ValueError: names the keys, what was expected and what came.
     """
-    with _hydra() as loader:
-        check_targets(cfg, loader)
+    _check_targets(cfg)
     missing = sorted(OmegaConf.missing_keys(cfg))
     if missing:
         raise ValueError(f"expected a value for {', '.join(missing)}; give it as {missing[0]}=...")

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from hydra.core.config_loader import ConfigLoader
 from hydra.plugins.config_source import ConfigSource
 from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
@@ -15,7 +14,7 @@ HYDRAS_OWN = ("hydra", "schema")
 """Providers of Hydra's own configs, whose constructors launch jobs."""
 
 
-def check_targets(cfg: DictConfig, loader: ConfigLoader) -> None:
+def check_targets(cfg: DictConfig, sources: Sequence[ConfigSource]) -> None:
     """Refuse a config that names anything to build but what is known or trusted.
 
     Known is every ``_target_`` in the configs on Hydra's search path: splatrl's, and those of installed plugins.
@@ -23,12 +22,12 @@ def check_targets(cfg: DictConfig, loader: ConfigLoader) -> None:
 
     Args:
         cfg: a whole config.
-        loader: of configs, with the search path.
+        sources: the search path.
 
     Raises:
         ValueError: names the key and the target; or says that references in the config cannot be followed.
     """
-    known = set[object]().union(*map(_standing, loader.get_sources()))
+    known = set[object]().union(*map(_standing, sources))
     trusted = [str(package) for package in cfg.get("allow_targets") or []]
     for key, target in targets(cfg):
         if target not in known and not (isinstance(target, str) and _defined_in(target, trusted)):

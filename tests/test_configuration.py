@@ -14,6 +14,7 @@ from splatrl.build import _constructor, build_trainer, build_world, make_env
 from splatrl.collision import CudaChecker, NativeChecker, NoChecker
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.configuration import (
+    check_config,
     command_line,
     conf_dir,
     load_config,
@@ -386,3 +387,18 @@ def test_a_value_out_of_range_is_named_before_anything_is_lost(override: str, me
     cfg = load_config([*tiny_overrides(tmp_path), override])
     with pytest.raises(Exception, match=message):  # Hydra wraps what constructors raise
         build_trainer(cfg, build_world(cfg), tmp_path)
+
+
+def test_a_config_of_ones_own_has_keys_of_its_own(tmp_path: Path) -> None:
+    arguments = ["--config-dir", str(tmp_path), "--config-name", "mine", "mykey=4"]
+    assert command_line("train", arguments) == arguments
+    (tmp_path / "mine.yaml").write_text(
+        "defaults: [train, _self_]\nmykey: 3\nnetwork: {_target_: tests.test_configuration.Wander}\n"
+    )
+    cfg = load_config()
+    cfg.network["_target_"] = "tests.test_configuration.Wander"
+    with initialize_config_dir(str(tmp_path), version_base="1.3"):
+        check_config(cfg)  # a config of theirs is as good as ours
+        assert GlobalHydra.instance().is_initialized()
+    with pytest.raises(ValueError, match="expected a constructor that stands in conf/"):
+        check_config(cfg)

@@ -5,7 +5,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 
 import torch
-from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
+from torchrl.envs import Compose, EnvBase, Transform
 
 from splatrl.collision.base import Checker
 from splatrl.collision.occupancy import Occupancy
@@ -13,6 +13,7 @@ from splatrl.curriculum import Curriculum, Plan
 from splatrl.envs.drawing.base import Drawing
 from splatrl.envs.robot import Robot
 from splatrl.envs.splat_env import SplatEnv
+from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks.base import Task
 from splatrl.scenes.scene import Scene
 
@@ -69,4 +70,4 @@ class World:
             self.device if device is None else device,
         )
         transforms = self.make_transforms()
-        return TransformedEnv(env, Compose(*transforms)) if transforms else env
+        return StatefulEnv(env, Compose(*transforms)) if transforms else env

@@ -25,7 +25,6 @@ class PoolPixels(nn.Module):
 
     def __init__(self, pool: int):
         super().__init__()
-        require_number("network.pool", pool, 1, whole=True)
         self.pool = nn.AvgPool2d(pool)
 
     def forward(self, pixels: Tensor) -> Tensor:
@@ -94,6 +93,7 @@ def actor_critic(
     Returns:
         Operator whose ``get_policy_operator()`` acts, and whose heads share the trunk's ``hidden``.
     """
+    require_number("network.pool", pool, 1, whole=True)
     height, width, depth = image_shape
     trunk = Trunk(height // pool, width // pool, depth, channels, features)
     seen = "features" if memory else "hidden"
