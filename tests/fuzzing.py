@@ -73,7 +73,7 @@ NUMBERS = [
     "{}",
 ]
 HEADERS = re.compile(
-    r"header: |a header|magic: |version: |a ZIP bundle|File is not a zip|cannot identify|InvalidDataError|YAML|JSON|UTF-8"
+    r"header: |a header|magic: |version: |a ZIP bundle|File is not a zip|cannot identify|InvalidDataError|YAML|JSON|UTF"
 )
 """Words of errors that come before the content of a file is reached."""
 
