@@ -6,6 +6,7 @@ from hashlib import blake2b
 from pathlib import Path
 
 import numpy as np
+import plyfile
 from numpy.typing import NDArray
 
 from splatrl.collision.pcd import read_pcd
