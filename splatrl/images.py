@@ -3,9 +3,12 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import av
+import numpy as np
 from av.container import InputContainer
+from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from splatrl.files import refusing
@@ -17,18 +20,45 @@ MAX_PIXELS = 64 * 2**20
 """Of one image: more than any phone takes."""
 
 
-def read_photo(path: Path) -> Image.Image:
-    """Read a photo, RGB and upright.
+def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True) -> Image.Image:
+    """Read a photo, RGB.
 
     Args:
         path: of a PNG or a JPEG.
+        stream: to read from, such as an entry of an archive, which ``path`` then only names.
+        upright: whether to turn it as its EXIF says; False leaves it as the intrinsics of a recording describe it.
 
     Raises:
         ValueError: for a file that is broken, of another kind, or too large.
     """
-    with refusing(path, "a whole PNG or JPEG"), Image.open(path, formats=("PNG", "JPEG")) as image:
+    with _opened(path, stream, ("PNG", "JPEG")) as image:
+        return (ImageOps.exif_transpose(image) if upright else image).convert("RGB")
+
+
+def read_grey(path: Path) -> NDArray[Any]:
+    """Read a picture of whole numbers, such as measured depth.
+
+    Args:
+        path: of a PNG with one channel of 8 or 16 bits.
+
+    Returns:
+        [H, W] uint8 or uint16.
+
+    Raises:
+        ValueError: for a file that is broken, of another kind, or too large.
+    """
+    with _opened(path, None, ("PNG",)) as image:
+        if image.mode not in ("L", "I;16"):
+            raise ValueError(f"expected one channel of 8 or 16 bits, got the mode {image.mode}")
+        return np.array(image)
+
+
+@contextmanager
+def _opened(path: Path, stream: BinaryIO | None, formats: tuple[str, ...]) -> Iterator[Image.Image]:
+    """An image whose pixels are not yet read, and are not too many; every fault names the path."""
+    with refusing(path, f"a whole {' or '.join(formats)}"), Image.open(stream or path, formats=formats) as image:
         require_small(path, image.width, image.height)  # in the header, before anything is decoded
-        return ImageOps.exif_transpose(image).convert("RGB")
+        yield image
 
 
 @contextmanager

@@ -1,13 +1,16 @@
 """First stage: the sharpest images of a video or of a folder of photos, upright and of one size."""
 
 import hashlib
+import itertools
 import json
 import math
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
+import av
 import numpy as np
 import torch
 from PIL import Image
@@ -22,6 +25,7 @@ PER_SECOND = 3.0
 """Fewest frames to take of a second of video, up to the most frames that are wanted."""
 SHARPNESS_WIDTH = 480
 VERSION = 1
+Thing = TypeVar("Thing")
 
 
 @dataclass(frozen=True)
@@ -91,38 +95,52 @@ def buckets(times: np.ndarray, count: tuple[int, int]) -> np.ndarray:
     return times[0] + length * np.arange(1, most) / most
 
 
+def sharpest(graded: Iterable[tuple[int, Thing, float]]) -> Iterator[Thing]:
+    """The sharpest of each bucket.
+
+    Args:
+        graded: bucket, image and its sharpness, bucket by bucket; of equally sharp ones the first is taken.
+    """
+    for _, group in itertools.groupby(graded, key=lambda grade: grade[0]):
+        best, best_sharpness = None, -math.inf
+        for _, thing, value in group:  # one at a time: an image of a video is large
+            if value > best_sharpness:
+                best, best_sharpness = thing, value
+        if best is not None:
+            yield best
+
+
 def _from_video(source: Path, count: tuple[int, int], longest: int, progress: Progress) -> Iterator[_Taken]:
     times = videos.packet_times(source)
-    ends = buckets(times, count)
-    best, best_sharpness, best_bucket, start = None, -1.0, 0, float(times[0])
-    for number, (seconds, frame) in enumerate(videos.frames(source)):
-        progress("frames", min(number, len(times)), len(times))
-        bucket = int(np.searchsorted(ends, seconds, side="right"))
-        if best is not None and bucket != best_bucket:
-            yield _Taken(videos.upright(best, longest), float(best.time) - start)
-            best_sharpness = -1.0
-        scale = min(1.0, SHARPNESS_WIDTH / max(frame.width, frame.height))
-        grey = frame.reformat(max(3, round(frame.width * scale)), max(3, round(frame.height * scale)), "gray")
-        value = sharpness(grey.to_ndarray())
-        if value > best_sharpness:
-            best, best_sharpness, best_bucket = frame, value, bucket
-    if best is None:
+    ends, start, found = buckets(times, count), float(times[0]), False
+
+    def graded() -> Iterator[tuple[int, av.VideoFrame, float]]:
+        for number, (seconds, frame) in enumerate(videos.frames(source)):
+            progress("frames", min(number, len(times)), len(times))
+            bucket = int(np.searchsorted(ends, seconds, side="right"))
+            yield bucket, frame, sharpness(videos.grey(frame, SHARPNESS_WIDTH))
+
+    for best in sharpest(graded()):
+        found = True
+        yield _Taken(videos.upright(best, longest), float(best.time) - start)
+    if not found:
         raise CaptureError(f"{source}: expected frames, could decode none")
-    yield _Taken(videos.upright(best, longest), float(best.time) - start)
     progress("frames", len(times), len(times))
 
 
 def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: Progress) -> Iterator[_Taken]:
     paths = photo_files.photos_of(source)
     groups = np.array_split(np.arange(len(paths)), min(len(paths), count[1]))
-    for group in groups:
-        images = []
-        for number in group.tolist():
-            progress("photos", number, len(paths))
-            images.append(videos.shrunk(photo_files.read_photo(paths[number]), longest))
-        values = [sharpness(np.asarray(image.convert("L"))) for image in images] if len(images) > 1 else [0.0]
-        best = int(np.argmax(values))
-        yield _Taken(images[best], float(group[best]))
+
+    def graded() -> Iterator[tuple[int, _Taken, float]]:
+        for bucket, group in enumerate(groups):
+            for number in group.tolist():
+                progress("photos", number, len(paths))
+                image = videos.shrunk(photo_files.read_photo(paths[number]), longest)
+                value = sharpness(np.asarray(image.convert("L"))) if len(group) > 1 else 0.0
+                yield bucket, _Taken(image, float(number)), value
+
+    yield from sharpest(graded())
     progress("photos", len(paths), len(paths))
 
 

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import BinaryIO
 
 from PIL import Image
 
@@ -33,17 +34,14 @@ def photos_of(folder: Path) -> list[Path]:
     return found
 
 
-def read_photo(path: Path) -> Image.Image:
-    """Read a photo, RGB and upright.
-
-    Args:
-        path: of a PNG or a JPEG.
+def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True) -> Image.Image:
+    """Read a photo, RGB; arguments as for ``images.read_photo``.
 
     Raises:
         CaptureError: for a file that is broken, of another kind, or too large.
     """
     try:
-        return images.read_photo(path)
+        return images.read_photo(path, stream, upright)
     except ValueError as error:
         raise CaptureError(str(error)) from error
 

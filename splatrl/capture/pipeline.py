@@ -70,7 +70,7 @@ def capture(
     """Make a scene to train in of a video, a folder of photos, or a recording that already knows its poses.
 
     Args:
-        source: a video, a folder of photos, ``transforms.json`` (or its folder), or a folder with a COLMAP model.
+        source: a video, a folder of photos, or whatever ``read_recording`` reads.
         folder: of the scene; what stages have made is kept in its sub-folder ``stages``.
         settings: how.
         progress: told how far each stage is.
@@ -90,10 +90,11 @@ def capture(
     stages.mkdir(parents=True, exist_ok=True)
     known = is_recording(source)
     if known:
-        photos = read_recording(source, stages)
+        photos = read_recording(source, stages, settings.count, settings.longest, progress)
     else:
         photos = read_photos(source, stages, settings.count, settings.longest, progress)
-    say(f"frames      {len(photos.paths)} of {photos.width} × {photos.height} pixels{', with poses' if known else ''}")
+    knows = f", with poses{' and depth' if photos.depths else ''}" if known else ""
+    say(f"frames      {len(photos.paths)} of {photos.width} × {photos.height} pixels{knows}")
     notes = [] if known else _first_look(photos, settings.force, progress, say)
     found = find_poses(photos, stages, settings.seed, progress)
     say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points")

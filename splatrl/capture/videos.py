@@ -32,6 +32,19 @@ def open_video(path: Path) -> Iterator[InputContainer]:
         raise CaptureError(str(error)) from error
 
 
+def size(path: Path) -> tuple[int, int]:
+    """Width and height of a video's images as they are stored, pixels.
+
+    Args:
+        path: of the video.
+
+    Raises:
+        CaptureError: as by ``open_video``.
+    """
+    with open_video(path) as container:
+        return container.streams.video[0].width, container.streams.video[0].height
+
+
 def packet_times(path: Path) -> np.ndarray:
     """When each frame of a video is shown, without decoding any.
 
@@ -77,6 +90,18 @@ def frames(path: Path) -> Iterator[tuple[float, av.VideoFrame]]:
             if size != (frame.width, frame.height):
                 raise CaptureError(f"{path}: expected frames of one size, got {size} and {frame.width, frame.height}")
             yield frame.time, frame
+
+
+def grey(frame: av.VideoFrame, longest: int) -> np.ndarray:
+    """The brightness of a frame as decoded, scaled down: [H, W] uint8.
+
+    Args:
+        frame: as decoded.
+        longest: the most pixels along the longer side.
+    """
+    scale = min(1.0, longest / max(frame.width, frame.height))
+    small = frame.reformat(max(3, round(frame.width * scale)), max(3, round(frame.height * scale)), "gray")
+    return small.to_ndarray()
 
 
 def upright(frame: av.VideoFrame, longest: int) -> Image.Image:

@@ -19,7 +19,11 @@ def parser() -> argparse.ArgumentParser:
     """The parser of the command line."""
     result = argparse.ArgumentParser(prog="splatrl-capture", description=__doc__)
     result.add_argument(
-        "source", type=Path, nargs="?", help="a video, a folder of photos, transforms.json, or a COLMAP model"
+        "source",
+        type=Path,
+        nargs="?",
+        help="a video, a folder of photos, or a recording: Polycam's raw data, Stray Scanner's, Record3D's, "
+        "transforms.json, a COLMAP model",
     )
     result.add_argument("--out", type=Path, help="folder of the scene; by default the source's name without its ending")
     result.add_argument("--force", action="store_true", help="go on where a first look says no; replace a scene")

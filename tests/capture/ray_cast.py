@@ -15,27 +15,32 @@ HALF = np.array([2.5, 2.0, 1.3])
 """Half the sides of a room, metres."""
 
 
-def room_image(camera_to_world: np.ndarray, seed: int = 0) -> np.ndarray:
+def room_image(
+    camera_to_world: np.ndarray, seed: int = 0, K: np.ndarray = K, size: tuple[int, int] = (WIDTH, HEIGHT)
+) -> np.ndarray:
     """What a camera within a room sees.
 
     Args:
         camera_to_world: [4, 4], metres, OpenCV axes; the room's centre is the origin.
         seed: of the walls' noise; each is another room.
+        K: [3, 3] intrinsics, pixels.
+        size: width and height of the image, pixels.
 
     Returns:
-        [240, 320, 3] uint8.
+        [H, W, 3] uint8.
     """
-    x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
-    rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1) @ camera_to_world[:3, :3].T
-    origin = camera_to_world[:3, 3]
-    with np.errstate(divide="ignore"):
-        way = (np.sign(rays) * HALF - origin) / rays
+    rays, way = _cast(camera_to_world, K, size)
     axis = way.argmin(-1)
-    hit = origin + rays * np.take_along_axis(way, axis[..., None], -1)
+    hit = camera_to_world[:3, 3] + rays * np.take_along_axis(way, axis[..., None], -1)
     wall = 2 * axis + (np.take_along_axis(rays, axis[..., None], -1)[..., 0] > 0)
     u = np.where(axis == 0, hit[..., 1], hit[..., 0]) * 40
     v = np.where(axis == 2, hit[..., 1], hit[..., 2]) * 40
     return _sampled(_walls(seed), wall, u, v)
+
+
+def room_depth(camera_to_world: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """How far the walls are along a camera's axis, metres; arguments as for ``room_image``: [H, W]."""
+    return _cast(camera_to_world, K, size)[1].min(-1)
 
 
 def walk(count: int) -> np.ndarray:
@@ -98,6 +103,14 @@ def write_video(path: Path, images: list[np.ndarray], rate: int = 10, quarter_tu
         place = header.index(matrix, header.index(b"tkhd"))
         header[place : place + len(matrix)] = turned
         path.write_bytes(header)
+
+
+def _cast(camera_to_world: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Rays of length 1 along the camera's axis, and how long they are to each pair of walls: [H, W, 3] each."""
+    x, y = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
+    rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1) @ camera_to_world[:3, :3].T
+    with np.errstate(divide="ignore"):
+        return rays, (np.sign(rays) * HALF - camera_to_world[:3, 3]) / rays
 
 
 @cache

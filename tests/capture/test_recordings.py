@@ -79,7 +79,7 @@ def test_what_makes_no_sense_is_refused(tmp_path: Path, change: dict, message: s
 
 def test_a_folder_of_photos_is_no_recording(tmp_path: Path) -> None:
     assert not is_recording(tmp_path)
-    with pytest.raises(CaptureError, match="found neither"):
+    with pytest.raises(CaptureError, match="found none of them"):
         read_recording(tmp_path, tmp_path / "out")
 
 

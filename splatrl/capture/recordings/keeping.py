@@ -1,0 +1,258 @@
+"""The images of a recording that are used: chosen, turned upright, and cut to what one camera would have seen."""
+
+import hashlib
+import json
+import math
+import shutil
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+
+from splatrl.capture.base import CaptureError, Photos
+from splatrl.capture.frames import buckets, sharpest, sharpness
+from splatrl.capture.progress import Progress
+from splatrl.capture.recordings.base import Depth, Floats, Lens, Picture, Recording
+from splatrl.files import new_folder
+
+SHOTS, INDEX, DEPTHS = "shots", "index.json", "depth"
+VERSION = 1
+GRADED = 6
+"""Images of each stretch of a recording that are looked at to find the sharpest."""
+SPREAD = 1.1
+"""Largest over smallest focal length of what is still one camera."""
+WANDER = 0.1
+"""How far its centre may move, as an image stabiliser moves it, in widths of the image."""
+QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""From the axes of a camera whose image was turned a quarter counter-clockwise to those it had before."""
+
+
+def keep(recording: Recording, folder: Path, count: tuple[int, int], longest: int, progress: Progress) -> Photos:
+    """Take the sharpest image of each stretch of a recording, and write them as one camera would have seen them.
+
+    A second call with the same files and settings reads what the first one kept.
+
+    Args:
+        recording: with poses that have been checked, and without lens distortion.
+        folder: of the capture; images come into its sub-folder ``shots``, depth into ``shots/depth``.
+        count: fewest (where there are so many) and most images.
+        longest: the most pixels along the longer side.
+        progress: told about every image.
+
+    Raises:
+        CaptureError: where images are of several cameras, or one cannot be read.
+    """
+    kept = folder / SHOTS
+    digest = _digest(recording, [VERSION, count, longest])
+    if _index(kept).get("digest") != digest:
+        folder.mkdir(parents=True, exist_ok=True)
+        if (kept / INDEX).is_file():
+            shutil.rmtree(kept)
+        with new_folder(kept) as made:
+            _write(made, recording, count, longest, digest, progress)
+    return _photos(kept, recording)
+
+
+def one_camera(source: object, lenses: Sequence[Lens], border: float = 0.0) -> tuple[Lens, Floats]:
+    """A camera that sees nothing but what every image shows.
+
+    Images of pinhole cameras from one place differ by a scale and a shift alone. So the camera has the median centre of
+    the others, and the shortest focal length with which each image, cut and scaled, fills its view.
+
+    Args:
+        source: for messages.
+        lenses: N cameras, at least one, without distortion.
+        border: pixels along the edges of each image to cut off.
+
+    Returns:
+        The camera; and the part of each image that is its view: [N, 4] left, upper, right and lower edge, pixels.
+
+    Raises:
+        CaptureError: for images of different sizes, or cameras too different to be one.
+    """
+    sizes = sorted({(lens.width, lens.height) for lens in lenses})
+    if len(sizes) > 1:
+        shown = " and ".join(f"{width:.0f} × {height:.0f}" for width, height in sizes[:2])
+        raise CaptureError(f"{source}: expected images of one size and one camera, got {shown}")
+    width, height = sizes[0]
+    own = np.array([[lens.fx, lens.fy, lens.cx, lens.cy] for lens in lenses])
+    fx, fy, cx, cy = own.T
+    wander = max(np.ptp(cx), np.ptp(cy)) / width
+    if max(fx.max() / fx.min(), fy.max() / fy.min()) > SPREAD or wander > WANDER:
+        raise CaptureError(
+            f"{source}: expected one camera, got focal lengths from {fx.min():.0f} to {fx.max():.0f} pixels, and a "
+            f"centre that moves by {100 * wander:.0f} % of the width; give the images of one camera alone"
+        )
+    focal, middle = np.median(own[:, :2], axis=0), np.median(own[:, 2:], axis=0)
+    reach = np.minimum(middle, [width - middle[0], height - middle[1]])
+    if (reach < 0.2 * np.array([width, height])).any():
+        raise CaptureError(
+            f"{source}: expected a camera whose centre is near the middle of {width:.0f} × {height:.0f} pixels, got "
+            f"({middle[0]:.0f}, {middle[1]:.0f}): are its intrinsics those of another image size?"
+        )
+    before = own[:, 2:] - border  # of what shows something
+    behind = [width - border, height - border] - own[:, 2:]
+    zoom = (own[:, :2] / focal * np.maximum(middle / before, ([width, height] - middle) / behind)).max()
+    camera = Lens(width, height, float(zoom * focal[0]), float(zoom * focal[1]), float(middle[0]), float(middle[1]))
+    across, down = fx / camera.fx, fy / camera.fy
+    left, upper = cx - camera.cx * across, cy - camera.cy * down
+    boxes = np.stack([left, upper, left + width * across, upper + height * down], 1)
+    return camera, np.clip(boxes, 0.0, [width, height, width, height])
+
+
+def quarter_turns(camera_to_world: Floats, up: Floats | None) -> int:
+    """How many quarters to turn images counter-clockwise, so that most stand upright.
+
+    Args:
+        camera_to_world: [N, 4, 4], OpenCV camera axes.
+        up: [3], away from the earth; None leaves images as they are.
+    """
+    if up is None:
+        return 0
+    x, y, _ = np.einsum("nij,i->j", camera_to_world[:, :3, :3], up)
+    return round(math.atan2(x, -y) / (0.5 * math.pi)) % 4
+
+
+def _write(
+    made: Path, recording: Recording, count: tuple[int, int], longest: int, digest: str, progress: Progress
+) -> None:
+    shots = recording.shots
+    camera, boxes = one_camera(recording.source, [shot.lens for shot in shots], recording.border)
+    poses = np.array([shot.camera_to_world for shot in shots])
+    turns = quarter_turns(poses, recording.up)
+    scale = min(1.0, longest / max(camera.width, camera.height))
+    size: tuple[int, int] | None = None
+    index: dict[str, Any] = {"digest": digest, "names": [], "seconds": [], "poses": []}
+    depths: list[Depth | None] = []
+    for number, picture in _chosen(recording, count, progress):
+        image = picture.image()
+        stored = np.array(image.size) / [camera.width, camera.height]  # images may have been scaled since
+        if abs(stored[0] / stored[1] - 1) > 0.01:
+            raise CaptureError(
+                f"{recording.source}: expected images shaped as {camera.width:.0f} × {camera.height:.0f}, got "
+                f"{image.width} × {image.height}"
+            )
+        if size is None:
+            smaller = min(scale, float(stored.min()))
+            size = max(1, round(camera.width * smaller)), max(1, round(camera.height * smaller))
+        name = f"{len(index['names']):04}"
+        _cut(image, boxes[number] * np.tile(stored, 2), size, turns).save(
+            made / f"{name}.jpg", quality=95, subsampling=0
+        )
+        shot = shots[number]
+        depth = None if shot.depth is None else shot.depth()
+        depths.append(None if depth is None else _cut_depth(depth, boxes[number], camera, turns))
+        index["names"].append(name)
+        index["seconds"].append(shot.seconds - shots[0].seconds)
+        index["poses"].append(_turned(poses[number], turns).tolist())
+    if size is None:
+        raise CaptureError(f"{recording.source}: expected images, found none for its poses")
+    index["size"], index["K"] = _intrinsics(camera, size, turns)
+    index["depth"] = _write_depths(made / DEPTHS, recording.source, depths)
+    (made / INDEX).write_text(json.dumps(index), "utf-8")
+
+
+def _chosen(recording: Recording, count: tuple[int, int], progress: Progress) -> Iterator[tuple[int, Picture]]:
+    """The sharpest image of each stretch; all of them where they are few, or where somebody has chosen them."""
+    seconds = np.array([shot.seconds for shot in recording.shots])
+    if recording.prepared or len(seconds) <= count[0]:
+        numbers, stretches = np.arange(len(seconds)), np.arange(len(seconds))
+    else:
+        ends = buckets(seconds, count)
+        numbers = np.arange(0, len(seconds), max(1, len(seconds) // (GRADED * (len(ends) + 1))))
+        stretches = np.searchsorted(ends, seconds, side="right")
+
+    def graded() -> Iterator[tuple[int, tuple[int, Picture], float]]:
+        for number, picture in recording.pictures(numbers.tolist()):
+            progress("frames", number, len(seconds))
+            single = np.count_nonzero(stretches[numbers] == stretches[number]) == 1
+            yield int(stretches[number]), (number, picture), 0.0 if single else sharpness(picture.grey())
+
+    yield from sharpest(graded())
+    progress("frames", len(seconds), len(seconds))
+
+
+def _cut(image: Image.Image, box: Floats, size: tuple[int, int], turns: int) -> Image.Image:
+    """The part of an image that the one camera sees, at its size, turned."""
+    box = np.clip(box, 0.0, np.tile(image.size, 2))
+    seen = image.resize(size, Image.Resampling.BICUBIC, tuple(box.tolist()))
+    return seen if turns == 0 else seen.transpose(TRANSPOSED[turns])
+
+
+TRANSPOSED = {1: Image.Transpose.ROTATE_90, 2: Image.Transpose.ROTATE_180, 3: Image.Transpose.ROTATE_270}
+"""Pillow's names of quarter turns counter-clockwise."""
+
+
+def _cut_depth(depth: Depth, box: Floats, camera: Lens, turns: int) -> Depth:
+    """The part of measured depth that the one camera sees, at the sensor's size, turned; no two depths are mixed."""
+    left, upper, right, lower = box / [camera.width, camera.height, camera.width, camera.height]
+    places = []
+    for start, end, size in ((upper, lower, depth.shape[0]), (left, right, depth.shape[1])):
+        middles = start + (np.arange(size) + 0.5) / size * (end - start)
+        places.append(np.minimum((middles * size).astype(int), size - 1))
+    return np.rot90(depth[np.ix_(*places)], turns)
+
+
+def _turned(camera_to_world: Floats, turns: int) -> Floats:
+    turned = camera_to_world.copy()
+    turned[:3, :3] = turned[:3, :3] @ np.linalg.matrix_power(QUARTER, turns)
+    return turned
+
+
+def _intrinsics(camera: Lens, size: tuple[int, int], turns: int) -> tuple[list[int], list[list[float]]]:
+    """Size and K of the images that were written."""
+    across, down = size[0] / camera.width, size[1] / camera.height
+    fx, fy, cx, cy = camera.fx * across, camera.fy * down, camera.cx * across, camera.cy * down
+    width, height = size
+    for _ in range(turns):
+        fx, fy, cx, cy, width, height = fy, fx, cy, width - cx, height, width
+    return [width, height], [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
+
+
+def _write_depths(made: Path, source: object, depths: list[Depth | None]) -> bool:
+    """Write measured depth, and images of none where a shot has none; False where no shot has any."""
+    sizes = {depth.shape for depth in depths if depth is not None}
+    if not sizes:
+        return False
+    if len(sizes) > 1:
+        raise CaptureError(f"{source}: expected depth of one size, got {' and '.join(map(str, sorted(sizes)))}")
+    size = sizes.pop()
+    made.mkdir()
+    for number, depth in enumerate(depths):
+        values = np.zeros(size, np.uint16) if depth is None else np.ascontiguousarray(depth)
+        Image.fromarray(values).save(made / f"{number:04}.png")
+    return True
+
+
+def _photos(kept: Path, recording: Recording) -> Photos:
+    index = _index(kept)
+    names = index["names"]
+    width, height = index["size"]
+    return Photos(
+        [kept / f"{name}.jpg" for name in names],
+        width,
+        height,
+        torch.tensor(index["seconds"], dtype=torch.float64),
+        torch.tensor(index["K"], dtype=torch.float64),
+        torch.tensor(index["poses"], dtype=torch.float64),
+        None if recording.up is None else torch.from_numpy(recording.up),
+        tuple(kept / DEPTHS / f"{name}.png" for name in names) if index["depth"] else (),
+        recording.metric,
+    )
+
+
+def _index(kept: Path) -> dict[str, Any]:
+    try:
+        index: dict[str, Any] = json.loads((kept / INDEX).read_text("utf-8"))
+        return index if all((kept / f"{name}.jpg").is_file() for name in index["names"]) else {}
+    except (OSError, ValueError, KeyError):
+        return {}
+
+
+def _digest(recording: Recording, settings: list[Any]) -> str:
+    """Fingerprint of all that the kept images depend on."""
+    stamps = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in recording.files]
+    return hashlib.blake2b(json.dumps([settings, stamps]).encode(), digest_size=16).hexdigest()

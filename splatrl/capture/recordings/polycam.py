@@ -1,0 +1,79 @@
+"""Raw data of Polycam: a folder ``keyframes`` with images, cameras, and what the depth sensor saw.
+
+Documented in https://github.com/PolyCam/polyform: ``t_ij`` is row i and column j of camera-to-world, ARKit's axes and
+its gravity (+y up), metres; depth is in millimetres, confidence 0, 127 or 255, both of the sensor's own size.
+"""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from splatrl.capture.base import CaptureError
+from splatrl.capture.recordings.base import (
+    ARKIT_UP,
+    OPENGL,
+    Lens,
+    Recording,
+    Shot,
+    pictures_of,
+    read_depth,
+    read_json,
+    read_text,
+)
+from splatrl.files import natural
+from splatrl.images import PHOTO_SUFFIXES
+
+MEDIUM = 127
+"""Confidence; what is below is quite unreliable, as Polycam says."""
+BORDER = 15.0
+"""Pixels that may be black along the edges of corrected images, as nerfstudio crops them."""
+CORRECTED = ("corrected_images", "corrected_cameras")
+PLAIN = ("images", "cameras")
+"""Where loop closure did not run: images with their slight distortion, and ARKit's own poses."""
+
+
+def found(source: Path) -> bool:
+    """Whether a folder is such an export."""
+    return any((source / "keyframes" / cameras).is_dir() for cameras in ("cameras", "corrected_cameras"))
+
+
+def read(source: Path) -> Recording:
+    """Read an export: its corrected images where there are any, or else the plain ones.
+
+    Raises:
+        CaptureError: where it is broken, or no image has a camera.
+    """
+    folder = source / "keyframes"
+    for names in (CORRECTED, PLAIN):
+        images, cameras = (folder / name for name in names)
+        paths = _with_cameras(images, cameras)
+        if paths:
+            files = [cameras / f"{path.stem}.json" for path in paths]
+            shots = [_shot(number, path, files[number]) for number, path in enumerate(paths)]
+            border = BORDER if names == CORRECTED else 0.0
+            return Recording(
+                source, shots, pictures_of(paths), [*files, *paths], up=ARKIT_UP, metric=True, border=border
+            )
+    raise CaptureError(f"{folder}: expected images with a camera of the same name each, found none")
+
+
+def _with_cameras(images: Path, cameras: Path) -> list[Path]:
+    if not images.is_dir():
+        return []
+    files = [path for path in images.iterdir() if path.suffix.lower() in PHOTO_SUFFIXES]
+    return sorted((path for path in files if (cameras / f"{path.stem}.json").is_file()), key=natural)
+
+
+def _shot(number: int, path: Path, file: Path) -> Shot:
+    camera = read_json(file, read_text(file))
+    try:
+        pose = np.eye(4)
+        pose[:3] = [[float(camera[f"t_{row}{column}"]) for column in range(4)] for row in range(3)]
+        width, height, fx, fy, cx, cy = (float(camera[name]) for name in ("width", "height", "fx", "fy", "cx", "cy"))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise CaptureError(f"{file}: expected a camera of Polycam: {error!r}") from error
+    depth, confidence = (path.parents[1] / name / f"{path.stem}.png" for name in ("depth", "confidence"))
+    trust = confidence if confidence.is_file() else None
+    measured = partial(read_depth, depth, trust, MEDIUM) if depth.is_file() else None
+    return Shot(float(number), Lens(width, height, fx, fy, cx, cy), pose @ OPENGL, path, measured)

@@ -1,0 +1,108 @@
+"""Reads whatever recording a path leads to: one module for each kind."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from splatrl.capture.base import CaptureError, Photos
+from splatrl.capture.photo_files import read_photo
+from splatrl.capture.progress import Progress, silent
+from splatrl.capture.recordings import colmap, polycam, record3d, stray_scanner, transforms
+from splatrl.capture.recordings.base import Recording
+from splatrl.capture.recordings.keeping import keep
+from splatrl.capture.undistort import undistorted
+
+KINDS = (polycam, stray_scanner, record3d, transforms, colmap)
+"""Modules with ``found`` and ``read``; the first that finds something reads it."""
+
+
+def is_recording(source: Path) -> bool:
+    """Whether a path leads to a recording that knows its poses.
+
+    Args:
+        source: a file or a folder.
+    """
+    return any(kind.found(source) for kind in KINDS)
+
+
+def read_recording(
+    source: Path, folder: Path, count: tuple[int, int] = (120, 200), longest: int = 960, progress: Progress = silent
+) -> Photos:
+    """Read images with known poses, without lens distortion, all of one camera.
+
+    Images that somebody has chosen and prepared (``transforms.json``, a COLMAP model) stay as they are where they are
+    of one camera and have no depth beside them. All others are chosen as those of a video are, turned upright, and cut
+    to what one camera would have seen, since an autofocus changes the focal length by a few permille.
+
+    Args:
+        source: ``transforms.json`` or its folder; a folder with a COLMAP model in it, in ``sparse`` or ``sparse/0``,
+            and ``images``; a folder of Polycam's raw data or of Stray Scanner; Record3D's ``.r3d`` or its folder.
+        folder: of the capture; images come into its sub-folder ``shots``, or ``recorded`` where only distortion had to
+            be taken out.
+        count: fewest (where there are so many) and most images that are chosen.
+        longest: the most pixels along the longer side of those.
+        progress: told about every image.
+
+    Returns:
+        Images in the order in which they were taken, with K and camera_to_world, and what else the recording knows.
+
+    Raises:
+        CaptureError: where it is no such recording, is broken, or is not of one camera.
+        ImportError: without the extra ``capture`` where it is needed.
+    """
+    kind = next((kind for kind in KINDS if kind.found(source)), None)
+    if kind is None:
+        raise CaptureError(
+            f"{source}: expected transforms.json, a COLMAP model, or a recording of Polycam, Stray Scanner or "
+            "Record3D, found none of them"
+        )
+    recording = kind.read(source)
+    _check(recording)
+    lenses = {shot.lens for shot in recording.shots}
+    distorted = any(any(lens.distortion) for lens in lenses)
+    if distorted and len(lenses) > 1:
+        raise CaptureError(f"{source}: expected one camera, or several without distortion, got {len(lenses)}")
+    measured = any(shot.depth is not None for shot in recording.shots)
+    if recording.prepared and len(lenses) == 1 and (distorted or not measured):
+        return _as_they_are(recording, folder, progress)
+    return keep(recording, folder, count, longest, progress)
+
+
+def _check(recording: Recording) -> None:
+    poses = np.array([shot.camera_to_world for shot in recording.shots]).reshape(-1, 4, 4)
+    turns = poses[:, :3, :3]
+    straight = np.isfinite(poses).all() and np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-3)
+    if not len(poses) or not straight or (np.linalg.det(turns) < 0).any():
+        raise CaptureError(
+            f"{recording.source}: expected at least one image, with rotations and finite places as poses"
+        )
+    if len(poses) > 1 and not np.ptp(poses[:, :3, 3], axis=0).any():
+        raise CaptureError(
+            f"{recording.source}: expected poses in more than one place, got all in one; a recording of the front "
+            "camera has no poses: give its images alone"
+        )
+    for shot in recording.shots:
+        lens = shot.lens
+        numbers = (lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion)
+        if not np.isfinite(numbers).all() or min(lens.width, lens.height, lens.fx, lens.fy) <= 0:
+            raise CaptureError(f"{recording.source}: expected finite intrinsics with focal lengths above 0, got {lens}")
+
+
+def _as_they_are(recording: Recording, folder: Path, progress: Progress) -> Photos:
+    lens, paths = recording.shots[0].lens, [shot.path for shot in recording.shots if shot.path is not None]
+    width, height = read_photo(paths[0]).size
+    across, down = width / lens.width, height / lens.height  # images may have been scaled since
+    if abs(across / down - 1) > 0.01:
+        raise CaptureError(
+            f"{recording.source}: expected images shaped as {lens.width:.0f} × {lens.height:.0f}, got "
+            f"{width} × {height}"
+        )
+    K = torch.tensor([[lens.fx * across, 0, lens.cx * across], [0, lens.fy * down, lens.cy * down], [0, 0, 1]]).double()
+    if any(lens.distortion):
+        distortion = np.array(lens.distortion)
+        paths, K = undistorted(paths, (width, height), K, distortion, folder / "recorded", progress)
+    poses = torch.from_numpy(np.array([shot.camera_to_world for shot in recording.shots]))
+    up = None if recording.up is None else torch.from_numpy(recording.up)
+    numbers = torch.arange(len(paths), dtype=torch.float64)
+    return Photos(paths, width, height, numbers, K, poses, up, metric=recording.metric)

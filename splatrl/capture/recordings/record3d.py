@@ -1,0 +1,217 @@
+"""Recordings of Record3D: an ``.r3d`` file, which is a ZIP archive, or its unpacked folder.
+
+As its author describes it (https://github.com/marek-simonik/record3d, issues 7, 33, 64, 81 and 93): ``metadata`` is
+JSON; poses are qx, qy, qz, qw, x, y, z, metres, camera-to-world with OpenGL's axes of the image as it is stored; K is
+column by column; ``rgbd`` holds an image, depth (LZFSE of float32 metres, NaN where there is none) and confidence
+(LZFSE of bytes, 0, 1 or 2) for each frame. The world is ARKit's (+y up), except in early versions of the app, which
+began at the first camera's own axes. Folders of the export as EXR (``rgb`` and ``depth``) come without their depth.
+"""
+
+import io
+import re
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splatrl.capture.base import CaptureError
+from splatrl.capture.optional import needed
+from splatrl.capture.recordings.base import (
+    ARKIT_UP,
+    MAX_BYTES,
+    OPENGL,
+    Depth,
+    FilePicture,
+    Lens,
+    Picture,
+    Recording,
+    Shot,
+    filtered,
+    quaternion_poses,
+    read_json,
+)
+from splatrl.images import MAX_PIXELS
+
+METADATA = ("metadata", "metadata.json")
+IMAGE = re.compile(r"(rgbd|rgb)/([0-9]{1,9})\.jpg")
+MEDIUM = 1
+"""Confidence; what is below is left out."""
+USUAL_DEPTH = (256, 192)
+"""Height and width of the depth sensor, which early versions of the app do not state."""
+DAMAGED = (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, KeyError, OSError, ValueError)
+"""What reading from a folder or a damaged archive raises."""
+
+
+def found(source: Path) -> bool:
+    """Whether a path leads to such a recording."""
+    if source.is_file():
+        return source.suffix.lower() == ".r3d"
+    pictures = any((source / name).is_dir() for name in ("rgbd", "rgb"))
+    return pictures and any((source / name).is_file() for name in METADATA)
+
+
+def read(source: Path) -> Recording:
+    """Read a recording.
+
+    Raises:
+        CaptureError: where it is broken.
+        ImportError: without the extra ``capture``, which reads the depth.
+    """
+    files = Files(source)
+    name = next((name for name in METADATA if name in files.names), METADATA[0])
+    where = f"{source}: {name}"
+    metadata = read_json(where, files.read(name))
+    images = {int(match[2]): match[0] for match in map(IMAGE.fullmatch, sorted(files.names)) if match}
+    try:
+        poses, up = _poses(where, metadata)
+        lenses = _lenses(metadata, len(poses))
+        size = int(metadata.get("dh", USUAL_DEPTH[0])), int(metadata.get("dw", USUAL_DEPTH[1]))
+        times = metadata.get("frameTimestamps") or [n / float(metadata.get("fps", 60)) for n in range(len(poses))]
+        seconds = [float(time) for time in times]
+        numbers = [n for n in range(len(poses)) if n in images]
+        if not 0 < size[0] * size[1] <= MAX_PIXELS:
+            raise ValueError(f"dh, dw: expected a size, got {size}")
+        shots = [
+            Shot(seconds[n], lenses[n], poses[n] @ OPENGL, depth=_depth_of(files, n, size) if numbers else None)
+            for n in numbers
+        ]
+    except CaptureError:
+        raise
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, ZeroDivisionError) as error:
+        raise CaptureError(f"{where}: expected what Record3D writes: {error!r}") from error
+    pictures = partial(_pictures, files, [images[n] for n in numbers])
+    return Recording(source, shots, pictures, files.stamped, up=up, metric=True)
+
+
+class Files:
+    """The files of a recording in a folder or a ZIP archive; names in an archive are never used as paths.
+
+    Args:
+        source: the folder, or the archive.
+
+    Attributes:
+        names: of the files.
+        stamped: files whose change makes it another recording.
+    """
+
+    def __init__(self, source: Path) -> None:
+        self.source = source
+        self._archive: zipfile.ZipFile | None = None
+        self.stamped = [source]
+        if source.is_dir():
+            folders = [source, *(source / name for name in ("rgbd", "rgb") if (source / name).is_dir())]
+            paths = [path for folder in folders for path in folder.iterdir() if path.is_file()]
+            self.names = {path.relative_to(source).as_posix() for path in paths}
+            self.stamped = sorted(paths)
+            return
+        try:
+            self._archive = zipfile.ZipFile(source)
+        except DAMAGED as error:
+            raise CaptureError(f"{source}: expected Record3D's ZIP archive, got another or a damaged file") from error
+        self.names = set(self._archive.namelist())
+
+    def open(self, name: str) -> io.BytesIO:
+        """The content of a file, read as by ``read``, as a stream."""
+        return io.BytesIO(self.read(name))
+
+    def read(self, name: str) -> bytes:
+        """Read a file.
+
+        Raises:
+            CaptureError: for one that is missing, damaged or too large.
+        """
+        try:
+            if self._archive is None:
+                size = (self.source / name).stat().st_size
+            else:
+                size = self._archive.getinfo(name).file_size  # zipfile reads no more than this
+            if size > MAX_BYTES:
+                raise ValueError(f"expected at most {MAX_BYTES:,} bytes, got {size:,}")
+            return (self.source / name).read_bytes() if self._archive is None else self._archive.read(name)
+        except DAMAGED as error:
+            raise CaptureError(f"{self.source}: {name}: could not be read: {error}") from error
+
+
+def _pictures(files: Files, names: list[str], wanted: Sequence[int]) -> Iterator[tuple[int, Picture]]:
+    for number in wanted:
+        name = names[number]
+        yield number, FilePicture(files.source / name, partial(files.open, name))
+
+
+def _poses(where: str, metadata: Any) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Poses [N, 4, 4] with OpenGL's camera axes, and which way is up in their frame."""
+    given = np.array(metadata["poses"], np.float64).reshape(-1, 7)
+    poses = quaternion_poses(where, given[:, :4], given[:, 4:])
+    if len(poses) and _unturned(poses[0]):
+        first = np.array(metadata.get("initPose", [0, 0, 0, 1, 0, 0, 0]), np.float64).reshape(1, 7)
+        start = quaternion_poses(where, first[:, :4], first[:, 4:])[0]
+        if _unturned(start):
+            return poses, None
+        poses = start @ poses
+    return poses, ARKIT_UP
+
+
+def _unturned(pose: NDArray[np.float64]) -> bool:
+    """Whether a camera has the axes of the world, to a tenth of a degree: no hand holds a phone so by chance."""
+    return bool(np.abs(pose[:3, :3] - np.eye(3)).max() < 2e-3)
+
+
+def _lenses(metadata: Any, count: int) -> list[Lens]:
+    width, height = float(metadata["w"]), float(metadata["h"])
+    own = metadata.get("perFrameIntrinsicCoeffs") or []
+    if len(own) == count:
+        return [Lens(width, height, *_four(row)) for row in own]
+    K = [float(value) for value in metadata["K"]]
+    return [Lens(width, height, K[0], K[4], K[6], K[7])] * count
+
+
+def _four(row: Any) -> tuple[float, float, float, float]:
+    fx, fy, cx, cy = (float(value) for value in row)
+    return fx, fy, cx, cy
+
+
+def _depth_of(files: Files, number: int, size: tuple[int, int]) -> Callable[[], Depth] | None:
+    name, trust = f"rgbd/{number}.depth", f"rgbd/{number}.conf"
+    if name not in files.names:
+        return None
+    return partial(read_depth_of, files, name, trust if trust in files.names else None, size)
+
+
+def read_depth_of(files: Files, name: str, trust: str | None, size: tuple[int, int]) -> Depth:
+    """Read the depth of one image.
+
+    Args:
+        files: of the recording.
+        name: of the depth.
+        trust: of the confidence; None trusts everything.
+        size: height and width of both.
+
+    Raises:
+        CaptureError: for a file that is damaged, or of another size once unpacked.
+        ImportError: without the extra ``capture``.
+    """
+    metres = np.frombuffer(_unpacked(files, name, 4 * size[0] * size[1]), "<f4").reshape(size)
+    confidence = None
+    if trust is not None:
+        confidence = np.frombuffer(_unpacked(files, trust, size[0] * size[1]), np.uint8).reshape(size)
+    with np.errstate(invalid="ignore"):
+        millimetres = np.where((metres > 0) & (metres < 65), 1000 * metres + 0.5, 0).astype(np.uint16)
+    return filtered(f"{files.source}: {name}", millimetres, confidence, MEDIUM)
+
+
+def _unpacked(files: Files, name: str, size: int) -> bytes:
+    """What LZFSE packed; never more than one byte beyond the expected size is unpacked."""
+    codecs = needed("imagecodecs")
+    try:
+        unpacked: bytes = codecs.lzfse_decode(files.read(name), out=size + 1)
+    except codecs.LzfseError as error:
+        raise CaptureError(f"{files.source}: {name}: expected LZFSE, got a damaged file: {error}") from error
+    if len(unpacked) != size:
+        many = "more" if len(unpacked) > size else f"{len(unpacked):,}"
+        raise CaptureError(f"{files.source}: {name}: expected {size:,} bytes once unpacked, got {many}")
+    return unpacked

@@ -1,0 +1,403 @@
+"""Recordings of phones with a depth sensor: axes, units, one camera for all images, and what is refused."""
+
+import json
+import tracemalloc
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image, ImageFilter
+
+from splatrl.capture import optional
+from splatrl.capture.base import CaptureError, Photos
+from splatrl.capture.fit import FitSettings
+from splatrl.capture.pipeline import CaptureSettings, capture
+from splatrl.capture.recordings import is_recording, read_recording, record3d
+from splatrl.capture.recordings.base import Lens
+from splatrl.capture.recordings.keeping import one_camera, quarter_turns
+from splatrl.scenes.description import read_description
+from tests.capture.ray_cast import HALF, HEIGHT, WIDTH, room_depth, room_image, walk
+from tests.capture.recorded import (
+    ARKIT_FROM_ROOM,
+    KINDS,
+    SENSOR,
+    Taken,
+    taken,
+    write_nerfstudio,
+    write_polycam,
+    write_r3d,
+    write_record3d,
+    write_stray,
+)
+
+pytest.importorskip("imagecodecs")
+
+
+def _as_seen(photos: Photos, number: int, world_from_room: np.ndarray) -> tuple[float, float]:
+    """How far an image is from what its camera sees, and the same if it were a pixel off; in grey levels."""
+    assert photos.K is not None and photos.camera_to_world is not None
+    pose = np.linalg.inv(world_from_room) @ photos.camera_to_world[number].numpy()
+    expected = room_image(pose, K=photos.K.numpy(), size=(photos.width, photos.height)).astype(float)
+    shown = np.asarray(Image.open(photos.paths[number])).astype(float)
+    moves = [(0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)]
+    off = [np.abs(np.roll(shown, move, (0, 1)) - expected)[8:-8, 8:-8].mean() for move in moves]
+    return off[0], min(off[1:])
+
+
+def _depth_error(photos: Photos, number: int, world_from_room: np.ndarray) -> np.ndarray:
+    """Relative errors of the depth that is there."""
+    assert photos.K is not None and photos.camera_to_world is not None
+    depth = np.asarray(Image.open(photos.depths[number]))
+    assert depth.dtype == np.uint16
+    size = depth.shape[1], depth.shape[0]
+    pose = np.linalg.inv(world_from_room) @ photos.camera_to_world[number].numpy()
+    K = np.diag([size[0] / photos.width, size[1] / photos.height, 1]) @ photos.K.numpy()
+    return np.abs(depth / (1000 * room_depth(pose, K, size)) - 1)[depth > 0]
+
+
+@pytest.fixture(scope="module")
+def images() -> list[Taken]:
+    return taken(8)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_all_images_are_those_of_one_upright_camera_in_metres_with_their_depth(
+    tmp_path: Path, images: list[Taken], kind: str
+) -> None:
+    source = KINDS[kind](tmp_path / "in", images)
+    assert is_recording(source)
+    photos = read_recording(source, tmp_path / "out")
+    assert (len(photos.paths), photos.width, photos.height, photos.metric) == (8, HEIGHT, WIDTH, True)
+    assert photos.up is not None and photos.up.tolist() == [0.0, 1.0, 0.0]
+    assert len(photos.depths) == 8 and Image.open(photos.depths[0]).size == SENSOR[::-1]
+    for number in (0, 3, 7):
+        off, moved = _as_seen(photos, number, ARKIT_FROM_ROOM)
+        assert off < 8 and off < 0.7 * moved
+        error = _depth_error(photos, number, ARKIT_FROM_ROOM)
+        assert len(error) > 0.97 * SENSOR[0] * SENSOR[1] and np.median(error) < 0.006 and error.max() < 0.05
+    assert photos.seconds[0] == 0 and photos.seconds[7] == pytest.approx(7 if kind == "polycam" else 0.7)
+
+
+def test_nerfstudios_images_with_a_camera_each_become_those_of_one(tmp_path: Path, images: list[Taken]) -> None:
+    photos = read_recording(write_nerfstudio(tmp_path / "in", images), tmp_path / "out")
+    assert photos.metric and photos.up is not None and photos.up.tolist() == [0.0, 0.0, 1.0]
+    off, moved = _as_seen(photos, 5, np.eye(4))
+    assert off < 4 and off < 0.6 * moved
+    assert np.median(_depth_error(photos, 5, np.eye(4))) < 0.006
+
+
+def test_depth_that_colmap_estimated_is_not_taken_for_metres(tmp_path: Path, images: list[Taken]) -> None:
+    source = write_nerfstudio(tmp_path / "in", images)
+    data = json.loads((source / "transforms.json").read_text())
+    for number, frame in enumerate(data["frames"]):
+        frame["colmap_im_id"] = number
+    (source / "transforms.json").write_text(json.dumps(data))
+    photos = read_recording(source, tmp_path / "out")
+    assert not photos.metric and photos.depths == ()
+
+
+def test_colmaps_images_with_a_camera_each_become_those_of_one(tmp_path: Path, images: list[Taken]) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    source = tmp_path / "in"
+    (source / "images").mkdir(parents=True)
+    (source / "sparse").mkdir()
+    model = pycolmap.Reconstruction()
+    for number, one in enumerate(images):
+        Image.fromarray(one.image).save(source / "images" / f"{number}.png")
+        params = [one.K[0, 0], one.K[1, 1], one.K[0, 2], one.K[1, 2]]
+        model.add_camera_with_trivial_rig(
+            pycolmap.Camera(camera_id=number + 1, model="PINHOLE", width=WIDTH, height=HEIGHT, params=params)
+        )
+        pose = pycolmap.Rigid3d(np.linalg.inv(one.pose)[:3])
+        image = pycolmap.Image(
+            name=f"{number}.png", keypoints=np.zeros((0, 2)), camera_id=number + 1, image_id=number + 1
+        )
+        model.add_image_with_trivial_frame(image, pose)
+    model.write(source / "sparse")
+    photos = read_recording(source, tmp_path / "out")
+    assert (photos.width, photos.metric, photos.up) == (WIDTH, False, None), "nothing tells that it lies on its side"
+    off, moved = _as_seen(photos, 5, np.eye(4))
+    assert off < 4 and off < 0.6 * moved
+
+
+def test_the_sharpest_image_of_each_stretch_is_taken_and_kept(tmp_path: Path) -> None:
+    images, sharp = taken(18), [1, 3, 8, 10, 14, 15]
+    for number, one in enumerate(images):
+        if number not in sharp:
+            one.image[:] = Image.fromarray(one.image).filter(ImageFilter.GaussianBlur(3))
+    source = write_record3d(tmp_path / "in", images)
+    photos = read_recording(source, tmp_path / "out", count=(6, 6))
+    assert [round(10 * seconds) for seconds in photos.seconds.tolist()] == sharp
+    expected = torch.from_numpy(np.array([images[number].arkit[:3, 3] for number in sharp]))
+    assert photos.camera_to_world is not None
+    torch.testing.assert_close(photos.camera_to_world[:, :3, 3], expected)
+    stamp = photos.paths[0].stat().st_mtime_ns
+    told: list[str] = []
+    again = read_recording(source, tmp_path / "out", (6, 6), progress=lambda what, *_: told.append(what))
+    assert again.paths[0].stat().st_mtime_ns == stamp and not told
+    assert again.camera_to_world is not None and torch.equal(again.camera_to_world, photos.camera_to_world)
+    assert len(read_recording(source, tmp_path / "out", (6, 6), longest=80).paths) == 6
+    assert Image.open(photos.paths[0]).size == (60, 80)
+
+
+def test_a_read_that_breaks_leaves_nothing(tmp_path: Path, images: list[Taken]) -> None:
+    source = write_polycam(tmp_path / "in", images)
+    next((source / "keyframes" / "depth").glob("*.png")).write_bytes(b"\x89PNG")
+    with pytest.raises(CaptureError, match=r"depth.*expected a whole PNG"):
+        read_recording(source, tmp_path / "out")
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_one_camera_sees_nothing_that_an_image_does_not_show() -> None:
+    lenses = [
+        Lens(320, 240, 260, 260, 160, 120),
+        Lens(320, 240, 263, 262, 156, 121),
+        Lens(320, 240, 261, 260, 163, 118),
+    ]
+    camera, boxes = one_camera("here", lenses)
+    assert camera.fx / camera.fy == pytest.approx(261 / 260) and (camera.cx, camera.cy) == (160, 120)
+    assert (boxes[:, :2] >= 0).all() and (boxes[:, 2:] <= [320, 240]).all()
+    assert min(boxes[:, :2].min(), (np.array([320, 240]) - boxes[:, 2:]).min()) == pytest.approx(0, abs=1e-9)
+    for lens, (left, upper, right, lower) in zip(lenses, boxes, strict=True):  # the same ray in both
+        x, y = (50 - camera.cx) / camera.fx, (200 - camera.cy) / camera.fy
+        assert lens.fx * x + lens.cx == pytest.approx(left + 50 / 320 * (right - left))
+        assert lens.fy * y + lens.cy == pytest.approx(upper + 200 / 240 * (lower - upper))
+    _, boxes = one_camera("here", lenses, border=10)
+    assert (boxes[:, :2] >= 10 - 1e-9).all() and (boxes[:, 2:] <= [310 + 1e-9, 230 + 1e-9]).all()
+    same, boxes = one_camera("here", lenses[:1] * 3)
+    assert same == lenses[0] and (boxes == [0, 0, 320, 240]).all()
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        (Lens(240, 320, 260, 260, 120, 160), "expected images of one size and one camera, got 240 × 320 and 320 × 240"),
+        (Lens(320, 240, 130, 130, 160, 120), "expected one camera, got focal lengths from 130 to 260 pixels"),
+        (Lens(320, 240, 260, 260, 210, 120), "a centre that moves by 16 % of the width"),
+    ],
+)
+def test_images_of_two_cameras_are_refused(other: Lens, message: str) -> None:
+    with pytest.raises(CaptureError, match=f"here: .*{message}"):
+        one_camera("here", [Lens(320, 240, 260, 260, 160, 120), other])
+
+
+def test_intrinsics_of_another_image_size_are_refused() -> None:
+    with pytest.raises(CaptureError, match=r"near the middle of 640 × 480 pixels, got \(960, 720\)"):
+        one_camera("here", [Lens(640, 480, 1600, 1600, 960, 720)])
+
+
+@pytest.mark.parametrize(("turns", "right"), [(0, (1, 0, 0)), (1, (0, 0, 1)), (2, (-1, 0, 0)), (3, (0, 0, -1))])
+def test_images_are_turned_upright(turns: int, right: tuple[int, int, int]) -> None:
+    pose = np.eye(4)
+    forward = np.array([0.0, 1.0, 0.0])
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], 1)
+    assert quarter_turns(np.stack([pose] * 2), np.array([0.0, 0.0, 1.0])) == turns
+    assert quarter_turns(np.stack([pose] * 2), None) == 0
+
+
+def test_polycams_corrected_images_go_before_the_plain_ones_and_lose_their_black_border(
+    tmp_path: Path, images: list[Taken]
+) -> None:
+    plain = [Taken(one.pose, one.K, np.zeros_like(one.image), one.depth, one.confidence) for one in images]
+    for one in images:
+        one.image[:2] = one.image[-2:] = 0
+    source = write_polycam(tmp_path / "in", plain)
+    write_polycam(source / "corrected", images, corrected=True)
+    for name in ("corrected_images", "corrected_cameras"):
+        (source / "corrected" / "keyframes" / name).rename(source / "keyframes" / name)
+    photos = read_recording(source, tmp_path / "out")
+    shown = np.asarray(Image.open(photos.paths[2])).astype(float)
+    assert min(shown[:, 0].mean(), shown[:, -1].mean(), shown[0].mean()) > 60
+    off, moved = _as_seen(photos, 2, ARKIT_FROM_ROOM)
+    assert off < 0.7 * moved and np.median(_depth_error(photos, 2, ARKIT_FROM_ROOM)) < 0.006
+
+
+def test_stray_scanners_camera_serves_frames_without_one_of_their_own(tmp_path: Path) -> None:
+    source = write_stray(tmp_path / "in", taken(3, steady=True))
+    rows = [",".join(row.split(",")[:9]) for row in (source / "odometry.csv").read_text().splitlines()]
+    (source / "odometry.csv").write_text("\n".join(rows))
+    (source / "camera_matrix.csv").write_text("260.0, 0.0, 163.0\n0.0, 260.0, 118.0\n0.0, 0.0, 1.0")
+    photos = read_recording(source, tmp_path / "out")
+    expected = torch.tensor([[260, 0, 118], [0, 260, 320 - 163], [0, 0, 1]]).double()
+    torch.testing.assert_close(photos.K, expected)
+
+
+def test_record3d_may_begin_at_the_first_cameras_own_axes(tmp_path: Path, images: list[Taken]) -> None:
+    first = np.linalg.inv(images[0].arkit @ np.diag([1, -1, -1, 1]))
+    poses = [first @ one.arkit @ np.diag([1, -1, -1, 1]) for one in images]
+
+    def written(pose: np.ndarray) -> list[float]:
+        from scipy.spatial.transform import Rotation
+
+        return [*Rotation.from_matrix(pose[:3, :3]).as_quat().tolist(), *pose[:3, 3].tolist()]
+
+    relative = [written(pose) for pose in poses]
+    source = write_record3d(tmp_path / "a", images, poses=relative)
+    photos = read_recording(source, tmp_path / "out")
+    assert photos.up is None and photos.metric and (photos.width, photos.height) == (WIDTH, HEIGHT)
+    source = write_record3d(tmp_path / "b", images, poses=relative, initPose=written(np.linalg.inv(first)))
+    photos = read_recording(source, tmp_path / "out")
+    assert photos.up is not None and _as_seen(photos, 4, ARKIT_FROM_ROOM)[0] < 4
+
+
+def test_record3ds_older_files_have_one_camera_and_no_times(tmp_path: Path) -> None:
+    images = taken(3, steady=True)
+    source = write_record3d(tmp_path / "in", images, perFrameIntrinsicCoeffs=None, frameTimestamps=None)
+    photos = read_recording(source, tmp_path / "out")
+    expected = torch.tensor([[260, 0, 118], [0, 260, 320 - 163], [0, 0, 1]]).double()
+    torch.testing.assert_close(photos.K, expected)
+    assert photos.seconds.tolist() == pytest.approx([0, 0.1, 0.2])
+
+
+def test_a_recording_without_depth_has_none(tmp_path: Path, images: list[Taken]) -> None:
+    source = write_record3d(tmp_path / "in", images)
+    for file in (source / "rgbd").glob("*.depth"):
+        file.unlink()
+    assert read_recording(source, tmp_path / "out").depths == ()
+    source = write_polycam(tmp_path / "half", images)
+    sorted((source / "keyframes" / "depth").iterdir())[0].unlink()
+    photos = read_recording(source, tmp_path / "other")
+    empty = [not np.asarray(Image.open(path)).any() for path in photos.depths]
+    assert sorted(empty) == [False] * 7 + [True]
+
+
+def test_names_in_an_archive_lead_nowhere(tmp_path: Path, images: list[Taken]) -> None:
+    source = write_r3d(tmp_path / "a.r3d", images[:3])
+    with zipfile.ZipFile(source, "a") as archive:
+        archive.writestr("../../evil.jpg", b"evil")
+        archive.writestr("rgbd/../../1.jpg", b"evil")
+        archive.writestr("/rgbd/9.jpg", b"evil")
+    before = {path for path in tmp_path.rglob("*") if "shots" not in path.parts}
+    assert len(read_recording(source, tmp_path / "out").paths) == 3
+    assert {path for path in tmp_path.rglob("*") if "shots" not in path.parts} == before | {tmp_path / "out"}
+
+
+def test_packed_depth_that_unpacks_to_more_is_not_unpacked(tmp_path: Path, images: list[Taken]) -> None:
+    import imagecodecs
+
+    source = write_record3d(tmp_path / "in", images)
+    (source / "rgbd" / "2.depth").write_bytes(imagecodecs.lzfse_encode(bytes(1 << 26)))
+    files = record3d.Files(source)
+    tracemalloc.start()
+    with pytest.raises(CaptureError, match=r"rgbd/2\.depth: expected 12,288 bytes once unpacked, got more"):
+        record3d.read_depth_of(files, "rgbd/2.depth", None, SENSOR[::-1])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 20
+    with pytest.raises(CaptureError, match=r"rgbd/2\.depth: expected 12,288 bytes once unpacked, got more"):
+        read_recording(source, tmp_path / "out")
+
+
+def test_an_entry_that_unpacks_to_more_than_is_allowed_is_not_unpacked(
+    tmp_path: Path, images: list[Taken], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = write_r3d(tmp_path / "a.r3d", images[:3])
+    monkeypatch.setattr(record3d, "MAX_BYTES", 100)
+    with pytest.raises(CaptureError, match=r"a\.r3d: metadata: could not be read: expected at most 100 bytes, got \d+"):
+        read_recording(source, tmp_path / "out")
+
+
+def test_depth_needs_the_package_that_unpacks_it(
+    tmp_path: Path, images: list[Taken], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(record3d, "needed", lambda name: optional.needed("a_package_that_is_not_here"))
+    with pytest.raises(ImportError, match=r"pip install 'splatrl\[capture\]'"):
+        read_recording(write_record3d(tmp_path / "in", images), tmp_path / "out")
+
+
+def _broken_polycam(folder: Path, images: list[Taken]) -> Path:
+    source = write_polycam(folder, images)
+    next((source / "keyframes" / "cameras").iterdir()).write_text('{"fx": 1}')
+    return source
+
+
+def _polycam_without_cameras(folder: Path, images: list[Taken]) -> Path:
+    source = write_polycam(folder, images)
+    for file in (source / "keyframes" / "cameras").iterdir():
+        file.unlink()
+    return source
+
+
+def _stray(folder: Path, images: list[Taken], file: str, content: str) -> Path:
+    source = write_stray(folder, images)
+    (source / file).write_text(content)
+    return source
+
+
+def _small_confidence(folder: Path, images: list[Taken]) -> Path:
+    source = write_stray(folder, images)
+    Image.new("L", (8, 6)).save(source / "confidence" / "000001.png")
+    return source
+
+
+def _archive(folder: Path, content: bytes) -> Path:
+    folder.with_suffix(".r3d").write_bytes(content)
+    return folder.with_suffix(".r3d")
+
+
+HEADER = "timestamp, frame, x, y, z, qx, qy, qz, qw\n"
+
+
+@pytest.mark.parametrize(
+    ("write", "message"),
+    [
+        (_broken_polycam, r"\.json: expected a camera of Polycam"),
+        (_polycam_without_cameras, "expected images with a camera of the same name each, found none"),
+        (lambda f, i: _stray(f, i, "odometry.csv", "x, y\n1, 2\n"), "odometry.csv: expected a row for each frame"),
+        (lambda f, i: _stray(f, i, "odometry.csv", HEADER), "odometry.csv: expected a row for each frame"),
+        (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, 0, 0, 0, 0, 0, 0, 0"), "a number in every column"),
+        (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, 0, 0, 0, nan, 0, 0, 0, 1"), "finite numbers"),
+        (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, 0, 0, 0, 0, 0, 0, 0, 0"), "finite places and quat"),
+        (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, .5, 0, 0, 0, 0, 0, 0, 1"), "frame: expected ascending"),
+        (lambda f, i: _stray(f, i, "camera_matrix.csv", "1, 2\n3, 4"), "expected 3 rows of 3 numbers"),
+        (lambda f, i: _stray(f, i, "rgb.mp4", "no video"), r"rgb\.mp4: expected a whole video"),
+        (_small_confidence, r"000001\.png: expected depth of the size"),
+        (lambda f, i: _archive(f, b"RED's own"), r"\.r3d: expected Record3D's ZIP archive"),
+        (lambda f, i: write_record3d(f, i, poses=[[0, 0, 0, 1, 0, 0, 0]] * 8), "more than one place"),
+        (lambda f, i: write_record3d(f, i, poses=[[0, 0, 0, 1]] * 8), "metadata: expected what Record3D writes"),
+        (lambda f, i: write_record3d(f, i, poses=[]), "expected at least one image"),
+        (lambda f, i: write_record3d(f, i, w=None), "metadata: expected what Record3D writes"),
+        (lambda f, i: write_record3d(f, i, w=200), "expected"),
+        (lambda f, i: write_record3d(f, i, dw=10**9), "dh, dw: expected a size"),
+        (lambda f, i: write_record3d(f, i, dw=10), "expected 1,920 bytes once unpacked, got more"),
+        (lambda f, i: write_record3d(f, i, dw=100), "expected 19,200 bytes once unpacked, got 12,288"),
+        (lambda f, i: write_record3d(f, i, perFrameIntrinsicCoeffs=[[0, 0, 0, 0]] * 8), "finite intrinsics"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_a_line(
+    tmp_path: Path, images: list[Taken], write: object, message: str
+) -> None:
+    source = write(tmp_path / "in", images)  # type: ignore[operator]
+    with pytest.raises(CaptureError, match=message) as refused:
+        read_recording(source, tmp_path / "out")
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "depth/none.png"])
+def test_depth_outside_the_recording_is_refused(tmp_path: Path, images: list[Taken], name: str) -> None:
+    Image.new("L", (8, 6)).save(tmp_path / "secret.png")
+    source = write_nerfstudio(tmp_path / "in", images)
+    data = json.loads((source / "transforms.json").read_text())
+    data["frames"][3]["depth_file_path"] = name
+    (source / "transforms.json").write_text(json.dumps(data))
+    with pytest.raises(CaptureError, match="expected an image"):
+        read_recording(source, tmp_path / "out")
+
+
+@pytest.mark.parametrize("kind", ["polycam", "stray", "r3d"])
+def test_a_recording_becomes_a_scene_that_stands_upright_in_metres(
+    tmp_path: Path, images: list[Taken], kind: str
+) -> None:
+    for package in ("cv2", "pycolmap"):
+        pytest.importorskip(package)
+    said: list[str] = []
+    settings = CaptureSettings(fit=FitSettings(width=64, cap=1500, views=30))
+    capture(KINDS[kind](tmp_path / "in", images), tmp_path / "room", settings, say=said.append)
+    assert "8 of 240 × 320 pixels, with poses and depth" in said[0]
+    assert "8 of 8 images" in said[1] and "up by recorded, scale by recorded" in said[2]
+    stated = read_description(tmp_path / "room")
+    height = float(np.median([pose[2, 3] for pose in walk(8)])) + HALF[2]
+    assert stated["metric"] and stated["robot_height"] == pytest.approx(height, abs=0.05)
+    assert stated["quality"]["scale_from"] == stated["quality"]["up_from"] == "recorded"
