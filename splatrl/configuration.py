@@ -24,6 +24,7 @@ from splatrl.files import replacing
 from splatrl.native import _core
 from splatrl.scene_overrides import scene_overrides
 from splatrl.scenes.description import SCENE_FILE, read_description
+from splatrl.scenes.nerfstudio import antialiased_beside
 from splatrl.targets import check_targets
 from splatrl.values import require_number
 
@@ -135,14 +136,17 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
 
 
 def _proposals(overrides: Sequence[str], name: str) -> list[str]:
-    """What the folder of the chosen scene proposes for the chosen task, as overrides; nothing without such a folder."""
+    """What the chosen scene's folder, or what lies beside its file, proposes for the chosen task, as overrides."""
     paths = [override for override in overrides if override.startswith("scene.path=")]
     if "scene=file" not in overrides or not paths:
         return []
     try:
         path = OverridesParser.create().parse_override(paths[-1]).value()
-        folder = Path(path.text if isinstance(path, QuotedString) else str(path)).expanduser()
-        stated = read_description(folder) if (folder / SCENE_FILE).is_file() else {}
+        place = Path(path.text if isinstance(path, QuotedString) else str(path)).expanduser()
+        stated = read_description(place) if (place / SCENE_FILE).is_file() else {}
+        drawn = antialiased_beside(place / stated["splat"] if stated else place)
+        if drawn is not None:
+            stated.setdefault("antialiased", drawn)
         configs = _choices(overrides, name) if stated else []
     except HydraException:
         return []  # Hydra itself tells what is wrong with the overrides

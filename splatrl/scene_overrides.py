@@ -8,6 +8,7 @@ TARGETS = {
     "voxel_size": ("collision.occupancy.resolution",),
     "goal": ("landmarks.goal",),
     "object": ("landmarks.object",),
+    "antialiased": ("renderer.antialiased",),
     "step": ("task.motion.step", "task.motion.spacing"),
 }
 """Keys of a ``scene.yaml``, and the keys of a config that take their values."""
@@ -18,8 +19,8 @@ CORNERS = ("task.motion.lower", "task.motion.upper")
 def scene_overrides(stated: Mapping[str, Any], has: Callable[[str], bool]) -> list[str]:
     """Overrides in Hydra's grammar that say what a ``scene.yaml`` proposes.
 
-    They hold numbers and lists of numbers and nothing else, so that a file from elsewhere can neither name a class to
-    build nor refer to other values.
+    They hold numbers, lists of numbers, true and false, and nothing else, so that a file from elsewhere can neither
+    name a class to build nor refer to other values.
 
     Args:
         stated: keys and values that ``read_description`` read and checked.
@@ -33,4 +34,6 @@ def scene_overrides(stated: Mapping[str, Any], has: Callable[[str], bool]) -> li
 def _written(value: Any) -> str:
     if isinstance(value, list):
         return f"[{','.join(map(_written, value))}]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
     return repr(float(value))

@@ -4,15 +4,17 @@ import argparse
 import sys
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from splatrl.evaluation.scene_pictures import draw_scene, survey_occupancy
-from splatrl.scenes.description import check_absent, write_description
+from splatrl.scenes.description import check_absent, read_description, write_description
 from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.frame import similarity
 from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.nerfstudio import DATAPARSER, antialiased_beside, stands, transform_beside
 from splatrl.scenes.placement import floor_height, metres_per_unit, nerfstudio_transform
 from splatrl.scenes.scene import Scene, robust_bounds
 from splatrl.scenes.sources import read_scene
@@ -33,7 +35,12 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--scale", type=float, help="metres per unit of the file")
     result.add_argument("--translation", metavar="X Y Z", help="metres, added last")
     result.add_argument("--matrix", metavar="M", help="16 numbers, row by row: from the file to world metres")
-    result.add_argument("--nerfstudio", type=Path, metavar="JSON", help="dataparser_transforms.json to undo")
+    result.add_argument(
+        "--nerfstudio",
+        type=Path,
+        metavar="JSON",
+        help="dataparser_transforms.json to undo; by default the one beside the file",
+    )
     result.add_argument("--distance", metavar="P Q D", help="two points of the file and the metres between: 7 numbers")
     result.add_argument("--out", type=Path, help="folder for scene.yaml and pictures; by default the file's folder")
     result.add_argument("--force", action="store_true", help="replace an existing scene.yaml")
@@ -67,18 +74,24 @@ def look(options: argparse.Namespace) -> None:
             raise ValueError(
                 f"{path}: expected no frame options for a folder; edit its scene.yaml, or name the splat file"
             )
-        scene = read_scene(path)
-        draw(scene, print_guess(scene.gaussians, [0.0, 0.0, 1.0]).floor, options, out)
+        scene, proposed = read_scene(path), read_description(path)
+        drawn = proposed.get("antialiased", antialiased_beside(path / proposed["splat"]))
+        draw(scene, print_guess(scene.gaussians, [0.0, 0.0, 1.0]).floor, options, out, drawn)
         return
     check_absent(out, options.force)
     gaussians = read_gaussians(path)
+    if all(getattr(options, name) is None for name in ("axes", "matrix", "nerfstudio", "translation")):
+        stated = beside(path, stated)
     upright = print_guess(gaussians, stated.up())
     frame = stated.frame(upright)
     world_from_splat = similarity(**frame)
     standing = gaussians.transformed(world_from_splat)
     scene = Scene(path.stem, standing, robust_bounds(standing))
-    draw(scene, floor_height(upright, world_from_splat), options, out)
-    print(f"wrote       {write_description(out, path.name, scene.name, frame, scene.bounds, options.force)}")
+    drawn = antialiased_beside(path)
+    draw(scene, floor_height(upright, world_from_splat), options, out, drawn)
+    proposals = {} if drawn is None else {"antialiased": drawn}
+    written = write_description(out, path.name, scene.name, frame, scene.bounds, options.force, proposals)
+    print(f"wrote       {written}")
     if out.resolve() != path.parent.resolve():
         print(f"            put {path.name} beside it: a folder with both is a scene")
 
@@ -91,11 +104,23 @@ def print_guess(gaussians: Gaussians, up: list[float] | None) -> Upright:
     return upright
 
 
-def draw(scene: Scene, floor: float, options: argparse.Namespace, out: Path) -> None:
-    """Print what is solid and draw the pictures."""
+def beside(path: Path, stated: StatedFrame) -> StatedFrame:
+    """What is stated about a file's frame, with what nerfstudio left beside the file."""
+    transform = transform_beside(path)
+    if transform is None:
+        return stated
+    if stands(transform):
+        print(f"frame       by {DATAPARSER} beside it")
+        return replace(stated, transform=transform)
+    print(f"frame       its scale by {DATAPARSER} beside it, whose own frame is not z up")
+    return stated if stated.scale is not None else replace(stated, scale=float(transform[2, :3].norm()))
+
+
+def draw(scene: Scene, floor: float, options: argparse.Namespace, out: Path, antialiased: bool | None) -> None:
+    """Print what is solid and draw the pictures; antialiased where nothing says how."""
     occupancy = survey_occupancy(scene, options.resolution)
     print(occupancy.report())
-    for picture in draw_scene(scene, occupancy, floor, options.height, out):
+    for picture in draw_scene(scene, occupancy, floor, options.height, out, antialiased is not False):
         print(f"drew        {picture}")
 
 

@@ -40,7 +40,9 @@ def survey_occupancy(scene: Scene, resolution: float | None = None) -> Occupancy
     return Occupancy.from_gaussians(scene.gaussians, edge, DensitySettings(min_volume=_SMALLEST_PIECE * edge**3), crop)
 
 
-def draw_scene(scene: Scene, occupancy: Occupancy, floor: float, height: float, folder: Path) -> list[Path]:
+def draw_scene(
+    scene: Scene, occupancy: Occupancy, floor: float, height: float, folder: Path, antialiased: bool = True
+) -> list[Path]:
     """Draw free space at a robot's height, the occupancy, and a view from eye height.
 
     Args:
@@ -49,6 +51,7 @@ def draw_scene(scene: Scene, occupancy: Occupancy, floor: float, height: float, 
         floor: height of the floor, metres.
         height: height of the robot, metres; at most half the scene's height is used, since its units may be wrong.
         folder: folder for the pictures, created if it does not exist.
+        antialiased: whether the view is to be drawn so; False is the classic 3DGS image.
 
     Returns:
         The files: ``<name>-free.png``, ``<name>-occupancy.png`` and ``<name>-view.png``.
@@ -64,7 +67,8 @@ def draw_scene(scene: Scene, occupancy: Occupancy, floor: float, height: float, 
     files = [folder / f"{scene.name}-{kind}.png" for kind in ("free", "occupancy", "view")]
     draw_maps(occupancy, files[0], round(floor + 0.5 * body, 3), round(floor + body, 3))
     draw_blocks(occupancy, files[1], below=floor + 0.85 * room, quarter_turns=open_corner(occupancy))
-    image = Image.fromarray(eye_view(scene.gaussians, occupancy, scene.bounds, floor, floor + eye).numpy())
+    view = eye_view(scene.gaussians, occupancy, scene.bounds, floor, floor + eye, antialiased=antialiased)
+    image = Image.fromarray(view.numpy())
     with replacing(files[2]) as stream:
         image.save(stream, "PNG")
     return files

@@ -26,6 +26,7 @@ def eye_view(
     height: float,
     width: int = 960,
     rows: int = 640,
+    antialiased: bool = True,
 ) -> Tensor:
     """Draw a scene from a free place at eye height, looking across its middle.
 
@@ -37,6 +38,7 @@ def eye_view(
         height: height of the eye, world, metres.
         width: width of the image, pixels.
         rows: height of the image, pixels.
+        antialiased: whether it is to be drawn so; False is the classic 3DGS image.
 
     Returns:
         [rows, width, 3] uint8.
@@ -47,7 +49,7 @@ def eye_view(
     drop = 0.2 * away if height < bounds[1][2] else height - floor
     camera_to_world = look_at([*place, height], [*middle[:2].tolist(), height - drop])
     cameras = Cameras(camera_to_world[None], intrinsics(FOV, width, rows), width, rows)
-    return NativeRenderer(gaussians).pixels(cameras)[0].cpu()
+    return NativeRenderer(gaussians, antialiased).pixels(cameras)[0].cpu()
 
 
 def standing_place(occupancy: Occupancy, bounds: Bounds, height: float) -> list[float]:

@@ -20,6 +20,7 @@ COMMENTS = {
     "scale": "metres per unit of the file",
     "translation": "metres, added last",
     "matrix": "from the file's coordinates to world metres: a rotation times one scale, and a shift",
+    "antialiased": "how it is to be drawn, as it was trained; false: classic 3DGS images",
     "metric": "whether a unit is a metre; false: nothing told the scale",
     "robot_height": "of the robot's camera, metres: that of the camera that filmed",
     "walk": "lower and upper corner of where robots walk, x and y in metres: where people walked",

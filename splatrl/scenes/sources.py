@@ -14,6 +14,7 @@ from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.formats.limits import MAX_INFLATION
 from splatrl.scenes.formats.reading import META
 from splatrl.scenes.frame import checked_similarity, similarity
+from splatrl.scenes.nerfstudio import DATAPARSER, stands, transform_beside
 from splatrl.scenes.scene import Bounds, FreeSpace, Point, Scene, robust_bounds
 from splatrl.scenes.yard import backyard_gaussians
 from splatrl.scenes.yard.layout import HALF_WIDTH
@@ -63,7 +64,8 @@ def read_scene(
     Args:
         path: of a splat file or a folder.
         world_from_splat: the arguments of ``similarity`` by name, None standing for the default, or a 4×4 tensor.
-            Without it, splat coordinates are world metres.
+            Without it, the frame is that of nerfstudio's ``dataparser_transforms.json`` where there is one beside the
+            file, and otherwise splat coordinates are world metres.
         bounds: lower and upper corner, world, metres; by default where the opaque Gaussians are.
         name: by default that of the file or folder.
         max_inflation: as in ``read_gaussians``.
@@ -87,6 +89,14 @@ def read_scene(
         splat = splat / stated["splat"]
     gaussians = read_gaussians(splat, max_inflation)
     transform = _transform(stated.get("world_from_splat"), world_from_splat)
+    if transform is None:
+        transform = transform_beside(splat)
+        if transform is not None and not stands(transform):
+            warnings.warn(
+                f"{splat}: {DATAPARSER} places it in the frame of its cameras, which is not z up: splatrl-scene finds "
+                "how it lies, or state world_from_splat",
+                stacklevel=2,
+            )
     if transform is not None:
         gaussians = gaussians.transformed(transform)
     corners = stated.get("bounds") if bounds is None else bounds

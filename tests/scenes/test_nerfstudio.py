@@ -1,0 +1,169 @@
+"""A splat that nerfstudio trained comes back to the frame of its cameras, and is drawn as it was trained."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from splatrl.commands.scene import main
+from splatrl.configuration import load_config, run_config, save_config, with_scene_paths
+from splatrl.evaluation.scene_pictures import draw_scene
+from splatrl.scenes import Gaussians, read_scene, similarity, write_gaussians
+from splatrl.scenes.description import read_description
+from splatrl.scenes.nerfstudio import antialiased_beside
+from tests.scenes.samples import assert_same, sample_gaussians
+from tests.scenes.test_survey import BOXES, FLOOR, surfaces
+
+CONFIG = """!!python/object:nerfstudio.engine.trainer.TrainerConfig
+_target: !!python/name:nerfstudio.engine.trainer.Trainer ''
+evil: !!python/object/apply:os.system ['touch evil']
+pipeline:
+  model: !!python/object:nerfstudio.models.splatfacto.SplatfactoModelConfig
+    rasterize_mode: {}
+    sh_degree: 3
+"""
+SCALE = 0.25
+
+
+def turned_about_z(yaw: float, tilt: float = 0.0) -> torch.Tensor:
+    """What nerfstudio does to cameras whose frame is z up: a turn, a little tilt, and a shift."""
+    c, s, ct, st = math.cos(yaw), math.sin(yaw), math.cos(tilt), math.sin(tilt)
+    turn = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ torch.tensor([[1, 0, 0], [0, ct, -st], [0, st, ct]])
+    return torch.cat([turn, torch.tensor([[0.5], [2.0], [-1.0]])], 1).double()
+
+
+def trained(
+    folder: Path, captured: Gaussians, moved: torch.Tensor, mode: str | None = None, name: str = "splat.ply"
+) -> Path:
+    """What nerfstudio exports of Gaussians in the frame of the cameras: x_splat = SCALE · (R x + t)."""
+    folder.mkdir(exist_ok=True)
+    whole = torch.cat([SCALE * moved, torch.tensor([[0.0, 0, 0, 1]], dtype=torch.float64)])
+    write_gaussians(folder / name, captured.transformed(whole))
+    (folder / "dataparser_transforms.json").write_text(json.dumps({"transform": moved.tolist(), "scale": SCALE}))
+    if mode is not None:
+        (folder / "config.yml").write_text(CONFIG.format(mode))
+    return folder / name
+
+
+def test_a_splat_comes_in_upright_metric_and_with_its_harmonics_turned(tmp_path: Path) -> None:
+    captured = sample_gaussians(30, degree=3)
+    splat = trained(tmp_path / "ns", captured, turned_about_z(2.0, 0.3))
+    assert_same(read_scene(splat).gaussians, captured, atol=1e-5)
+    splat.with_name("dataparser_transforms.json").unlink()
+    assert not torch.allclose(read_scene(splat).gaussians.means, captured.means, atol=0.1)
+
+
+def test_what_is_stated_goes_before_the_file_beside(tmp_path: Path) -> None:
+    captured = sample_gaussians(9, degree=1)
+    splat = trained(tmp_path / "ns", captured, turned_about_z(2.0))
+    raw = read_scene(splat, similarity()).gaussians
+    assert_same(read_scene(splat, {"axes": ["x", "-z", "y"]}).gaussians, raw.transformed(similarity(["x", "-z", "y"])))
+    (splat.parent / "scene.yaml").write_text("splat: splat.ply\nworld_from_splat: {scale: 3.0}\n")
+    assert_same(read_scene(splat.parent).gaussians, raw.transformed(similarity(scale=3.0)))
+    (splat.parent / "scene.yaml").write_text("splat: splat.ply\nname: yard\n")
+    assert_same(read_scene(splat.parent).gaussians, captured, atol=1e-5)
+
+
+def test_a_frame_that_is_not_z_up_is_warned_of(tmp_path: Path) -> None:
+    captured = sample_gaussians(9, degree=0)
+    from_y_up = torch.tensor([[1.0, 0, 0, 0.5], [0, 0, -1, 2], [0, 1, 0, -1]]).double()
+    splat = trained(tmp_path / "ns", captured, from_y_up)
+    with pytest.warns(UserWarning, match=r"splat\.ply: dataparser_transforms\.json .* not z up: splatrl-scene"):
+        assert_same(read_scene(splat).gaussians, captured, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ('{"transform": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}', "expected a rotation and a shift"),
+        ('{"transform": [[1, 0, 0, NaN], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}', "3 rows of 4 finite numbers"),
+        ('{"transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": Infinity}', "finite number above 0"),
+        ('{"transform": [[1, 0, 0, 1e999], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}', "3 rows of 4 finite numbers"),
+        (f'{{"transform": [[{10**400}, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}}', "expected numbers"),
+        ("[" * 100_000, "expected JSON"),
+        (" " * (2**20 + 1), "expected at most 1,048,576 bytes"),
+    ],
+)
+def test_a_file_beside_that_makes_no_sense_is_one_line_of_error(tmp_path: Path, content: str, message: str) -> None:
+    splat = trained(tmp_path / "ns", sample_gaussians(9, degree=0), turned_about_z(1.0))
+    splat.with_name("dataparser_transforms.json").write_text(content)
+    with pytest.raises(ValueError, match=rf"dataparser_transforms\.json: .*{message}") as refused:
+        read_scene(splat)
+    assert "\n" not in str(refused.value)
+    with pytest.raises(SystemExit, match=rf"splatrl-scene: .*{message}"):
+        main([str(splat)])
+
+
+@pytest.mark.parametrize(("mode", "antialiased"), [("classic", False), ("antialiased", True), ("'classic'", False)])
+def test_a_splat_is_drawn_as_it_was_trained(tmp_path: Path, mode: str, antialiased: bool) -> None:
+    splat = trained(tmp_path / "ns", sample_gaussians(9, degree=0), turned_about_z(1.0), mode)
+    overrides = [f"scene={splat}", "robot.height=1", "landmarks.goal=[0,0,0]"]
+    cfg = load_config(overrides)
+    assert cfg.renderer.antialiased is cfg.renderer.cpu.antialiased is antialiased
+    save_config(cfg, tmp_path)
+    assert run_config(tmp_path).renderer.cpu.antialiased is antialiased
+    assert load_config([f"renderer.antialiased={not antialiased}", *overrides]).renderer.antialiased is not antialiased
+    assert load_config([*overrides, "renderer=reference"]).renderer.antialiased is antialiased
+    assert not (tmp_path / "evil").exists() and not Path("evil").exists()
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["rasterize_mode: other", "a: 'rasterize_mode: classic'", "rasterize_mode: classic\nrasterize_mode: antialiased"],
+)
+def test_where_no_mode_is_said_none_is_made_up(tmp_path: Path, content: str) -> None:
+    splat = trained(tmp_path / "ns", sample_gaussians(9, degree=0), turned_about_z(1.0))
+    (splat.parent / "config.yml").write_text(content)
+    assert antialiased_beside(splat) is None
+    assert with_scene_paths([f"scene={splat}"]) == ["scene=file", f"scene.path='{splat}'"]
+
+
+def test_a_folders_own_word_goes_before_the_config_beside_its_splat(tmp_path: Path) -> None:
+    splat = trained(tmp_path / "ns", sample_gaussians(9, degree=0), turned_about_z(1.0), "classic")
+    (splat.parent / "scene.yaml").write_text("splat: splat.ply\nrobot_height: 1.0\n")
+    assert load_config([f"scene={splat.parent}"]).renderer.antialiased is False
+    (splat.parent / "scene.yaml").write_text("splat: splat.ply\nrobot_height: 1.0\nantialiased: true\n")
+    assert load_config([f"scene={splat.parent}"]).renderer.antialiased is True
+    (splat.parent / "scene.yaml").write_text("splat: splat.ply\nantialiased: 1\n")
+    with pytest.raises(ValueError, match=r"scene\.yaml: antialiased: expected true or false, got 1"):
+        load_config([f"scene={splat.parent}"])
+
+
+def test_splatrl_scene_takes_frame_and_mode_from_beside_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[bool] = []
+
+    def draw(*arguments: object) -> list[Path]:
+        drawn.append(bool(arguments[-1]))
+        return draw_scene(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("splatrl.commands.scene.draw_scene", draw)
+    world = surfaces([FLOOR, *BOXES])
+    for mode in ("classic", "antialiased"):
+        splat = trained(tmp_path / mode, world, turned_about_z(1.0), mode)
+        main([str(splat)])
+        assert "frame       by dataparser_transforms.json beside it" in capsys.readouterr().out
+        assert read_description(splat.parent)["antialiased"] is (mode == "antialiased")
+        torch.testing.assert_close(read_scene(splat.parent).gaussians.means, world.means, atol=1e-4, rtol=0)
+        main([str(splat.parent)])
+    assert drawn == [False, False, True, True]
+    views = [np.asarray(Image.open(tmp_path / mode / "splat-view.png")) for mode in ("classic", "antialiased")]
+    assert (views[0] != views[1]).any()
+
+
+def test_splatrl_scene_finds_up_where_the_cameras_frame_is_not_z_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    world = surfaces([FLOOR, *BOXES])
+    y_up = similarity(["x", "z", "-y"])  # the cameras' frame has +y up
+    moved = torch.tensor([[1.0, 0, 0, 0.5], [0, 0, -1, 2], [0, 1, 0, -1]]).double()
+    splat = trained(tmp_path / "ns", world.transformed(y_up), moved)
+    main([str(splat)])
+    assert "its scale by dataparser_transforms.json" in capsys.readouterr().out
+    z = read_scene(splat.parent).gaussians.means[:, 2]
+    assert (float(z.median()), float(z.max())) == pytest.approx((0.0, 1.2), abs=0.02)
