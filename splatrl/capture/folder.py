@@ -23,12 +23,11 @@ from splatrl.capture.world import Placed
 from splatrl.collision.point_clouds import write_points
 from splatrl.files import replacing
 from splatrl.renderers import NativeRenderer
-from splatrl.scenes import write_gaussians
-from splatrl.scenes.description import SCENE_FILE, write_description
+from splatrl.scenes import read_gaussians, write_gaussians
+from splatrl.scenes.description import SCENE_FILE, SMALL_SPLAT, SPLAT, write_description
 from splatrl.scenes.gaussians import Gaussians
 
-SPLAT, FREE = "splat.ply", "free.ply"
-REPORT, CAMERAS, GOALS = "report.html", "cameras.png", "goals.png"
+FREE, REPORT, CAMERAS, GOALS = "free.ply", "report.html", "cameras.png", "goals.png"
 GOOD_PATH, GOOD_PSNR, FEW_FLOATERS, MOST_MISSING = 0.97, 22.0, 0.005, 0.1
 """A worse capture's report says so."""
 FRAME: dict[str, Any] = {"axes": ["x", "y", "z"], "scale": 1.0, "translation": [0.0, 0.0, 0.0]}
@@ -46,6 +45,7 @@ def write_scene(
     notes: Sequence[str] = (),
     force: bool = False,
     known: Tensor | None = None,
+    splat: str = SPLAT,
 ) -> Quality:
     """Check a fitted capture and write it as a scene's folder: splat, ``scene.yaml``, report and pictures.
 
@@ -58,6 +58,7 @@ def write_scene(
         notes: what earlier stages have to say in the report, a sentence each.
         force: whether to replace a ``scene.yaml`` that is there.
         known: [N, h, w] depths of the photos' pixels, metres, 0 where unknown; None knows nothing.
+        splat: name of the splat file; ``.spz`` is small, and rounds.
 
     Raises:
         CaptureError: for a held-out image that cannot be read.
@@ -66,18 +67,19 @@ def write_scene(
     name = name or folder.resolve().name
     if (folder / SCENE_FILE).exists() and not force:
         raise FileExistsError(f"{folder / SCENE_FILE}: already exists; name another folder, or replace it by force")
-    area = survey_area(gaussians, placed, known)
-    found = suggest(placed, area)
     with _whole(folder) as fresh:
+        write_gaussians(fresh / splat, gaussians)
+        gaussians = read_gaussians(fresh / splat)  # what is checked is what was written
+        area = survey_area(gaussians, placed, known)
+        found = suggest(placed, area)
         quality = check(gaussians, placed, held_out, fresh, area, found)
         draw_cameras(placed, area, fresh / CAMERAS)
         if found.goals:
             _draw_goals(gaussians, area, found, fresh / GOALS)
-        write_gaussians(fresh / SPLAT, gaussians)
         if area.free.count:
             write_points(fresh / FREE, area.free.centers())
         proposals = _proposals(placed, area, found, quality)
-        write_description(fresh, SPLAT, name, FRAME, area.bounds, proposals=proposals)
+        write_description(fresh, splat, name, FRAME, area.bounds, proposals=proposals)
         pictures = [file for file in (COMPARISON, MAP, GOALS, CAMERAS) if (fresh / file).exists()]
         page = report_page(name, placed, area, found, quality, [*notes, *problems(placed, found, quality)], pictures)
         (fresh / REPORT).write_text(page, encoding="utf-8")
@@ -154,6 +156,8 @@ def _whole(folder: Path) -> Iterator[Path]:
         yield fresh
         if folder.exists():
             (folder / SCENE_FILE).unlink(missing_ok=True)
+            for old in (SPLAT, SMALL_SPLAT, FREE):  # they may not come anew
+                (folder / old).unlink(missing_ok=True)
             for file in sorted(fresh.iterdir(), key=lambda file: file.name == SCENE_FILE):
                 os.replace(file, folder / file.name)
         else:

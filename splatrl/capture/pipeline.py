@@ -27,7 +27,7 @@ from splatrl.capture.stereo import Depths, find_depths
 from splatrl.capture.world import Placed, place
 from splatrl.files import replacing
 from splatrl.scenes import Gaussians, read_gaussians, write_gaussians
-from splatrl.scenes.description import SCENE_FILE
+from splatrl.scenes.description import SCENE_FILE, SPLAT
 
 VERSION = 2
 """Of what the stages keep: raise it when the same settings give another result."""
@@ -47,6 +47,7 @@ class CaptureSettings:
         camera_height: of the camera above the floor on average, metres, where that tells the scale.
         distance: between two points in an image, where that tells the scale.
         marker: side of a printed marker's black square, metres.
+        splat: name of the splat file in the scene's folder; one that ends in .spz is small.
         fit: how Gaussians are fitted.
     """
 
@@ -57,6 +58,7 @@ class CaptureSettings:
     camera_height: float | None = None
     distance: Distance | None = None
     marker: float = MARKER_SIDE
+    splat: str = SPLAT
     fit: FitSettings = field(default_factory=FitSettings)
 
 
@@ -106,7 +108,8 @@ def capture(
     gaussians, carved = without_floaters(gaussians, dense_voxels(gaussians, placed), placed.reconstruction)
     say(f"fit         {gaussians.numel():,} Gaussians, {carved} voxels of floaters carved away")
     unseen = held_out(len(placed.reconstruction.paths)).tolist()
-    quality = write_scene(folder, gaussians, placed, unseen, notes=notes, force=settings.force, known=depths.far(frame))
+    known = depths.far(frame)
+    quality = write_scene(folder, gaussians, placed, unseen, None, notes, settings.force, known, settings.splat)
     say(f"check       {_words(quality)}")
     return quality
 

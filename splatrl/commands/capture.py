@@ -11,6 +11,7 @@ from splatrl.capture.fit import FitSettings
 from splatrl.capture.marker import MARKER_SIDE, write_marker_page
 from splatrl.capture.pipeline import CaptureSettings, capture
 from splatrl.capture.scale import Distance
+from splatrl.scenes.description import scene_folder
 
 INTERRUPTED = 130
 
@@ -25,7 +26,12 @@ def parser() -> argparse.ArgumentParser:
         help="a video, a folder of photos, or a recording: Polycam's raw data, Stray Scanner's, Record3D's, "
         "transforms.json, a COLMAP model",
     )
-    result.add_argument("--out", type=Path, help="folder of the scene; by default the source's name without its ending")
+    result.add_argument(
+        "--out",
+        type=Path,
+        help="folder of the scene; by default the source's name without its ending; garden.spz makes a folder garden "
+        "with a small splat",
+    )
     result.add_argument("--force", action="store_true", help="go on where a first look says no; replace a scene")
     result.add_argument("--camera-height", type=float, metavar="M", help="of the camera above the floor, metres")
     result.add_argument(
@@ -57,10 +63,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.source is None:
         command.error("expected a video or a folder of photos, or --marker")
     source = options.source.expanduser()
-    folder = (options.out or Path(source.stem)).expanduser()
+    folder, splat = scene_folder((options.out or Path(source.stem)).expanduser())
     try:
         with Bars() as bars:
-            capture(source, folder, _settings(options), bars, bars.say)
+            capture(source, folder, _settings(options, splat), bars, bars.say)
     except (ImportError, OSError, ValueError) as error:
         sys.exit(f"splatrl-capture: {error}")
     except KeyboardInterrupt:
@@ -69,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"report in {folder / 'report.html'}\ntrain in it: splatrl-train scene={folder}/")
 
 
-def _settings(options: argparse.Namespace) -> CaptureSettings:
+def _settings(options: argparse.Namespace, splat: str) -> CaptureSettings:
     distance = None
     if options.distance is not None:
         image, *rest = options.distance
@@ -81,6 +87,7 @@ def _settings(options: argparse.Namespace) -> CaptureSettings:
         camera_height=options.camera_height,
         distance=distance,
         marker=options.marker_side,
+        splat=splat,
         fit=fit,
     )
 

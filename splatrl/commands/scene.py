@@ -6,16 +6,25 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from splatrl.evaluation.scene_pictures import draw_scene, survey_occupancy
-from splatrl.scenes.description import check_absent, read_description, write_description
-from splatrl.scenes.formats import read_gaussians
+from splatrl.files import replacing
+from splatrl.scenes.description import (
+    SMALL_SPLAT,
+    check_absent,
+    read_description,
+    scene_folder,
+    write_description,
+)
+from splatrl.scenes.formats import read_gaussians, write_gaussians
 from splatrl.scenes.frame import similarity
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.nerfstudio import DATAPARSER, antialiased_beside, stands, transform_beside
 from splatrl.scenes.placement import floor_height, metres_per_unit, nerfstudio_transform
+from splatrl.scenes.proposals import PROPOSALS
 from splatrl.scenes.scene import Scene, robust_bounds
 from splatrl.scenes.sources import read_scene
 from splatrl.scenes.stated import StatedFrame
@@ -42,7 +51,12 @@ def parser() -> argparse.ArgumentParser:
         help="dataparser_transforms.json to undo; by default the one beside the file",
     )
     result.add_argument("--distance", metavar="P Q D", help="two points of the file and the metres between: 7 numbers")
-    result.add_argument("--out", type=Path, help="folder for scene.yaml and pictures; by default the file's folder")
+    result.add_argument(
+        "--out",
+        type=Path,
+        help="folder for scene.yaml and pictures; by default the file's folder; garden.spz makes a folder garden that "
+        "holds the splat too, as a small file",
+    )
     result.add_argument("--force", action="store_true", help="replace an existing scene.yaml")
     result.add_argument("--height", type=float, default=0.4, help="of the robot, metres, where free space is drawn")
     result.add_argument("--resolution", type=float, help="of the occupancy, metres; by default 0.05, or what fits")
@@ -69,16 +83,13 @@ def look(options: argparse.Namespace) -> None:
     path = options.file.expanduser()
     stated = stated_frame(options)
     out = (options.out or (path if path.is_dir() else path.parent)).expanduser()
+    out, splat = scene_folder(out)
+    small = splat == SMALL_SPLAT
+    if small or not path.is_dir():
+        check_absent(out, options.force)
     if path.is_dir():
-        if any(getattr(options, name) is not None for name in FRAME_OPTIONS):
-            raise ValueError(
-                f"{path}: expected no frame options for a folder; edit its scene.yaml, or name the splat file"
-            )
-        scene, proposed = read_scene(path), read_description(path)
-        drawn = proposed.get("antialiased", antialiased_beside(path / proposed["splat"]))
-        draw(scene, print_guess(scene.gaussians, [0.0, 0.0, 1.0]).floor, options, out, drawn)
+        look_again(options, path, out, small)
         return
-    check_absent(out, options.force)
     gaussians = read_gaussians(path)
     if all(getattr(options, name) is None for name in ("axes", "matrix", "nerfstudio", "translation")):
         stated = beside(path, stated)
@@ -90,10 +101,38 @@ def look(options: argparse.Namespace) -> None:
     drawn = antialiased_beside(path)
     draw(scene, floor_height(upright, world_from_splat), options, out, drawn)
     proposals = {} if drawn is None else {"antialiased": drawn}
-    written = write_description(out, path.name, scene.name, frame, scene.bounds, options.force, proposals)
-    print(f"wrote       {written}")
+    if small:
+        write_small(out, scene, proposals, options.force)
+        return
+    print(f"wrote       {write_description(out, path.name, scene.name, frame, scene.bounds, options.force, proposals)}")
     if out.resolve() != path.parent.resolve():
         print(f"            put {path.name} beside it: a folder with both is a scene")
+
+
+def look_again(options: argparse.Namespace, folder: Path, out: Path, small: bool) -> None:
+    """Look at a folder with ``scene.yaml``."""
+    if any(getattr(options, name) is not None for name in FRAME_OPTIONS):
+        raise ValueError(
+            f"{folder}: expected no frame options for a folder; edit its scene.yaml, or name the splat file"
+        )
+    scene, proposed = read_scene(folder), read_description(folder)
+    drawn = proposed.get("antialiased", antialiased_beside(folder / proposed["splat"]))
+    draw(scene, print_guess(scene.gaussians, [0.0, 0.0, 1.0]).floor, options, out, drawn)
+    if small:
+        proposals = {key: proposed[key] for key in PROPOSALS if key in proposed}
+        if scene.free is not None:
+            with replacing(out / scene.free.path.name) as stream:
+                stream.write(scene.free.path.read_bytes())
+        write_small(out, scene, proposals | ({} if drawn is None else {"antialiased": drawn}), options.force)
+
+
+def write_small(folder: Path, scene: Scene, proposals: dict[str, Any], force: bool) -> None:
+    """Write a scene's folder with a small splat, in the world frame."""
+    splat = folder / SMALL_SPLAT
+    write_gaussians(splat, scene.gaussians, proposals.get("antialiased", True))
+    print(f"wrote       {splat}, {splat.stat().st_size / 1e6:.1f} MB")
+    frame = {"axes": ["x", "y", "z"], "scale": 1.0}
+    print(f"wrote       {write_description(folder, splat.name, scene.name, frame, scene.bounds, force, proposals)}")
 
 
 def print_guess(gaussians: Gaussians, up: list[float] | None) -> Upright:

@@ -14,6 +14,8 @@ from splatrl.scenes.proposals import PROPOSALS, check_proposals
 from splatrl.scenes.scene import Bounds
 
 SCENE_FILE = "scene.yaml"
+SPLAT, SMALL_SPLAT = "splat.ply", "splat.spz"
+"""Names of the splat file in a folder that splatrl writes whole."""
 SCENE_KEYS = ("splat", "name", "world_from_splat", "bounds", *PROPOSALS)
 COMMENTS = {
     "axes": "the file's axis that becomes the world's x, y and z (up)",
@@ -104,6 +106,15 @@ def write_description(
     with replacing(path) as stream:
         stream.write(text.encode())
     return path
+
+
+def scene_folder(out: Path) -> tuple[Path, str]:
+    """The folder of a scene and the name of its splat file, by an ``--out`` that may ask for a small one.
+
+    Args:
+        out: such as ``garden`` or ``garden.spz``, for which the folder is ``garden`` too.
+    """
+    return (out.with_suffix(""), SMALL_SPLAT) if out.suffix == ".spz" else (out, SPLAT)
 
 
 def check_absent(folder: Path, force: bool) -> None:

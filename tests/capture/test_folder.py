@@ -118,6 +118,17 @@ def test_a_folder_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: py
     assert sorted(file.name for file in tmp_path.iterdir()) == ["garden", "images"]
 
 
+def test_a_small_splat_takes_the_place_of_a_large_one(tmp_path: Path) -> None:
+    placed, folder = tiny_capture(tmp_path / "images"), tmp_path / "garden"
+    write_scene(folder, tiny_gaussians(), placed, HELD_OUT)
+    quality = write_scene(folder, tiny_gaussians(), placed, HELD_OUT, force=True, splat="splat.spz")
+    assert {file.name for file in folder.iterdir()} == FILES - {"splat.ply"} | {"splat.spz"}
+    assert quality.psnr is not None and 25 < quality.psnr < 50, "what was rounded is what was checked"
+    scene = read_scene(folder)
+    np.testing.assert_allclose(scene.gaussians.means, tiny_gaussians().means, atol=2**-12)
+    assert read_description(folder)["quality"]["psnr"] == pytest.approx(quality.psnr, abs=0.01)
+
+
 def test_a_large_place_gets_larger_steps_and_voxels(tmp_path: Path) -> None:
     placed = tiny_capture(tmp_path)
     larger = replace(placed.reconstruction)

@@ -83,6 +83,19 @@ def test_photos_become_a_folder_that_is_all_a_training_needs(
     assert stages.count("fit") == 1  # what was fitted is kept
 
 
+def test_an_out_that_ends_in_spz_keeps_the_splat_small(
+    tmp_path: Path, stages: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    capture.main(["garden.mp4", "--out", str(tmp_path / "garden.spz"), *QUICK])
+    folder = tmp_path / "garden"
+    assert f"splatrl-train scene={folder}/" in capsys.readouterr().out and not (tmp_path / "garden.spz").exists()
+    assert {"scene.yaml", "splat.spz", "report.html"} <= {p.name for p in folder.iterdir()}
+    assert not (folder / "splat.ply").exists()
+    assert (folder / "splat.spz").stat().st_size < (folder / "stages" / "fit.ply").stat().st_size / 3
+    env = splatrl.make_env([f"scene={folder}/", "device=cpu", "robot.image_width=16", "robot.image_height=16"], [2])
+    assert env.rollout(3)["pixels"].float().std() > 5
+
+
 def test_a_capture_that_cannot_work_is_refused_with_its_cause(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,3 +1,4 @@
+import gzip
 import subprocess
 import sys
 from pathlib import Path
@@ -7,8 +8,10 @@ import pytest
 import torch
 from PIL import Image
 
+from splatrl.collision.point_clouds import write_points
 from splatrl.commands.scene import main
 from splatrl.scenes import Gaussians, read_scene, similarity, write_gaussians
+from splatrl.scenes.description import read_description
 from tests.scenes.test_survey import BOXES, FLOOR, dataparser, lying, surfaces
 
 UPRIGHT = ["x", "z", "-y"]
@@ -166,3 +169,30 @@ def test_the_kitchen_stands_in_metres_with_its_floor_at_zero(shared_scenes: Path
     scene = read_scene(tmp_path)
     opaque = scene.gaussians.means[scene.gaussians.opacities > 0.5]
     assert ((opaque[:, 2].abs() < 0.03).float().mean()) > 0.2  # at least a fifth of what is opaque is the floor
+
+
+def test_an_out_that_ends_in_spz_makes_a_folder_with_a_small_splat(
+    splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main([str(splat), "--scale", "2", "--out", str(tmp_path / "small.spz")])
+    assert f"wrote       {tmp_path / 'small' / 'splat.spz'}, 0.0 MB" in capsys.readouterr().out
+    assert {path.name for path in (tmp_path / "small").iterdir()} > {"splat.spz", "scene.yaml", "yard-view.png"}
+    small = read_scene(tmp_path / "small")
+    main([str(splat), "--scale", "2"])
+    large = read_scene(splat.parent)
+    torch.testing.assert_close(small.gaussians.means, large.gaussians.means, atol=2e-4, rtol=0)
+    assert small.name == "yard" and small.bounds == large.bounds
+    with pytest.raises(SystemExit, match="--force"):
+        main([str(splat), "--out", str(tmp_path / "small.spz")])
+    description = splat.with_name("scene.yaml")
+    said = "robot_height: 0.7\nmetric: true\nantialiased: false\nfree: free.ply\nvoxel_size: 0.1\n"
+    description.write_text(description.read_text() + said)
+    write_points(splat.with_name("free.ply"), torch.rand(5, 3))
+    main([str(splat.parent), "--out", str(tmp_path / "again.spz")])
+    again = read_scene(tmp_path / "again")
+    torch.testing.assert_close(again.gaussians.means, large.gaussians.means, atol=2e-4, rtol=0)
+    stated = read_description(tmp_path / "again")
+    assert (stated["robot_height"], stated["metric"], stated["antialiased"]) == (0.7, True, False)
+    assert (tmp_path / "again" / "free.ply").read_bytes() == splat.with_name("free.ply").read_bytes()
+    assert again.free is not None and again.free.voxel_size == 0.1
+    assert gzip.decompress((tmp_path / "again" / "splat.spz").read_bytes())[14] == 0

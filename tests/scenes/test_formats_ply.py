@@ -73,8 +73,8 @@ def test_values_that_cannot_be_stored_are_refused_and_leave_the_old_file(tmp_pat
     with pytest.raises(ValueError, match=r"a\.ply: scale_0, scale_1, scale_2: expected values that a file can store"):
         write_gaussians(path, gaussians)
     assert path.read_bytes() == b"old"
-    with pytest.raises(ValueError, match=r"expected a name that ends in \.ply, got '\.spz'"):
-        write_gaussians(tmp_path / "a.spz", sample_gaussians())
+    with pytest.raises(ValueError, match=r"expected a name that ends in \.ply or \.spz, got '\.splat'"):
+        write_gaussians(tmp_path / "a.splat", sample_gaussians())
 
 
 @pytest.mark.parametrize("name", ["y", "f_dc_1", "opacity", "scale_2", "rot_0"])

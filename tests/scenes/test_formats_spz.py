@@ -1,4 +1,5 @@
 import gzip
+import math
 import tracemalloc
 from pathlib import Path
 
@@ -6,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatrl.scenes.formats import read_gaussians
+from splatrl.scenes.formats import read_gaussians, write_gaussians
 from splatrl.scenes.sources import read_scene
 from tests.scenes.samples import (
     assert_same,
@@ -115,6 +116,82 @@ def test_what_another_writer_writes_reads_back_within_its_quantisation(tmp_path:
     torch.testing.assert_close(read.opacities, gaussians.opacities, atol=1 / 500, rtol=0)
     torch.testing.assert_close(read.sh, gaussians.sh, atol=0.014, rtol=0)
     assert ((read.quats * gaussians.quats).sum(1).abs() > 1 - 1e-5).all()
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_what_is_written_reads_back_within_its_quantisation(tmp_path: Path, degree: int) -> None:
+    gaussians = sample_gaussians(500, degree)
+    gaussians.sh[:, 1:] = gaussians.sh[:, 1:].clamp(-0.99, 0.99)
+    write_gaussians(tmp_path / "a.spz", gaussians)
+    read = read_gaussians(tmp_path / "a.spz")
+    assert_valid(read)
+    torch.testing.assert_close(read.means, gaussians.means, atol=2**-13 * 1.01, rtol=0)
+    torch.testing.assert_close(read.scales.log(), gaussians.scales.log(), atol=1 / 31, rtol=0)
+    torch.testing.assert_close(read.opacities, gaussians.opacities, atol=1 / 500, rtol=0)
+    torch.testing.assert_close(read.sh[:, 0], gaussians.sh[:, 0], atol=0.5 / 255 / 0.15 * 1.01, rtol=0)
+    torch.testing.assert_close(read.sh[:, 1:], gaussians.sh[:, 1:], atol=1 / 255, rtol=0)
+    angle = 2 * (read.quats.double() * gaussians.quats.double()).sum(1).abs().clamp(max=1).acos()
+    assert float(angle.max()) < math.radians(0.3)
+    write_gaussians(tmp_path / "b.spz", read)
+    again = read_gaussians(tmp_path / "b.spz")
+    for name in ("means", "scales", "opacities", "sh"):
+        torch.testing.assert_close(getattr(again, name), getattr(read, name), atol=1e-6, rtol=1e-6)
+
+
+@pytest.mark.parametrize("degree", [0, 2])
+def test_another_reader_reads_what_is_written(tmp_path: Path, degree: int) -> None:
+    gsply = pytest.importorskip("gsply", reason="needs the extra gsply")
+    write_gaussians(tmp_path / "a.spz", sample_gaussians(41, degree))
+    ours, theirs = read_gaussians(tmp_path / "a.spz"), gsply.read_spz(tmp_path / "a.spz")
+    np.testing.assert_allclose(ours.means, theirs.means, rtol=1e-6)
+    np.testing.assert_allclose(ours.scales.log(), theirs.scales, atol=1e-5)
+    np.testing.assert_allclose(ours.sh[:, 0], theirs.sh0, atol=1e-6)
+    unit = theirs.quats / np.linalg.norm(theirs.quats, axis=1, keepdims=True)
+    np.testing.assert_allclose(ours.quats, unit, atol=1e-6)
+
+
+def test_the_same_gaussians_give_the_same_small_bytes_that_say_how_to_draw(tmp_path: Path) -> None:
+    gaussians = sample_gaussians(2000, 1)
+    sizes = {}
+    for name in ("a.spz", "b.spz", "a.ply"):
+        write_gaussians(tmp_path / name, gaussians)
+        sizes[name] = (tmp_path / name).stat().st_size
+    assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
+    assert sizes["a.spz"] < sizes["a.ply"] / 3.5
+    write_gaussians(tmp_path / "c.spz", gaussians, antialiased=False)
+    flags = [gzip.decompress((tmp_path / name).read_bytes())[14] for name in ("a.spz", "c.spz")]
+    assert flags == [1, 0]
+
+
+def test_a_large_place_is_stored_as_finely_as_it_fits(tmp_path: Path) -> None:
+    gaussians = sample_gaussians(5, 0)
+    gaussians.means = torch.tensor([[5000.0, -7000, 3.3], [0, 0, 0], [1.7, 2.9, -8191], [0, 1, 2], [3, 4, 5]])
+    write_gaussians(tmp_path / "a.spz", gaussians)
+    torch.testing.assert_close(read_gaussians(tmp_path / "a.spz").means, gaussians.means, atol=2**-11, rtol=1e-6)
+    before = (tmp_path / "a.spz").read_bytes()
+    gaussians.means = 1e7 * gaussians.means
+    with pytest.raises(ValueError, match=r"a\.spz: means: expected at most 8,388,607 units from the origin"):
+        write_gaussians(tmp_path / "a.spz", gaussians)
+    assert (tmp_path / "a.spz").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "sh"])
+def test_what_is_not_finite_is_not_written(tmp_path: Path, name: str) -> None:
+    gaussians = sample_gaussians(3, 1)
+    getattr(gaussians, name).view(-1)[1] = 0.0 if name == "scales" else math.nan
+    with pytest.raises(ValueError, match=rf"a\.spz: {name}: expected values that a file can store"):
+        write_gaussians(tmp_path / "a.spz", gaussians)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_beyond_the_range_of_a_byte_is_cut_to_it(tmp_path: Path) -> None:
+    gaussians = sample_gaussians(2, 1)
+    gaussians.scales = torch.tensor([[1e-9, 1.0, 1e9], [1, 1, 1]])
+    gaussians.sh[0] = torch.tensor([[9.0, -9, 0], [5, -5, 0], [0, 0, 0], [0, 0, 0]])
+    write_gaussians(tmp_path / "a.spz", gaussians)
+    read = read_gaussians(tmp_path / "a.spz")
+    torch.testing.assert_close(read.scales[0].log(), torch.tensor([-10.0, 0, 95 / 16 + 0]), atol=1e-4, rtol=0)
+    torch.testing.assert_close(read.sh[0, :2, :2], torch.tensor([[1 / 0.3, -1 / 0.3], [127 / 128, -1]]))
 
 
 @pytest.mark.parametrize(

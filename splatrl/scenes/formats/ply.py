@@ -1,6 +1,5 @@
 """3DGS PLY as Inria's code, nerfstudio, gsplat and others write it; splatrl itself writes Inria's layout."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -38,22 +37,16 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
     return activated(path, means, quats, log_scales, opacity_logits[:, 0], np.concatenate([sh0[:, None], sh_rest], 1))
 
 
-def write_gaussians(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
-    """Write Gaussians to a PLY file in Inria's layout, which every viewer and editor of splats opens.
-
-    The file appears whole or not at all. Reading it gives the same values up to the float32 rounding of logs and
-    logits; Gaussians of opacity 0 are written, and readers drop them.
+def write_ply(path: Path, gaussians: Gaussians) -> None:
+    """Write Gaussians in Inria's layout.
 
     Args:
-        path: to write to; ends in .ply.
+        path: to write to.
         gaussians: in any frame.
 
     Raises:
-        ValueError: for another file extension, or for values that have no finite log.
+        ValueError: for values that have no finite log.
     """
-    path = Path(path)
-    if path.suffix.lower() != ".ply":
-        raise ValueError(f"{path}: expected a name that ends in .ply, got {path.suffix or 'no ending'!r}")
     sh = gaussians.sh.detach().cpu()
     values = {
         MEANS: gaussians.means,
