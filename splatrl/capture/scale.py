@@ -55,9 +55,14 @@ class Distance:
             raise ValueError(f"distance: expected metres above 0, got {self.metres}")
 
     @classmethod
+    def between(cls, start: Click, end: Click, metres: float) -> "Distance":
+        """Two points clicked once each, in one image or in two."""
+        return cls((start,), (end,), metres)
+
+    @classmethod
     def in_image(cls, image: int, x0: float, y0: float, x1: float, y1: float, metres: float) -> "Distance":
         """Two points clicked in one image."""
-        return cls((Click(image, x0, y0),), (Click(image, x1, y1),), metres)
+        return cls.between(Click(image, x0, y0), Click(image, x1, y1), metres)
 
 
 def scale_by_distance(reconstruction: Reconstruction, distance: Distance) -> float:

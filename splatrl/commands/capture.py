@@ -10,7 +10,8 @@ from tqdm import tqdm
 from splatrl.capture.fit import FitSettings
 from splatrl.capture.marker import MARKER_SIDE, write_marker_page
 from splatrl.capture.pipeline import CaptureSettings, capture
-from splatrl.capture.scale import Distance
+from splatrl.capture.scale import Click, Distance
+from splatrl.commands.options import is_numbers, joined, split
 from splatrl.scenes.description import scene_folder
 
 INTERRUPTED = 130
@@ -36,10 +37,10 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--camera-height", type=float, metavar="M", help="of the camera above the floor, metres")
     result.add_argument(
         "--distance",
-        type=float,
-        nargs=6,
-        metavar=("IMAGE", "X0", "Y0", "X1", "Y1", "M"),
-        help="two points in an image of stages/undistorted, pixels, and the metres between them",
+        type=distance,
+        metavar="IMAGE X Y [IMAGE] X Y M",
+        help="two points, each by the number of an image in stages/undistorted and pixels in it (the second in the "
+        "same where no other is named), and the metres between them",
     )
     result.add_argument(
         "--marker-side", type=float, default=MARKER_SIDE, metavar="M", help="of a printed marker, metres"
@@ -52,10 +53,29 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
+def distance(text: str) -> Distance:
+    """What ``--distance`` says: IMAGE X Y X Y M, or IMAGE X Y IMAGE X Y M.
+
+    Raises:
+        argparse.ArgumentTypeError: for anything else.
+    """
+    try:
+        values = [float(word) for word in split(text)]
+        if len(values) == 6:  # both in one image
+            values.insert(3, values[0])
+        if len(values) != 7 or values[0] % 1 != 0 or values[3] % 1 != 0:
+            raise ValueError(f"expected IMAGE X Y X Y M or IMAGE X Y IMAGE X Y M, got {text!r}")
+        first, second = (Click(int(image), x, y) for image, x, y in (values[0:3], values[3:6]))
+        return Distance.between(first, second, values[6])
+    except (ValueError, OverflowError) as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     command = parser()
-    options = command.parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    options = command.parse_args(joined(given, {"--distance": 7}, is_numbers))
     if options.marker is not None:
         write_marker_page(options.marker, side=options.marker_side)
         print(f"{options.marker}: print it at its true size, and lay it where the camera sees it")
@@ -76,16 +96,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _settings(options: argparse.Namespace, splat: str) -> CaptureSettings:
-    distance = None
-    if options.distance is not None:
-        image, *rest = options.distance
-        distance = Distance.in_image(int(image), *rest)
     fit = FitSettings(width=options.width, cap=options.gaussians, views=options.views, seed=options.seed)
     return CaptureSettings(
         force=options.force,
         seed=options.seed,
         camera_height=options.camera_height,
-        distance=distance,
+        distance=options.distance,
         marker=options.marker_side,
         splat=splat,
         fit=fit,

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from splatrl.commands.options import joined, split
 from splatrl.evaluation.scene_pictures import draw_scene, survey_occupancy
 from splatrl.files import replacing
 from splatrl.scenes.description import (
@@ -65,7 +66,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
-    options = parser().parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
+    options = parser().parse_args(joined(sys.argv[1:] if arguments is None else arguments, WORDS))
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_: print(f"note        {message}", file=sys.stderr)
         try:
@@ -181,33 +182,15 @@ def stated_frame(options: argparse.Namespace) -> StatedFrame:
     elif options.nerfstudio is not None:
         transform = nerfstudio_transform(options.nerfstudio.expanduser())
     return StatedFrame(
-        axes=None if options.axes is None else _words(options.axes),
+        axes=None if options.axes is None else split(options.axes),
         transform=transform,
         scale=scale,
         translation=None if options.translation is None else _numbers("translation", options.translation),
     )
 
 
-def _joined(arguments: Sequence[str]) -> list[str]:
-    """The arguments, with options of several words such as ``--axes x -z y`` joined into ``--axes=x -z y``."""
-    result, rest = [], list(arguments)
-    while rest:
-        argument = rest.pop(0)
-        if argument in WORDS:
-            words: list[str] = []
-            while rest and len(words) < WORDS[argument] and not rest[0].startswith("--"):
-                words += _words(rest.pop(0))
-            argument = f"{argument}={' '.join(words)}"
-        result.append(argument)
-    return result
-
-
-def _words(text: str) -> list[str]:
-    return text.replace(",", " ").split()
-
-
 def _numbers(name: str, text: str) -> list[float]:
-    words, count = _words(text), WORDS[f"--{name}"]
+    words, count = split(text), WORDS[f"--{name}"]
     try:
         values = [float(word) for word in words]
     except ValueError as error:

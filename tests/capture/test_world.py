@@ -107,6 +107,24 @@ def test_two_clicks_in_one_image_tell_the_scale(image: int) -> None:
     assert placed.scale_from == "distance" and scale_error(placed, transform) < 0.05
 
 
+@pytest.mark.parametrize(("first", "second"), [(3, 21), (30, 11)])
+def test_two_points_that_no_image_shows_together_tell_the_scale(first: int, second: int) -> None:
+    seen = [set(walk().seen_point[walk().seen_by == image].tolist()) for image in (first, second)]
+    ends = []
+    for image, own, other in ((first, *seen), (second, *seen[::-1])):
+        rows = torch.tensor(sorted(own - other))
+        at, around = (pixels(image, walk().points[some]) for some in (rows, torch.tensor(sorted(own))))
+        nearest = torch.cdist(at, around).topk(12, largest=False).indices
+        flat = walk().points[torch.tensor(sorted(own))][nearest][..., 2].abs().amax(1) < 0.06  # only lawn around it
+        away = flat * (walk().points[rows] - ends[0][1]).norm(dim=1) if ends else flat
+        chosen = int(away.double().argmax())
+        ends.append((Click(image, *at[chosen].tolist()), walk().points[rows[chosen]]))
+    lying, transform = strewn(first)
+    metres = float((ends[0][1] - ends[1][1]).norm())
+    placed = place(lying, marker=None, distance=Distance.between(ends[0][0], ends[1][0], metres))
+    assert metres > 1.0 and placed.scale_from == "distance" and scale_error(placed, transform) < 0.05
+
+
 def test_clicks_in_two_images_meet_where_no_point_is() -> None:
     bare = without_points(walk(), (walk().points - torch.tensor([0.0, 0.0, 0.5])).norm(dim=1) > 1.0)
     target = torch.tensor([[0.1, 0.2, 0.5]]).double()

@@ -13,6 +13,7 @@ from splatrl.capture import pipeline
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.look import Look
 from splatrl.capture.progress import Progress
+from splatrl.capture.scale import Click, Distance
 from splatrl.commands import capture
 from splatrl.renderers import NativeRenderer
 from tests.capture.walks import HEIGHT, WIDTH, K, strewn, walk
@@ -124,6 +125,53 @@ def test_an_interrupt_says_how_to_continue(
     with pytest.raises(SystemExit) as ended:
         capture.main(["walk.mp4", "--out", str(tmp_path / "walk")])
     assert ended.value.code == capture.INTERRUPTED and "the same command continues" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["3", "10", "20", "30.5", "40", "2.5"], ((3, 10, 20), (3, 30.5, 40))),
+        (["3", "10", "20", "7", "30.5", "-4e1", "2.5"], ((3, 10, 20), (7, 30.5, -40))),
+        (["3 10 20, 7 30.5 40, 2.5"], ((3, 10, 20), (7, 30.5, 40))),
+    ],
+)
+@pytest.mark.parametrize("source_last", [False, True])
+def test_each_point_of_a_distance_may_have_an_image_of_its_own(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: list[str],
+    expected: tuple[tuple[float, ...], ...],
+    source_last: bool,
+) -> None:
+    given: list[object] = []
+
+    def stop(source: Path, folder: Path, settings: pipeline.CaptureSettings, *_: object) -> None:
+        given.extend([source, settings.distance])
+        raise CaptureError("far enough")
+
+    monkeypatch.setattr(capture, "capture", stop)
+    option = ["--distance", *words]
+    with pytest.raises(SystemExit, match="far enough"):
+        capture.main([*option, "garden.mp4"] if source_last else ["garden.mp4", *option, "--seed", "1"])
+    first, second = (Click(int(image), x, y) for image, x, y in expected)
+    assert given == [Path("garden.mp4"), Distance((first,), (second,), 2.5)]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["1", "2", "3"], "expected IMAGE X Y X Y M or IMAGE X Y IMAGE X Y M, got '1 2 3'"),
+        (["1.5", "2", "3", "4", "5", "6"], "expected IMAGE X Y X Y M"),
+        (["1", "2", "3", "inf", "4", "5", "6"], "expected IMAGE X Y X Y M"),
+        (["1", "2", "3", "4", "5", "-6"], "expected metres above 0, got -6"),
+    ],
+)
+def test_a_distance_that_is_none_is_a_usage_error(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        capture.main(["garden.mp4", "--distance", *words])
+    assert message in capsys.readouterr().err
 
 
 def test_a_page_with_a_marker_is_written_on_its_own(tmp_path: Path) -> None:
