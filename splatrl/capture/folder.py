@@ -21,6 +21,7 @@ from splatrl.capture.pictures import draw_cameras
 from splatrl.capture.suggestions import Suggestions, suggest
 from splatrl.capture.world import Placed
 from splatrl.collision.point_clouds import write_points
+from splatrl.envs.robot import Robot
 from splatrl.files import replacing
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes import read_gaussians, write_gaussians
@@ -32,8 +33,6 @@ GOOD_PATH, GOOD_PSNR, FEW_FLOATERS, MOST_MISSING = 0.97, 22.0, 0.005, 0.1
 """A worse capture's report says so."""
 FRAME: dict[str, Any] = {"axes": ["x", "y", "z"], "scale": 1.0, "translation": [0.0, 0.0, 0.0]}
 THUMBNAIL = 320
-FOV_DEG = 90.0
-"""Of the robot's camera in ``conf/robot/box.yaml``."""
 
 
 def write_scene(
@@ -135,7 +134,8 @@ def _draw_goals(gaussians: Gaussians, area: Area, found: Suggestions, path: Path
         turn = np.radians(yaw)
         eye = [x, y, area.robot_height]
         poses.append(look_at(eye, [x + np.cos(turn), y + np.sin(turn), area.robot_height]))
-    cameras = Cameras(torch.stack(poses), intrinsics(np.radians(FOV_DEG), THUMBNAIL, THUMBNAIL), THUMBNAIL, THUMBNAIL)
+    K = intrinsics(np.radians(Robot.fov_deg), THUMBNAIL, THUMBNAIL)
+    cameras = Cameras(torch.stack(poses), K, THUMBNAIL, THUMBNAIL)
     page = Image.new("RGB", (len(poses) * (THUMBNAIL + 4) - 4, THUMBNAIL), "white")
     for column, view in enumerate(NativeRenderer(gaussians).pixels(cameras).numpy()):
         page.paste(Image.fromarray(view), (column * (THUMBNAIL + 4), 0))

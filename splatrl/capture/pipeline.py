@@ -22,6 +22,7 @@ from splatrl.capture.marker import MARKER_SIDE
 from splatrl.capture.poses import find_poses
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.recordings import is_recording, read_recording
+from splatrl.capture.resolution import Resolution
 from splatrl.capture.scale import Distance
 from splatrl.capture.stereo import Depths, find_depths
 from splatrl.capture.world import Placed, place
@@ -49,6 +50,7 @@ class CaptureSettings:
         marker: side of a printed marker's black square, metres.
         splat: name of the splat file in the scene's folder; one that ends in .spz is small.
         fit: how Gaussians are fitted.
+        resolution: what follows the robots' image size; None takes the width and the cap of ``fit``.
     """
 
     count: tuple[int, int] = (120, 200)
@@ -60,6 +62,7 @@ class CaptureSettings:
     marker: float = MARKER_SIDE
     splat: str = SPLAT
     fit: FitSettings = field(default_factory=FitSettings)
+    resolution: Resolution | None = None
 
 
 def capture(
@@ -104,12 +107,16 @@ def capture(
     say(f"world       up by {placed.up_from}, scale by {placed.scale_from}, camera {placed.camera_height:.2f} m high")
     frame = frame_of(placed.reconstruction.camera_to_world)
     depths = _depths(placed, frame, stages, progress)
-    gaussians = _fitted(placed, depths, stages, settings.fit, progress)
+    finely = settings.fit
+    if settings.resolution is not None:
+        finely = settings.resolution.of(placed.reconstruction, finely)
+    gaussians = _fitted(placed, depths, stages, finely, progress)
     gaussians, carved = without_floaters(gaussians, dense_voxels(gaussians, placed), placed.reconstruction)
-    say(f"fit         {gaussians.numel():,} Gaussians, {carved} voxels of floaters carved away")
+    size = f"{finely.width} pixels wide, {carved} voxels of floaters carved away"
+    say(f"fit         {gaussians.numel():,} Gaussians to images {size}")
     unseen = held_out(len(placed.reconstruction.paths)).tolist()
-    known = depths.far(frame)
-    quality = write_scene(folder, gaussians, placed, unseen, None, notes, settings.force, known, settings.splat)
+    far, splat = depths.far(frame), settings.splat
+    quality = write_scene(folder, gaussians, placed, unseen, None, notes, settings.force, far, splat)
     say(f"check       {_words(quality)}")
     return quality
 

@@ -10,8 +10,10 @@ from tqdm import tqdm
 from splatrl.capture.fit import FitSettings
 from splatrl.capture.marker import MARKER_SIDE, write_marker_page
 from splatrl.capture.pipeline import CaptureSettings, capture
+from splatrl.capture.resolution import Resolution
 from splatrl.capture.scale import Click, Distance
 from splatrl.commands.options import is_numbers, joined, split
+from splatrl.envs.robot import Robot
 from splatrl.scenes.description import scene_folder
 
 INTERRUPTED = 130
@@ -46,8 +48,16 @@ def parser() -> argparse.ArgumentParser:
         "--marker-side", type=float, default=MARKER_SIDE, metavar="M", help="of a printed marker, metres"
     )
     result.add_argument("--marker", type=Path, metavar="PDF", help="write a page with a marker to print, and stop")
-    result.add_argument("--width", type=int, default=FitSettings.width, help="of the images that are fitted, pixels")
-    result.add_argument("--gaussians", type=int, default=FitSettings.cap, help="at most")
+    result.add_argument(
+        "--robot-width",
+        type=int,
+        default=Robot.image_width,
+        help=f"of the images that robots will see, pixels; {Robot.image_width} by default",
+    )
+    result.add_argument(
+        "--width", type=int, help="of the images that are fitted, pixels; follows the robots by default"
+    )
+    result.add_argument("--gaussians", type=int, help="at most; follows the number of pixels by default")
     result.add_argument("--views", type=int, default=FitSettings.views, help="drawn in the fit: more takes longer")
     result.add_argument("--seed", type=int, default=0)
     return result
@@ -96,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _settings(options: argparse.Namespace, splat: str) -> CaptureSettings:
-    fit = FitSettings(width=options.width, cap=options.gaussians, views=options.views, seed=options.seed)
+    fit = FitSettings(views=options.views, seed=options.seed)
     return CaptureSettings(
         force=options.force,
         seed=options.seed,
@@ -105,6 +115,7 @@ def _settings(options: argparse.Namespace, splat: str) -> CaptureSettings:
         marker=options.marker_side,
         splat=splat,
         fit=fit,
+        resolution=Resolution(options.robot_width, width=options.width, gaussians=options.gaussians),
     )
 
 

@@ -11,6 +11,7 @@ import splatrl
 from splatrl.cameras import Cameras
 from splatrl.capture import pipeline
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
+from splatrl.capture.fit import FitSettings
 from splatrl.capture.look import Look
 from splatrl.capture.progress import Progress
 from splatrl.capture.scale import Click, Distance
@@ -82,6 +83,22 @@ def test_photos_become_a_folder_that_is_all_a_training_needs(
         capture.main(["garden.mp4", "--out", str(folder), *QUICK])
     capture.main(["garden.mp4", "--out", str(folder), *QUICK, "--force"])
     assert stages.count("fit") == 1  # what was fitted is kept
+
+
+def test_what_is_fitted_follows_the_robots_unless_it_is_said(
+    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fitted: list[tuple[int, int, int]] = []
+
+    def fit(reconstruction: Reconstruction, settings: FitSettings, *_: object) -> None:
+        fitted.append((settings.width, settings.cap, settings.views))
+        raise CaptureError("far enough")
+
+    monkeypatch.setattr(pipeline, "fit", fit)
+    for options in ([], ["--robot-width", "999"], ["--width", "100", "--gaussians", "9"]):
+        with pytest.raises(SystemExit, match="far enough"):
+            capture.main(["a.mp4", "--out", str(tmp_path / "a"), "--camera-height", "1", "--views", "7", *options])
+    assert fitted == [(320, 60_000, 7), (320, 60_000, 7), (100, 9, 7)], "the photos are 320 pixels wide"
 
 
 def test_an_out_that_ends_in_spz_keeps_the_splat_small(
