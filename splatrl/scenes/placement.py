@@ -16,8 +16,6 @@ from splatrl.scenes.upright import Upright, axis_name
 Frame = dict[str, Any]
 """Arguments of ``similarity`` by name, as YAML can write them."""
 
-"""Of nerfstudio's file, which holds 13 numbers."""
-
 STANDING = {
     "x": ["y", "z", "x"],
     "-x": ["z", "y", "-x"],
