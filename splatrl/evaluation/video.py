@@ -23,6 +23,8 @@ PANEL, WIDEST, GAP, STRIP = 384, 512, 8, 60
 """Height of both panels, largest width of the map, space around them and height of the text, pixels."""
 HOLD = 0.7
 """Time for which the last frame of an episode stays, seconds."""
+X264: dict[str, str] = {"crf": "18", "preset": "veryfast", "x264-params": "mbtree=0"}
+"""Without its macroblock tree, with which x264 writes other bytes each time."""
 BATCH = 8
 """Number of large views rendered at once, which bounds the memory."""
 
@@ -53,7 +55,7 @@ def rollout_video(
     if not recordings:
         raise ValueError("recordings: expected at least one episode, got none")
     chart = Chart(view, robot.body, (WIDEST, PANEL))
-    _encode(_frames(recordings, robot, chart, drawing, action_names, fps), path, fps)
+    encode(_frames(recordings, robot, chart, drawing, action_names, fps), path, fps)
 
 
 def _frames(
@@ -125,12 +127,13 @@ def _caption(page: Image.Image, facts: list[tuple[str, str]], outcome: Outcome) 
     pen.text((left, top + 30), words, fill="white", font=font(16), anchor="lm")
 
 
-def _encode(frames: Iterator[Image.Image], path: Path, fps: int) -> None:
+def encode(frames: Iterator[Image.Image], path: Path, fps: int) -> None:
+    """Write images of one size, of even sides, to an mp4: H.264, or MPEG-4 where PyAV lacks that."""
     x264 = "libx264" in av.codecs_available
     with replacing(path) as file, av.open(file, "w", format="mp4") as container:
         stream = container.add_stream("libx264" if x264 else "mpeg4", rate=fps)
         stream.pix_fmt = "yuv420p"
-        stream.options = {"crf": "18", "preset": "veryfast"} if x264 else {"qscale": "3"}
+        stream.options = X264 if x264 else {"qscale": "3"}
         first = next(frames)
         stream.width, stream.height = first.size
         for image in chain([first], frames):

@@ -1,0 +1,123 @@
+"""A walk filmed with a phone: a video with blur, noise and a drifting exposure, and the truth beside it."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from torch import Tensor
+
+from splatrl.cameras import Cameras, intrinsics
+from splatrl.evaluation.phone_walk import camera_poses
+from splatrl.evaluation.video import encode
+from splatrl.evaluation.walk_looks import GAMMA
+from splatrl.files import replacing
+from splatrl.renderers.base import Renderer
+
+DRIFT = 17.0
+"""Seconds in which the exposure goes once up and down."""
+PLATE = 64
+"""Pixels by which the pattern of the noise is larger than an image: each frame takes another part of it."""
+
+
+@dataclass(frozen=True)
+class Phone:
+    """What films.
+
+    Attributes:
+        width: of the video, pixels; even.
+        height: of the video, pixels; even.
+        fps: frames per second.
+        fov_deg: horizontal field of view, degrees.
+        shutter: seconds for which it is open.
+        glimpses: how many views while the shutter is open make up a frame; 1 draws no motion blur.
+        drift: largest change of the exposure in either direction, stops.
+        noise: standard deviation in each value, grey levels.
+    """
+
+    width: int = 1920
+    height: int = 1080
+    fps: int = 30
+    fov_deg: float = 65.0
+    shutter: float = 0.005
+    glimpses: int = 2
+    drift: float = 0.15
+    noise: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            if getattr(self, name) < 2 or getattr(self, name) % 2:
+                raise ValueError(f"{name}: expected an even number of pixels, got {getattr(self, name)}")
+        for name in ("fps", "glimpses"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
+
+    @property
+    def K(self) -> Tensor:
+        """Intrinsics [3, 3], pixels."""
+        return intrinsics(math.radians(self.fov_deg), self.width, self.height)
+
+
+def phone_video(
+    renderer: Renderer,
+    walk: Tensor,
+    phone: Phone,
+    path: Path,
+    seed: int = 0,
+    progress: Callable[[int, int], object] = lambda done, total: None,
+) -> Path:
+    """Film a walk as H.264, with the truth in a .npz beside it.
+
+    The truth holds ``camera_to_world`` [N, 4, 4] in the middle of each exposure, ``K`` [3, 3] in pixels and ``time``
+    [N] in seconds, all float64.
+
+    Args:
+        renderer: of the scene.
+        walk: [N, 6] as ``phone_walk`` returns it.
+        phone: what films.
+        path: of the video, .mp4.
+        seed: of the noise and the exposure.
+        progress: told how many frames are filmed, of how many.
+
+    Returns:
+        The file of the truth.
+    """
+    truth = path.with_suffix(".npz")
+    encode(_frames(renderer, walk, phone, seed, progress), path, phone.fps)
+    with replacing(truth) as stream:
+        np.savez(
+            stream,
+            camera_to_world=camera_poses(walk).numpy(),
+            K=phone.K.double().numpy(),
+            time=np.arange(len(walk)) / phone.fps,
+        )
+    return truth
+
+
+def _frames(
+    renderer: Renderer, walk: Tensor, phone: Phone, seed: int, progress: Callable[[int, int], object]
+) -> Iterator[Image.Image]:
+    random = np.random.default_rng(seed)
+    plate = random.normal(0.0, phone.noise, (phone.height + PLATE, phone.width + PLATE, 3)).round().astype(np.int16)
+    stops = phone.drift * np.sin(math.tau * (np.arange(len(walk)) / (DRIFT * phone.fps) + random.random()))
+    speeds = torch.gradient(walk, dim=0)[0] * phone.fps
+    moments = phone.shutter * ((torch.arange(phone.glimpses) + 0.5) / phone.glimpses - 0.5)
+    for number in range(len(walk)):
+        seen = walk[number] + moments.unsqueeze(1).double() * speeds[number]
+        cameras = Cameras(camera_poses(seen).float(), phone.K, phone.width, phone.height)
+        views = renderer.pixels(cameras).numpy()
+        view = views[0] if len(views) == 1 else (views.sum(0, dtype=np.uint16) // len(views)).astype(np.uint8)
+        row, column = random.integers(0, PLATE, 2)
+        grain = plate[row : row + phone.height, column : column + phone.width]
+        yield Image.fromarray(np.clip(_exposed(2.0 ** stops[number])[view] + grain, 0, 255).astype(np.uint8))
+        progress(number + 1, len(walk))
+
+
+def _exposed(gain: float) -> NDArray[np.int16]:
+    """What an exposure makes of every value of a pixel: [256]."""
+    values = 255.0 * ((np.arange(256) / 255.0) ** GAMMA * gain) ** (1 / GAMMA)
+    return np.clip(values.round(), 0, 255).astype(np.int16)

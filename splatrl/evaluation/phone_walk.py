@@ -1,0 +1,276 @@
+"""A walk that somebody with a phone takes through a place: past every free spot, looking everywhere on the way."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+from torch import Tensor
+
+from splatrl.collision.occupancy import Occupancy
+from splatrl.evaluation.walks import Hand, sway
+
+Floats = NDArray[np.float64]
+
+GRID = 0.1
+"""Metres between the places that a walk may pass."""
+ROOM = GRID / math.sqrt(2)
+"""Metres that must be free around places beyond the body, so that the straight way between neighbours is free."""
+FINE = 0.01
+"""Metres between the points of a smoothed path."""
+BEYOND = 2.0
+"""Metres around what is solid in which distances are known; they are no larger beyond."""
+SMOOTH = (0.2, 0.1, 0.05, 0.0)
+"""Metres: widths of the smoothing; the first that leaves the path free is taken."""
+WAYS = ((0, 1), (1, 0), (1, 1), (1, -1))
+SLOWEST, FASTEST = 4.0, 0.4
+"""Seconds: periods of the sway of a hand."""
+
+
+@dataclass(frozen=True)
+class Stroll:
+    """How somebody walks and looks.
+
+    Attributes:
+        lower: corner [x, y] of the area to walk in, metres.
+        upper: its other corner.
+        height: of the camera, metres.
+        rise: how far it is raised above that and lowered below it, metres.
+        radius: metres to the sides that stay free at all these heights, but for the sway of the hand.
+        speed: at most, metres per second.
+        turn: seconds in which the view goes once around.
+        pitch_deg: how far the camera looks down on average, degrees.
+        nod_deg: how far it looks up and down from there, degrees.
+        nod: seconds in which it does so once, and about half of what raising and lowering takes.
+        hand: how the hand sways; its periods and frames are not used.
+    """
+
+    lower: tuple[float, float]
+    upper: tuple[float, float]
+    height: float
+    rise: float = 0.15
+    radius: float = 0.3
+    speed: float = 0.5
+    turn: float = 10.0
+    pitch_deg: float = 4.0
+    nod_deg: float = 16.0
+    nod: float = 5.3
+    hand: Hand = field(default_factory=lambda: Hand(0.01, 0.01, 0.8, 0.8, 0.8))
+
+    def __post_init__(self) -> None:
+        for name in ("radius", "speed", "turn", "nod"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected a finite number above 0, got {getattr(self, name)}")
+        if not all(low < high for low, high in zip(self.lower, self.upper, strict=True)):
+            raise ValueError(f"lower, upper: expected lower below upper, got {self.lower} and {self.upper}")
+
+
+def phone_walk(occupancy: Occupancy, stroll: Stroll, frames: int, fps: float, seed: int = 0) -> Tensor:
+    """Walk through the largest connected free part of an area, and come back to where the walk began.
+
+    The way passes spots as close to each other as time and speed allow. Meanwhile the view goes around slowly, up and
+    down, so everything is seen from several places, while moving ahead, sideways or back.
+
+    Args:
+        occupancy: what is solid.
+        stroll: how somebody walks.
+        frames: of the walk.
+        fps: frames per second.
+        seed: of the sway and of the first direction.
+
+    Returns:
+        [frames, 6] float64: x, y and z in metres, then yaw of the view about z, pitch downwards and roll about the
+        view, radians. ``phone_video`` films it; the same arguments give the same bytes.
+
+    Raises:
+        ValueError: for less than two frames, or where nothing is free.
+    """
+    if frames < 2 or not fps > 0:
+        raise ValueError(f"frames, fps: expected at least 2 frames and a speed above 0, got {frames} and {fps}")
+    sides = Sides(occupancy, stroll.height - stroll.rise, stroll.height + stroll.rise)
+    places = free_places(sides, stroll)
+    if len(places) < 4:
+        raise ValueError(
+            f"lower, upper, height: expected room to walk {stroll.radius} m from everything, got {len(places)} free "
+            f"places between {stroll.lower} and {stroll.upper} at {stroll.height} ± {stroll.rise} m"
+        )
+    seconds = np.arange(frames) / fps
+    path = smoothed(sides, stroll.radius, round_trip(places, stroll.speed * frames / fps))
+    along = np.linspace(0.0, len(path) - 1.0, frames)
+    x, y = (np.interp(along, np.arange(len(path)), path[:, axis]) for axis in (0, 1))
+    generator = torch.Generator().manual_seed(seed)
+    first = float(torch.rand((), generator=generator))
+    yaw = math.tau * (first + seconds / stroll.turn)
+    nods = math.tau * seconds / stroll.nod
+    z = stroll.height + stroll.rise * np.sin(0.47 * nods)
+    pitch = np.radians(stroll.pitch_deg + stroll.nod_deg * np.sin(nods))
+    hand = replace(stroll.hand, slowest=SLOWEST * fps, fastest=FASTEST * fps)
+    swayed = sway(hand, frames, generator).double().numpy()
+    still = np.stack([x, y, z, yaw, pitch, np.zeros(frames)], 1)
+    return torch.from_numpy(still + swayed[:, [0, 1, 2, 5, 3, 4]])
+
+
+def camera_poses(walk: Tensor) -> Tensor:
+    """The poses of the cameras of a walk: [N, 6] as ``phone_walk`` returns it -> camera_to_world [N, 4, 4]."""
+    yaw, pitch, roll = walk[:, 3:].unbind(1)
+    flat, zero = pitch.cos(), torch.zeros_like(yaw)
+    forward = torch.stack([yaw.cos() * flat, yaw.sin() * flat, -pitch.sin()], 1)
+    right = torch.stack([yaw.sin(), -yaw.cos(), zero], 1)
+    down = torch.linalg.cross(forward, right)
+    turn, lean = roll.cos().unsqueeze(1), roll.sin().unsqueeze(1)
+    poses = torch.eye(4, dtype=walk.dtype).repeat(len(walk), 1, 1)
+    poses[:, :3, :3] = torch.stack([turn * right + lean * down, turn * down - lean * right, forward], 2)
+    poses[:, :3, 3] = walk[:, :3]
+    return poses
+
+
+class Sides:
+    """How far to the sides the nearest solid thing is, for whatever reaches from one height to another.
+
+    Args:
+        occupancy: what is solid.
+        low: metres.
+        high: metres, not below ``low``.
+    """
+
+    def __init__(self, occupancy: Occupancy, low: float, high: float) -> None:
+        edge, origin = occupancy.resolution, occupancy.origin_key
+        bottom, top = (max(0, math.floor(height / edge) - origin[2]) for height in (low, high))
+        solid = occupancy.occupied[:, :, bottom : top + 1].any(2)
+        self._margin = math.ceil(BEYOND / edge)
+        padded = np.pad(solid, self._margin)
+        self._apart: Floats = (
+            ndimage.distance_transform_edt(~padded) * edge if solid.any() else np.full_like(padded, BEYOND, float)
+        )
+        self._edge, self._corner = edge, np.array(origin[:2]) * edge
+
+    def clearance(self, places: Floats) -> Floats:
+        """Metres from places [N, 2] to the nearest solid voxel, at least; [N]."""
+        cells = (places - self._corner) / self._edge - 0.5 + self._margin
+        apart = ndimage.map_coordinates(self._apart, cells.T, order=1, mode="nearest")
+        return np.asarray(apart - 0.5 * math.sqrt(2) * self._edge)
+
+
+def free_places(sides: Sides, stroll: Stroll) -> Floats:
+    """Places [F, 2] of a lattice, connected, around which the radius and ``ROOM`` more are free."""
+    counts = [int((high - low) / GRID + 1e-6) + 1 for low, high in zip(stroll.lower, stroll.upper, strict=True)]
+    axes = [low + GRID * np.arange(count) for low, count in zip(stroll.lower, counts, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+    room = sides.clearance(grid.reshape(-1, 2)).reshape(grid.shape[:2])
+    labels, count = ndimage.label(room >= stroll.radius + ROOM)
+    if count == 0:
+        return np.zeros((0, 2))
+    largest = 1 + int(np.bincount(labels.reshape(-1))[1:].argmax())
+    free: Floats = grid[labels == largest]
+    return free
+
+
+def round_trip(places: Floats, length: float) -> Floats:
+    """A closed way over a lattice of places, past as many spots as a length allows.
+
+    Args:
+        places: [F, 2] on a lattice of ``GRID``, connected.
+        length: metres.
+
+    Returns:
+        [P, 2] places one after the other, the last one the first.
+    """
+    graph, order = _graph(places), _spread_out(places)
+    fewest, most = 3, len(order) + 1
+    best = _tour(graph, order[:fewest])
+    while most - fewest > 1:
+        count = (fewest + most) // 2
+        tried = _tour(graph, order[:count])
+        if _length(places[tried]) <= length:
+            fewest, best = count, tried
+        else:
+            most = count
+    return places[best]
+
+
+def smoothed(sides: Sides, radius: float, way: Floats) -> Floats:
+    """A closed way without corners, free to ``radius`` metres, at points ``FINE`` apart: [P, 2] -> [Q, 2]."""
+    reach = np.concatenate([[0.0], np.linalg.norm(np.diff(way, axis=0), axis=1).cumsum()])
+    count = max(4, round(float(reach[-1]) / FINE))
+    points = np.stack([np.interp(np.linspace(0, reach[-1], count), reach, way[:, axis]) for axis in (0, 1)], 1)
+    for width in SMOOTH:
+        path: Floats = ndimage.gaussian_filter1d(points, width / FINE, axis=0, mode="wrap") if width else points
+        if (sides.clearance(path) >= radius).all():
+            break
+    return path
+
+
+def _graph(places: Floats) -> coo_matrix:
+    """Distances between neighbouring places of a lattice, straight and across."""
+    keys = np.round((places - places.min(0)) / GRID).astype(int)
+    rows = np.full(keys.max(0) + 3, -1)  # a border of nothing
+    rows[tuple((keys + 1).T)] = np.arange(len(places))
+    found: list[tuple[Sequence[int], Sequence[int], float]] = []
+    for way in WAYS:
+        there = rows[tuple((keys + 1 + way).T)]
+        both = there >= 0
+        found.append((np.flatnonzero(both).tolist(), there[both].tolist(), GRID * math.hypot(*way)))
+    starts = [row for begin, _, _ in found for row in begin]
+    ends = [row for _, end, _ in found for row in end]
+    lengths = [length for begin, _, length in found for _ in begin]
+    return coo_matrix((lengths, (starts, ends)), (len(places), len(places)))
+
+
+def _spread_out(places: Floats) -> list[int]:
+    """All places, each as far as may be from those before it."""
+    order = [0]
+    apart = np.linalg.norm(places - places[0], axis=1)
+    while len(order) < len(places):
+        order.append(int(apart.argmax()))
+        apart = np.minimum(apart, np.linalg.norm(places - places[order[-1]], axis=1))
+    return order
+
+
+def _tour(graph: coo_matrix, stops: Sequence[int]) -> list[int]:
+    """A short closed way along edges of a graph past some of its nodes: nearest neighbour, then 2-opt."""
+    distances, before = dijkstra(graph, directed=False, indices=list(stops), return_predecessors=True)
+    apart = distances[:, stops]
+    tour, left = [0], set(range(1, len(stops)))
+    while left:
+        tour.append(min(sorted(left), key=lambda stop: apart[tour[-1], stop]))
+        left.remove(tour[-1])
+    order = _untangled(np.array(tour), apart)
+    way = [stops[order[0]]]
+    for start, end in zip(order, [*order[1:], order[0]], strict=True):
+        way += list(_steps(before[start], stops[start], stops[end]))
+    return way
+
+
+def _untangled(tour: NDArray[np.int_], apart: Floats) -> list[int]:
+    """2-opt: reverse stretches of a closed tour while that makes it shorter."""
+    improved = True
+    while improved:
+        improved = False
+        for i in range(1, len(tour) - 1):
+            ahead = np.roll(tour, -1)[i:]
+            now = apart[tour[i - 1], tour[i]] + apart[tour[i:], ahead]
+            turned = apart[tour[i - 1], tour[i:]] + apart[tour[i], ahead]
+            gain = now - turned
+            end = int(gain.argmax())
+            if gain[end] > 1e-9:
+                tour[i : i + end + 1] = tour[i : i + end + 1][::-1].copy()
+                improved = True
+    return [int(stop) for stop in tour]
+
+
+def _steps(before: NDArray[np.int_], start: int, end: int) -> Iterator[int]:
+    """Nodes of a shortest way, without the first."""
+    way = []
+    while end != start:
+        way.append(end)
+        end = int(before[end])
+    yield from reversed(way)
+
+
+def _length(way: Floats) -> float:
+    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())

@@ -1,0 +1,83 @@
+"""A walk with a phone stays free, passes every free spot, and looks everywhere."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from splatrl.collision.occupancy import Occupancy
+from splatrl.evaluation.phone_walk import Sides, Stroll, camera_poses, free_places, phone_walk
+from splatrl.evaluation.walks import Hand
+from splatrl.geometry import first_not_rigid
+
+STILL = Hand(place=0.0, height=0.0, pitch_deg=0.0, roll_deg=0.0, yaw_deg=0.0)
+STROLL = Stroll((-1.9, -1.4), (1.9, 1.4), 0.6, hand=STILL)
+
+
+def hall() -> Occupancy:
+    """A hall of 4 × 3 m with a floor, a pillar in its middle, and a beam above everybody's head."""
+    lower = [[-2, -1.5, -0.1], [-0.3, -0.3, 0], [-2, -1.5, 1.5], [-2.1, -1.6, 0], [2, -1.6, 0]]
+    upper = [[2, 1.5, 0], [0.3, 0.3, 1.2], [2, 1.5, 1.6], [-2, 1.6, 1.2], [2.1, 1.6, 1.2]]
+    return Occupancy.from_boxes(np.array(lower, float), np.array(upper, float))
+
+
+def test_a_walk_stays_free_and_within_its_heights_and_its_speed() -> None:
+    walk = phone_walk(hall(), STROLL, 1200, 30.0).numpy()
+    assert Sides(hall(), 0.45, 0.75).clearance(walk[:, :2]).min() >= STROLL.radius
+    assert walk[:, 2].min() == pytest.approx(0.45, abs=0.01) and walk[:, 2].max() == pytest.approx(0.75, abs=0.01)
+    steps = np.linalg.norm(np.diff(walk[:, :2], axis=0), axis=1)
+    assert 0.5 * STROLL.speed < 30 * steps.mean() <= STROLL.speed
+    assert np.linalg.norm(walk[0, :2] - walk[-1, :2]) < 0.1
+
+
+def test_every_free_spot_is_passed_and_every_direction_seen_from_every_corner() -> None:
+    walk = phone_walk(hall(), STROLL, 1800, 30.0).numpy()
+    places = free_places(Sides(hall(), 0.45, 0.75), STROLL)
+    apart = np.linalg.norm(places[:, None] - walk[None, ::10, :2], axis=2)
+    assert apart.min(1).max() < 0.5
+    sector = np.floor(walk[:, 3] % math.tau / (math.pi / 4)).astype(int)
+    for x, y in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+        there = (walk[:, 0] * x > 0) & (walk[:, 1] * y > 0)
+        assert len(set(sector[there])) >= 7
+
+
+def test_cameras_stand_upright_and_look_where_the_walk_says() -> None:
+    walk = torch.tensor([[1.0, 2.0, 3.0, 0.5 * math.pi, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0, 0.5, 0.2]]).double()
+    poses = camera_poses(walk)
+    assert first_not_rigid(poses) is None
+    torch.testing.assert_close(poses[0, :3, :3].T, torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]).double())
+    assert poses[0, :3, 3].tolist() == [1.0, 2.0, 3.0]
+    assert poses[1, 2, 2] == pytest.approx(-math.sin(0.5))
+    assert poses[1, 2, 0] == pytest.approx(-math.sin(0.2) * math.cos(0.5))  # its right side leans down
+
+
+def test_the_same_seed_gives_the_same_walk_and_another_one_sways_and_looks_otherwise() -> None:
+    stroll = replace(STROLL, hand=Hand())
+    first = phone_walk(hall(), stroll, 300, 30.0)
+    assert torch.equal(first, phone_walk(hall(), stroll, 300, 30.0))
+    assert (first - phone_walk(hall(), stroll, 300, 30.0, seed=1)).abs().amax(0).gt(1e-3).all()
+
+
+def test_the_hand_sways_as_slowly_at_every_frame_rate() -> None:
+    stroll = replace(STROLL, hand=Hand())
+    slow, fast = (phone_walk(hall(), stroll, int(10 * fps), fps)[:, 5] for fps in (15.0, 60.0))
+    assert float(slow.std() / fast.std()) == pytest.approx(1.0, abs=0.05)
+    assert float(slow.diff().abs().mean() / fast.diff().abs().mean()) == pytest.approx(4.0, rel=0.1)
+
+
+def test_of_two_parts_the_larger_is_walked() -> None:
+    wall = Occupancy.from_boxes(np.array([[0.7, -2, 0]]), np.array([[0.8, 2, 1]]), 0.05)
+    assert phone_walk(wall, STROLL, 300, 30.0)[:, 0].max() < 0.7 - STROLL.radius
+
+
+def test_a_place_without_room_is_refused_with_its_figures() -> None:
+    with pytest.raises(ValueError, match=r"room to walk 1\.5 m from everything, got 0 free places between \(-1\.9"):
+        phone_walk(hall(), replace(STROLL, radius=1.5), 300, 30.0)
+    with pytest.raises(ValueError, match="lower, upper: expected lower below upper"):
+        Stroll((1.0, 0.0), (0.0, 1.0), 0.5)
+    with pytest.raises(ValueError, match="speed: expected a finite number above 0, got 0"):
+        replace(STROLL, speed=0)
+    with pytest.raises(ValueError, match="at least 2 frames"):
+        phone_walk(hall(), STROLL, 1, 30.0)
