@@ -42,7 +42,7 @@ class Phone:
     width: int = 1920
     height: int = 1080
     fps: int = 30
-    fov_deg: float = 65.0
+    fov_deg: float = 69.0
     shutter: float = 0.005
     glimpses: int = 2
     drift: float = 0.15

@@ -27,6 +27,11 @@ BEYOND = 2.0
 """Metres around what is solid in which distances are known; they are no larger beyond."""
 SMOOTH = (0.2, 0.1, 0.05, 0.0)
 """Metres: widths of the smoothing; the first that leaves the path free is taken."""
+GLANCE, SWERVE, AWAY = 0.5, math.radians(7.5), 24
+"""Seconds between decisions where to look, by how much another decision differs, and how often one way."""
+NEARNESS = 4.0
+"""How much it counts that only near things are seen, against looking the other way than planned."""
+STRIDES = 12
 WAYS = ((0, 1), (1, 0), (1, 1), (1, -1))
 SLOWEST, FASTEST = 4.0, 0.4
 """Seconds: periods of the sway of a hand."""
@@ -44,6 +49,7 @@ class Stroll:
         radius: metres to the sides that stay free at all these heights, but for the sway of the hand.
         speed: at most, metres per second.
         turn: seconds in which the view goes once around.
+        far: metres; it looks rather at things that are no nearer.
         pitch_deg: how far the camera looks down on average, degrees.
         nod_deg: how far it looks up and down from there, degrees.
         nod: seconds in which it does so once, and about half of what raising and lowering takes.
@@ -53,13 +59,14 @@ class Stroll:
     lower: tuple[float, float]
     upper: tuple[float, float]
     height: float
-    rise: float = 0.15
-    radius: float = 0.3
-    speed: float = 0.5
-    turn: float = 10.0
-    pitch_deg: float = 4.0
-    nod_deg: float = 16.0
-    nod: float = 5.3
+    rise: float = 0.1
+    radius: float = 0.25
+    speed: float = 0.45
+    turn: float = 24.0
+    far: float = 3.0
+    pitch_deg: float = 0.0
+    nod_deg: float = 18.0
+    nod: float = 8.3
     hand: Hand = field(default_factory=lambda: Hand(0.01, 0.01, 0.8, 0.8, 0.8))
 
     def __post_init__(self) -> None:
@@ -105,7 +112,7 @@ def phone_walk(occupancy: Occupancy, stroll: Stroll, frames: int, fps: float, se
     x, y = (np.interp(along, np.arange(len(path)), path[:, axis]) for axis in (0, 1))
     generator = torch.Generator().manual_seed(seed)
     first = float(torch.rand((), generator=generator))
-    yaw = math.tau * (first + seconds / stroll.turn)
+    yaw = views(sides, stroll, np.stack([x, y], 1), seconds, math.tau * first)
     nods = math.tau * seconds / stroll.nod
     z = stroll.height + stroll.rise * np.sin(0.47 * nods)
     pitch = np.radians(stroll.pitch_deg + stroll.nod_deg * np.sin(nods))
@@ -148,6 +155,15 @@ class Sides:
             ndimage.distance_transform_edt(~padded) * edge if solid.any() else np.full_like(padded, BEYOND, float)
         )
         self._edge, self._corner = edge, np.array(origin[:2]) * edge
+
+    def reach(self, places: Floats, yaw: Floats, far: float) -> Floats:
+        """Metres to the nearest solid thing in some directions, ``far`` at most: [N, 2], [N, M] -> [N, M]."""
+        way = np.stack([np.cos(yaw), np.sin(yaw)], -1)
+        gone = np.zeros(yaw.shape)
+        for _ in range(STRIDES):  # as far as is free all around, again and again
+            here = (places[:, None] + gone[..., None] * way).reshape(-1, 2)
+            gone = np.minimum(gone + np.maximum(self.clearance(here), 0.0).reshape(yaw.shape), far)
+        return gone
 
     def clearance(self, places: Floats) -> Floats:
         """Metres from places [N, 2] to the nearest solid voxel, at least; [N]."""
@@ -203,6 +219,42 @@ def smoothed(sides: Sides, radius: float, way: Floats) -> Floats:
         if (sides.clearance(path) >= radius).all():
             break
     return path
+
+
+def views(sides: Sides, stroll: Stroll, places: Floats, seconds: Floats, first: float) -> Floats:
+    """Where somebody looks along a way: around slowly, but rather at what is farther than ``stroll.far``.
+
+    Nobody films a wall from so near that nothing else is in the picture, and nothing could be made of it. The shortest
+    way through all deviations from an even turn (Viterbi) weighs the two.
+
+    Args:
+        sides: how far things are.
+        stroll: how somebody looks.
+        places: [N, 2] of the way.
+        seconds: [N] when it is there.
+        first: yaw of the view at the start, radians.
+
+    Returns:
+        [N] yaw, radians.
+    """
+    times = np.linspace(seconds[0], seconds[-1], max(2, round((seconds[-1] - seconds[0]) / GLANCE) + 1))
+    at = np.stack([np.interp(times, seconds, places[:, axis]) for axis in (0, 1)], 1)
+    even = first + math.tau * times / stroll.turn
+    off = np.arange(-AWAY, AWAY + 1) * SWERVE
+    yaw = even[:, None] + off
+    far = np.mean([sides.reach(at, yaw + side, stroll.far) for side in np.radians([-24, -12, 0, 12, 24])], 0)
+    cost = NEARNESS * (1 - far / stroll.far) ** 2 + (off / math.pi) ** 2
+    total, came = cost[0], []
+    for row in cost[1:]:
+        padded = np.pad(total, 1, constant_values=np.inf)
+        ways = np.stack([padded[1:-1], padded[:-2], padded[2:]])
+        came.append(ways.argmin(0))
+        total = row + ways.min(0)
+    chosen = [int(total.argmin())]
+    for step in reversed(came):
+        chosen.append(chosen[-1] + (0, -1, 1)[step[chosen[-1]]])
+    looked = even + ndimage.gaussian_filter1d(off[chosen[::-1]], 1.0, mode="nearest")
+    return np.asarray(np.interp(seconds, times, looked))
 
 
 def _graph(places: Floats) -> coo_matrix:

@@ -23,7 +23,7 @@ PANEL, WIDEST, GAP, STRIP = 384, 512, 8, 60
 """Height of both panels, largest width of the map, space around them and height of the text, pixels."""
 HOLD = 0.7
 """Time for which the last frame of an episode stays, seconds."""
-X264: dict[str, str] = {"crf": "18", "preset": "veryfast", "x264-params": "mbtree=0"}
+X264 = {"crf": "18", "preset": "veryfast", "x264-params": "mbtree=0"}
 """Without its macroblock tree, with which x264 writes other bytes each time."""
 BATCH = 8
 """Number of large views rendered at once, which bounds the memory."""
@@ -133,7 +133,7 @@ def encode(frames: Iterator[Image.Image], path: Path, fps: int) -> None:
     with replacing(path) as file, av.open(file, "w", format="mp4") as container:
         stream = container.add_stream("libx264" if x264 else "mpeg4", rate=fps)
         stream.pix_fmt = "yuv420p"
-        stream.options = X264 if x264 else {"qscale": "3"}
+        stream.options = dict(X264) if x264 else {"qscale": "3"}
         first = next(frames)
         stream.width, stream.height = first.size
         for image in chain([first], frames):

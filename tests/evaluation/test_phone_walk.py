@@ -19,28 +19,44 @@ STROLL = Stroll((-1.9, -1.4), (1.9, 1.4), 0.6, hand=STILL)
 def hall() -> Occupancy:
     """A hall of 4 × 3 m with a floor, a pillar in its middle, and a beam above everybody's head."""
     lower = [[-2, -1.5, -0.1], [-0.3, -0.3, 0], [-2, -1.5, 1.5], [-2.1, -1.6, 0], [2, -1.6, 0]]
+    lower += [[-2, -1.6, 0], [-2, 1.5, 0]]
     upper = [[2, 1.5, 0], [0.3, 0.3, 1.2], [2, 1.5, 1.6], [-2, 1.6, 1.2], [2.1, 1.6, 1.2]]
+    upper += [[2, -1.5, 1.2], [2, 1.6, 1.2]]
     return Occupancy.from_boxes(np.array(lower, float), np.array(upper, float))
 
 
 def test_a_walk_stays_free_and_within_its_heights_and_its_speed() -> None:
     walk = phone_walk(hall(), STROLL, 1200, 30.0).numpy()
-    assert Sides(hall(), 0.45, 0.75).clearance(walk[:, :2]).min() >= STROLL.radius
-    assert walk[:, 2].min() == pytest.approx(0.45, abs=0.01) and walk[:, 2].max() == pytest.approx(0.75, abs=0.01)
+    assert Sides(hall(), 0.5, 0.7).clearance(walk[:, :2]).min() >= STROLL.radius
+    assert walk[:, 2].min() == pytest.approx(0.5, abs=0.01) and walk[:, 2].max() == pytest.approx(0.7, abs=0.01)
     steps = np.linalg.norm(np.diff(walk[:, :2], axis=0), axis=1)
     assert 0.5 * STROLL.speed < 30 * steps.mean() <= STROLL.speed
     assert np.linalg.norm(walk[0, :2] - walk[-1, :2]) < 0.1
 
 
-def test_every_free_spot_is_passed_and_every_direction_seen_from_every_corner() -> None:
+def test_every_free_spot_is_passed_and_every_direction_seen() -> None:
     walk = phone_walk(hall(), STROLL, 1800, 30.0).numpy()
-    places = free_places(Sides(hall(), 0.45, 0.75), STROLL)
+    places = free_places(Sides(hall(), 0.5, 0.7), STROLL)
     apart = np.linalg.norm(places[:, None] - walk[None, ::10, :2], axis=2)
     assert apart.min(1).max() < 0.5
-    sector = np.floor(walk[:, 3] % math.tau / (math.pi / 4)).astype(int)
-    for x, y in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-        there = (walk[:, 0] * x > 0) & (walk[:, 1] * y > 0)
-        assert len(set(sector[there])) >= 7
+    shares = np.histogram(walk[:, 3] % math.tau, 8, (0.0, math.tau))[0] / len(walk)
+    assert shares.min() > 0.04
+
+
+def test_the_view_goes_around_slowly_and_keeps_away_from_near_walls() -> None:
+    walk = phone_walk(hall(), STROLL, 1800, 30.0).numpy()
+    sides = Sides(hall(), 0.5, 0.7)
+    ahead = sides.reach(walk[:, :2], walk[:, 3:4], 3.0)[:, 0]
+    even = sides.reach(walk[:, :2], walk[:, 3:4] + np.linspace(0, math.tau, 16, endpoint=False), 3.0).mean(1)
+    assert ahead.mean() > 1.25 * even.mean() and (ahead < 0.6).mean() < 0.15
+    speeds = np.degrees(np.abs(np.diff(walk[:, 3]))) * 30
+    assert speeds.max() < 31 and 10 < speeds.mean() < 25
+
+
+def test_the_reach_of_a_view_ends_at_walls() -> None:
+    sides = Sides(hall(), 0.5, 0.7)
+    found = sides.reach(np.array([[-1.0, 0.0]]), np.array([[0.0, math.pi, 0.5 * math.pi]]), 5.0)[0]
+    assert (found > [0.55, 0.85, 1.2]).all() and (found <= [0.7, 1.0, 1.6]).all()
 
 
 def test_cameras_stand_upright_and_look_where_the_walk_says() -> None:
