@@ -11,6 +11,10 @@ from splatrl.capture.matches import Features, Pair, features, related
 from splatrl.capture.progress import Progress, silent
 
 FRAMES = 60
+GROUP = 6
+"""Of a long video, so many neighbours at a time are looked at: images a second apart may share little and be good."""
+APART = 0.34
+"""Seconds between neighbours, at most, where the video has that many images."""
 FEW = 40
 """Up to so many photos all pairs are compared, for their order may mean nothing."""
 MIN_BRIGHTNESS = 25.0
@@ -123,13 +127,13 @@ def look(photos: Photos, progress: Progress = silent) -> Look:
     Raises:
         ImportError: without the extra ``capture``.
     """
-    chosen = np.unique(np.linspace(0, len(photos.paths) - 1, min(FRAMES, len(photos.paths))).round().astype(int))
+    chosen, group = _chosen(photos.seconds.numpy())
     seen: list[Features] = []
     for number in chosen.tolist():
         progress("look", len(seen), 5 * len(chosen))
         seen.append(features(photos.paths[number]))
     few = len(photos.paths) <= FEW
-    pairs = list(_pairs(len(seen), few))
+    pairs = list(_pairs(len(seen), few, group))
     found = {}
     for done, (first, second) in enumerate(pairs):
         progress("look", len(seen) + 4 * len(seen) * done // len(pairs), 5 * len(seen))
@@ -166,10 +170,22 @@ def summed(seen: list[Features], found: dict[tuple[int, int], Pair], few: bool) 
     )
 
 
-def _pairs(count: int, few: bool) -> Iterator[tuple[int, int]]:
+def _chosen(seconds: np.ndarray) -> tuple[np.ndarray, int]:
+    """Which images to look at, by when they were taken [N], and how many neighbours there are in a row."""
+    count = len(seconds)
+    evenly = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).round().astype(int))
+    interval = float(seconds[-1] - seconds[0]) / max(count - 1, 1)
+    if count <= FRAMES or interval * (count - 1) / (FRAMES - 1) <= APART:
+        return evenly, len(evenly)
+    step = max(1, int(APART / interval)) if interval > 0 else 1
+    starts = np.linspace(0, count - 1 - (GROUP - 1) * step, FRAMES // GROUP).round().astype(int)
+    return (starts[:, None] + step * np.arange(GROUP)).reshape(-1), GROUP
+
+
+def _pairs(count: int, few: bool, group: int) -> Iterator[tuple[int, int]]:
     if few:
         yield from ((first, second) for first in range(count) for second in range(first + 1, count))
         return
     for offset in (1, 2, 3):
-        yield from ((first, first + offset) for first in range(count - offset))
+        yield from ((first, first + offset) for first in range(count - offset) if first % group + offset < group)
     yield from ((first, second) for first in range(0, count, 5) for second in range(first + 5, count, 5))

@@ -9,7 +9,7 @@ import pytest
 
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.frames import read_photos
-from splatrl.capture.look import Look, look, summed
+from splatrl.capture.look import Look, _chosen, _pairs, look, summed
 from splatrl.capture.matches import SAME_CENTRE, Features, Pair, unlike_rotation
 from tests.capture.ray_cast import K, photos_of, room_image, turning, walk
 
@@ -54,6 +54,18 @@ def test_figures_are_those_of_the_pairs() -> None:
     assert (figures.verified, figures.turned, figures.keypoints) == (0.5, 0.5, 400)
     assert figures.shift == pytest.approx(0.2) and figures.angle == pytest.approx(0.18)
     assert summed(seen, found, few=True).verified == pytest.approx(1 / 5)
+
+
+def test_of_a_long_video_neighbours_are_looked_at_in_groups() -> None:
+    short, group = _chosen(np.arange(120) / 6)
+    assert len(short) == group == 60 and short[-1] == 119 and np.diff(short).max() <= 3
+    long, group = _chosen(np.arange(180) / 3)
+    groups = long.reshape(-1, group)
+    assert group == 6 and (np.diff(groups, axis=1) == 1).all() and (groups[0, 0], groups[-1, -1]) == (0, 179)
+    dense, _ = _chosen(np.arange(600) / 10)
+    assert (np.diff(dense.reshape(-1, group), axis=1) == 3).all()
+    near = [pair for pair in _pairs(60, False, group) if pair[1] - pair[0] <= 3]
+    assert len(near) == 10 * (5 + 4 + 3) and all(first // 6 == second // 6 for first, second in near)
 
 
 def test_a_homography_of_a_turn_is_told_from_that_of_a_plane() -> None:
