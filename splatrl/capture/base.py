@@ -55,6 +55,7 @@ class Reconstruction:
         missing: share of the given images whose pose was not found.
         depths: N files of measured depth, as in ``Photos``; empty without a sensor.
         depth_unit: of one count in these files, in the unit of the frame.
+        seconds: [N] float64, when each image was taken, as in ``Photos``; None where nothing says so.
     """
 
     paths: list[Path]
@@ -69,3 +70,4 @@ class Reconstruction:
     missing: float = 0.0
     depths: tuple[Path, ...] = ()
     depth_unit: float = 0.001
+    seconds: Tensor | None = None

@@ -21,10 +21,10 @@ from splatrl.capture.progress import Progress, silent
 from splatrl.files import new_folder
 
 INDEX = "index.json"
-PER_SECOND = 3.0
+PER_SECOND = 4.0
 """Fewest frames to take of a second of video, up to the most frames that are wanted."""
 SHARPNESS_WIDTH = 480
-VERSION = 1
+VERSION = 2
 Thing = TypeVar("Thing")
 
 

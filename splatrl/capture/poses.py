@@ -17,7 +17,7 @@ from splatrl.capture.progress import Progress, silent
 from splatrl.capture.undistort import undistorted
 
 LEAST = 0.8
-VERSION = 2
+VERSION = 3
 DIGEST = "digest.txt"
 
 
@@ -159,6 +159,7 @@ def _reconstruction(
         seen_by=_tensor(model, "seen_by"),
         missing=1 - len(images) / len(photos.paths),
         depths=tuple(photos.depths[number] for number in images) if photos.depths else (),
+        seconds=photos.seconds[torch.tensor(images, dtype=torch.int64)],
     )
 
 

@@ -15,10 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from splatrl.capture.loops import loop_pairs
 from splatrl.files import replacing
 
 MODEL, DATABASE, PAIRS, JOB = "model.npz", "database.db", "pairs.txt", "job.json"
 FEATURES = 4096
+FAINTEST = 0.003
+"""Contrast of a feature, at least; with COLMAP's 0.0067 shaded walls and lawns hold too few."""
 SPARSE = 40
 """Up to so many images: all pairs, and features from the doubled image, as photos far from each other need."""
 
@@ -103,6 +106,7 @@ def _extract(pycolmap: Any, folder: Path, job: Job) -> None:
     pycolmap.import_images(database, job.images, pycolmap.CameraMode.SINGLE, job.names, reader)
     options = pycolmap.FeatureExtractionOptions()
     options.sift.max_num_features = FEATURES
+    options.sift.peak_threshold = FAINTEST
     options.sift.first_octave = -1 if len(job.names) <= SPARSE else 0
     pycolmap.extract_features(
         database, job.images, job.names, pycolmap.CameraMode.SINGLE, reader, options, pycolmap.Device.cpu
@@ -110,13 +114,25 @@ def _extract(pycolmap: Any, folder: Path, job: Job) -> None:
 
 
 def _match(pycolmap: Any, folder: Path, job: Job) -> None:
-    lines = [f"{job.names[first]} {job.names[second]}\n" for first, second in pairs(len(job.names))]
+    chosen = pairs(len(job.names))
+    if len(job.names) > SPARSE:
+        chosen = sorted({*chosen, *loop_pairs(_descriptors(pycolmap, folder, job))})
+    lines = [f"{job.names[first]} {job.names[second]}\n" for first, second in chosen]
     (folder / PAIRS).write_text("".join(lines), "utf-8")
     pairing = pycolmap.ImportedPairingOptions(block_size=50, match_list_path=str(folder / PAIRS))
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = job.seed
     options = pycolmap.FeatureMatchingOptions(num_threads=1)  # with two, a pair in a thousand differs from run to run
     pycolmap.match_image_pairs(folder / DATABASE, options, pairing, verification, pycolmap.Device.cpu)
+
+
+def _descriptors(pycolmap: Any, folder: Path, job: Job) -> list[np.ndarray]:
+    """Of every image, in the order in which they were taken."""
+    database = pycolmap.Database.open(folder / DATABASE)
+    numbers = {image.name: image.image_id for image in database.read_all_images()}
+    found = [database.read_descriptors(numbers[name]) for name in job.names]
+    database.close()
+    return [np.asarray(getattr(one, "data", one), np.uint8).reshape(-1, 128) for one in found]
 
 
 def _mapping_options(pycolmap: Any, job: Job) -> Any:

@@ -130,8 +130,8 @@ def test_photos_that_cannot_be_read_are_named_with_what_to_do(tmp_path: Path) ->
         read_photos(tmp_path, tmp_path / "out")
 
 
-def test_buckets_are_three_a_second_within_the_bounds() -> None:
-    for length, expected in ((10, 120), (50, 150), (300, 200)):
+def test_buckets_are_four_a_second_within_the_bounds() -> None:
+    for length, expected in ((10, 120), (40, 160), (300, 200)):
         times = np.arange(0, length, 1 / 30)
         assert len(buckets(times, (120, 200))) + 1 == pytest.approx(expected, abs=1)
     assert len(buckets(np.arange(7) / 30, (120, 200))) + 1 == 7
