@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -91,6 +91,33 @@ def capture(
     """
     if (folder / SCENE_FILE).exists() and not settings.force:
         raise FileExistsError(f"{folder / SCENE_FILE}: already exists; name another folder by --out, or give --force")
+    placed, notes = reconstruct(source, folder, settings, progress, say)
+    return build_scene(placed, folder, settings, notes, progress, say)
+
+
+def reconstruct(
+    source: Path,
+    folder: Path,
+    settings: CaptureSettings,
+    progress: Progress = silent,
+    say: Callable[[str], object] = print,
+) -> tuple[Placed, list[str]]:
+    """The first half of a capture: where the cameras were, in a world that stands upright.
+
+    Args:
+        source: as for ``capture``, as are the others.
+        folder: of the scene.
+        settings: how.
+        progress: told how far each stage is.
+        say: told what came of each stage.
+
+    Returns:
+        The cameras in the world, and what the report has to say of these stages.
+
+    Raises:
+        CaptureError: for a capture that cannot work.
+        ImportError: without the extra ``capture``.
+    """
     stages = folder / STAGES
     stages.mkdir(parents=True, exist_ok=True)
     known = is_recording(source)
@@ -105,6 +132,31 @@ def capture(
     say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points")
     placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
     say(f"world       up by {placed.up_from}, scale by {placed.scale_from}, camera {placed.camera_height:.2f} m high")
+    return placed, notes
+
+
+def build_scene(
+    placed: Placed,
+    folder: Path,
+    settings: CaptureSettings,
+    notes: Sequence[str] = (),
+    progress: Progress = silent,
+    say: Callable[[str], object] = print,
+) -> Quality:
+    """The second half of a capture: fit Gaussians to what the cameras saw, check them, and write the folder.
+
+    Args:
+        placed: the cameras in the world.
+        folder: of the scene.
+        settings: how.
+        notes: for the report.
+        progress: told how far the fit is.
+        say: told what came of each stage.
+
+    Raises:
+        FileExistsError: for a scene that is there already, without ``force``.
+    """
+    stages = folder / STAGES
     frame = frame_of(placed.reconstruction.camera_to_world)
     depths = _depths(placed, frame, stages, progress)
     finely = settings.fit

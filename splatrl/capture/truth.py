@@ -1,0 +1,133 @@
+"""How far a reconstruction is from the truth, where that is known: for videos that were rendered, and for sensors."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from splatrl.capture.base import Reconstruction
+from splatrl.capture.world import Placed
+
+Floats = NDArray[np.float64]
+KEYS = {"camera_to_world": (None, 4, 4), "time": (None,), "K": (3, 3)}
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Where the camera of a video was.
+
+    Attributes:
+        camera_to_world: [F, 4, 4] float64, metres, world frame, OpenCV camera axes.
+        time: [F] float64, seconds from the first frame, ascending.
+        K: [3, 3] float64, of the video's images, pixels.
+    """
+
+    camera_to_world: Tensor
+    time: Tensor
+    K: Tensor
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How far a placed reconstruction is from the truth.
+
+    Attributes:
+        world_from_capture: [4, 4] float64 similarity that brings its cameras closest to the true ones.
+        path: root of the mean squared distance of the cameras after that, as a share of the path's length.
+        metres: the same in metres.
+        turn_deg: median angle between found and true cameras after that, degrees.
+        up_deg: angle between its up and the true one, degrees.
+        scale: of its lengths, as a share: 0.02 where a metre is given as 1.02.
+        focal: of its focal length, as a share.
+    """
+
+    world_from_capture: Tensor
+    path: float
+    metres: float
+    turn_deg: float
+    up_deg: float
+    scale: float
+    focal: float
+
+
+def read_truth(video: Path) -> Truth:
+    """Read the .npz beside a video: ``camera_to_world``, ``time`` and ``K``, as ``phone_video`` writes it.
+
+    Raises:
+        FileNotFoundError: where there is none.
+        ValueError: for another file, missing keys, or values of other shapes.
+    """
+    path = video.with_suffix(".npz")
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: expected the truth of {video.name}, found no file")
+    found = {}
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            for key in KEYS:
+                found[key] = np.asarray(stored[key], np.float64)
+    except (KeyError, ValueError, TypeError, OSError) as error:
+        raise ValueError(f"{path}: expected a .npz with {', '.join(KEYS)}: {error}") from error
+    count = len(found["time"]) if found["time"].ndim else 0
+    for key, shape in KEYS.items():
+        expected = tuple(count if side is None else side for side in shape)
+        if found[key].shape != expected or not np.isfinite(found[key]).all() or count < 2:
+            raise ValueError(
+                f"{path}: {key}: expected finite numbers of shape {expected}, got shape {found[key].shape}"
+            )
+    return Truth(*(torch.from_numpy(found[key]) for key in ("camera_to_world", "time", "K")))
+
+
+def true_poses(reconstruction: Reconstruction, truth: Truth) -> Tensor:
+    """The true poses [N, 4, 4] of the cameras of a reconstruction, by the time at which they took their images.
+
+    Raises:
+        ValueError: where the reconstruction does not know these times.
+    """
+    if reconstruction.seconds is None:
+        raise ValueError("seconds: expected the times at which the images were taken, got none")
+    return truth.camera_to_world[(reconstruction.seconds[:, None] - truth.time).abs().argmin(1)]
+
+
+def closest_similarity(found: Tensor, true: Tensor) -> Tensor:
+    """The similarity that brings points closest to others (Umeyama 1991): [N, 3], [N, 3] -> [4, 4] float64."""
+    a, b = found.double().numpy(), true.double().numpy()
+    middle_a, middle_b = a.mean(0), b.mean(0)
+    u, stretch, vt = np.linalg.svd((b - middle_b).T @ (a - middle_a))
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    linear = (u * signs) @ vt * float((stretch * signs).sum() / max(((a - middle_a) ** 2).sum(), 1e-300))
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = linear, middle_b - linear @ middle_a
+    return torch.from_numpy(transform)
+
+
+def deviation(placed: Placed, truth: Truth, width: int) -> Deviation:
+    """Compare a placed reconstruction with the truth.
+
+    Args:
+        placed: its cameras know when they took their images.
+        truth: in a world with z up.
+        width: of the images to which the truth's K belongs, pixels.
+    """
+    reconstruction = placed.reconstruction
+    poses, true = reconstruction.camera_to_world, true_poses(reconstruction, truth)
+    transform = closest_similarity(poses[:, :3, 3], true[:, :3, 3])
+    scale = float(transform[:3, :3].det() ** (1 / 3))
+    turn = transform[:3, :3] / scale
+    places = poses[:, :3, 3] @ transform[:3, :3].T + transform[:3, 3]
+    metres = float((places - true[:, :3, 3]).square().sum(1).mean().sqrt())
+    length = float(truth.camera_to_world[:, :3, 3].diff(dim=0).norm(dim=1).sum())
+    between = torch.einsum("nij,nij->n", turn @ poses[:, :3, :3], true[:, :3, :3])
+    focal = float(reconstruction.K[0, 0]) / reconstruction.width / (float(truth.K[0, 0]) / width) - 1
+    return Deviation(
+        world_from_capture=transform,
+        path=metres / length,
+        metres=metres,
+        turn_deg=math.degrees(float(((between - 1) / 2).clamp(-1, 1).acos().median())),
+        up_deg=math.degrees(math.acos(min(1.0, float(turn[2, 2])))),
+        scale=1 / scale - 1,
+        focal=focal,
+    )
