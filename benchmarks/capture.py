@@ -1,0 +1,257 @@
+"""How long a capture takes from a phone video to a scene to train in, and how far it is from the truth.
+
+    python benchmarks/capture.py                    # films 60 s at 1080p in the backyard, then captures that
+    python benchmarks/capture.py kitchen_m.mp4      # any video with its truth in a .npz beside it
+
+The truth is used to judge, and for one thing that a person would measure: the height of the camera above the floor, or
+``--distance`` as ``splatrl-capture`` takes it. Prints wall and CPU seconds of every stage, how far the cameras are from
+the truth once a similarity has brought them closest (ATE), how far up and scale are off, and how well images that were
+never fitted are drawn. ``--keep FOLDER`` keeps film and scene, and a second call continues there.
+"""
+
+import argparse
+import os
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import av
+import numpy as np
+import torch
+from capture_figure import Likeness, draw
+from machine import measured_machine
+from PIL import Image
+from record import RESULTS, print_markdown, today, write_json
+from tqdm import tqdm
+
+import splatrl
+from splatrl.cameras import Cameras
+from splatrl.capture.check import colour_corrected, psnr, ssim
+from splatrl.capture.fit import FitSettings, held_out
+from splatrl.capture.pipeline import CaptureSettings, build_scene, reconstruct
+from splatrl.capture.truth import Deviation, Truth, deviation, read_truth, true_poses
+from splatrl.capture.world import Placed
+from splatrl.collision import Occupancy
+from splatrl.commands.capture import Bars
+from splatrl.evaluation.phone_video import Phone, phone_video
+from splatrl.evaluation.phone_walk import Stroll, phone_walk
+from splatrl.renderers import NativeRenderer
+from splatrl.scenes import Gaussians, read_gaussians
+
+FILM = "walk.mp4"
+YARD = Stroll((-1.8, -1.8), (1.8, 1.8), 0.6)
+"""Around the robots of the backyard, and a little above them."""
+TOLERANCE = 0.5
+"""Pixels: of the level of detail that the film is drawn with."""
+
+
+@dataclass(frozen=True)
+class Lap:
+    """What one stage took: seconds of the clock, and of all processors."""
+
+    stage: str
+    wall: float
+    cpu: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """A capture against its truth."""
+
+    video: str
+    seconds: float
+    width: int
+    height: int
+    images: int
+    posed: int
+    points: int
+    gaussians: int
+    laps: list[Lap]
+    wall: float
+    cpu: float
+    ate_percent: float
+    ate_metres: float
+    turn_deg: float
+    up_deg: float
+    scale_percent: float
+    scale_from: str
+    focal_percent: float
+    fit_width: int
+    psnr: float
+    ssim: float
+    psnr_corrected: float
+    path_free: float
+    floating: int
+    solid: int
+
+
+@dataclass
+class Stopwatch:
+    """Times stages as they are told: lines of ``say`` end one, and what ``progress`` names is timed within it."""
+
+    bars: Bars
+    laps: list[Lap] = field(default_factory=list)
+    parts: dict[str, float] = field(default_factory=dict)
+    _began: tuple[float, float] = field(default_factory=lambda: _clock())
+    _part: tuple[str, float] = ("", 0.0)
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        """Progress of a stage."""
+        now = time.perf_counter()
+        if self._part[0] == what:
+            self.parts[what] = self.parts.get(what, 0.0) + now - self._part[1]
+        self._part = (what, now)
+        self.bars(what, done, total)
+
+    def say(self, line: str) -> None:
+        """A stage is done."""
+        wall, cpu = _clock()
+        self.laps.append(Lap(line.split()[0], wall - self._began[0], cpu - self._began[1]))
+        self.bars.say(line)
+        self._began = _clock()
+
+
+def _clock() -> tuple[float, float]:
+    """Seconds of the clock, and of the processors for this process and those that it has waited for."""
+    return time.perf_counter(), sum(os.times()[:4])
+
+
+def filmed(path: Path, seconds: float, size: tuple[int, int], seed: int) -> Path:
+    """A phone walk in the backyard, unless it is there already."""
+    if path.is_file() and path.with_suffix(".npz").is_file():
+        return path
+    scene, phone = splatrl.backyard(), Phone(*size)
+    walk = phone_walk(Occupancy.from_scene(scene), YARD, round(seconds * phone.fps), phone.fps, seed)
+    began = _clock()
+    with tqdm(total=len(walk), unit="frame", desc="film", dynamic_ncols=True) as bar:
+        renderer = NativeRenderer(scene, tolerance=TOLERANCE)
+        phone_video(renderer, walk, phone, path, seed, lambda done, total: bar.update(done - bar.n))
+    wall, cpu = (now - then for now, then in zip(_clock(), began, strict=True))
+    print(f"filmed {len(walk)} frames of {size[0]} × {size[1]} pixels in {wall:.0f} s, {cpu:.0f} CPU s")
+    return path
+
+
+def likenesses(gaussians: Gaussians, placed: Placed, width: int) -> list[Likeness]:
+    """Images that were never fitted beside what is drawn, at the width that was fitted."""
+    found = placed.reconstruction
+    width = min(width, found.width)
+    size = (width, round(found.height * width / found.width))
+    K = found.K * torch.tensor([[size[0] / found.width], [size[1] / found.height], [1.0]])
+    renderer, result = NativeRenderer(gaussians), []
+    for row in held_out(len(found.paths)).tolist():
+        camera = Cameras(found.camera_to_world[row : row + 1].float(), K.float(), *size)
+        drawn = renderer.pixels(camera)[0].numpy() / 255.0
+        photo = np.asarray(Image.open(found.paths[row]).convert("RGB").resize(size, Image.Resampling.BOX)) / 255.0
+        corrected = colour_corrected(drawn, photo)
+        result.append(Likeness(photo, drawn, psnr(drawn, photo), ssim(drawn, photo), psnr(corrected, photo)))
+    return result
+
+
+def settings_of(options: argparse.Namespace, truth: Truth) -> CaptureSettings:
+    """What a person would state: how high the camera was above the floor at z = ``--floor``."""
+    height = float((truth.camera_to_world[:, 2, 3] - options.floor).median())
+    fit = FitSettings(width=options.width, cap=options.gaussians, views=options.views, seed=options.seed)
+    return CaptureSettings(camera_height=height, seed=options.seed, fit=fit, force=True)
+
+
+def parsed() -> argparse.Namespace:
+    """The options."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("video", type=Path, nargs="?", help="with its truth beside it; none films the backyard")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of the film")
+    parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080), help="of the film, pixels")
+    parser.add_argument("--floor", type=float, default=0.0, help="height of the floor in the truth, metres")
+    parser.add_argument("--width", type=int, default=FitSettings.width)
+    parser.add_argument("--gaussians", type=int, default=FitSettings.cap)
+    parser.add_argument("--views", type=int, default=FitSettings.views)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, help="folder for film and scene; none forgets them")
+    parser.add_argument("--json", action="store_true", help="write benchmarks/results/<date>-cpu-capture.json")
+    parser.add_argument("--png", type=Path, default=RESULTS / f"{today()}-cpu-capture.png")
+    return parser.parse_args()
+
+
+def measured(video: Path, folder: Path, options: argparse.Namespace) -> tuple[Result, list[Likeness], Placed]:
+    """Capture a video, and compare the capture with the truth."""
+    truth, settings = read_truth(video), settings_of(options, read_truth(video))
+    with av.open(str(video)) as container:
+        stream = container.streams.video[0]
+        width, height, seconds = stream.width, stream.height, float(truth.time[-1])
+    with Bars() as bars:
+        watch = Stopwatch(bars)
+        placed, notes = reconstruct(video, folder, settings, watch, watch.say)
+        quality = build_scene(placed, folder, settings, notes, watch, watch.say)
+    gaussians = read_gaussians(folder / "splat.ply")
+    off: Deviation = deviation(placed, truth, width)
+    alike = likenesses(gaussians, placed, settings.fit.width)
+    images = len(placed.reconstruction.paths)
+    result = Result(
+        video=video.name,
+        seconds=seconds,
+        width=width,
+        height=height,
+        images=round(images / (1 - placed.reconstruction.missing)),
+        posed=images,
+        points=len(placed.reconstruction.points),
+        gaussians=gaussians.numel(),
+        laps=[*watch.laps, *(Lap(f"  {part}", wall, float("nan")) for part, wall in watch.parts.items())],
+        wall=sum(lap.wall for lap in watch.laps),
+        cpu=sum(lap.cpu for lap in watch.laps),
+        ate_percent=100 * off.path,
+        ate_metres=off.metres,
+        turn_deg=off.turn_deg,
+        up_deg=off.up_deg,
+        scale_percent=100 * off.scale,
+        scale_from=placed.scale_from,
+        focal_percent=100 * off.focal,
+        fit_width=settings.fit.width,
+        psnr=float(np.mean([one.psnr for one in alike])),
+        ssim=float(np.mean([one.ssim for one in alike])),
+        psnr_corrected=float(np.mean([one.psnr_corrected for one in alike])),
+        path_free=quality.path_free,
+        floating=quality.floating,
+        solid=quality.solid,
+    )
+    return result, alike, placed
+
+
+def print_result(result: Result) -> None:
+    """Two tables: what the stages took, and how good the capture is."""
+    rows = [[lap.stage, f"{lap.wall:.1f}", "" if np.isnan(lap.cpu) else f"{lap.cpu:.1f}"] for lap in result.laps]
+    print_markdown(["stage", "wall s", "CPU s"], [*rows, ["all", f"{result.wall:.1f}", f"{result.cpu:.1f}"]])
+    figures = [
+        ("images with a pose", f"{result.posed} of {result.images}"),
+        ("points, Gaussians", f"{result.points:,}, {result.gaussians:,}"),
+        ("ATE", f"{result.ate_percent:.3f} % of the path, {1000 * result.ate_metres:.1f} mm"),
+        ("rotation, median", f"{result.turn_deg:.2f}°"),
+        ("up", f"{result.up_deg:.2f}°"),
+        ("scale", f"{result.scale_percent:+.2f} % (by {result.scale_from})"),
+        ("focal length", f"{result.focal_percent:+.2f} %"),
+        (f"held out, {result.fit_width} pixels", f"{result.psnr:.2f} dB, SSIM {result.ssim:.3f}"),
+        ("the same, colour-corrected", f"{result.psnr_corrected:.2f} dB"),
+        ("path that is free", f"{100 * result.path_free:.1f} %"),
+        ("floating voxels", f"{result.floating} of {result.solid}"),
+    ]
+    print_markdown(["", ""], [list(row) for row in figures])
+
+
+def main() -> None:
+    """Film, capture, compare and print."""
+    options = parsed()
+    machine = measured_machine()
+    print(machine)
+    with tempfile.TemporaryDirectory() as spare:
+        folder = options.keep or Path(spare)
+        folder.mkdir(parents=True, exist_ok=True)
+        video = options.video or filmed(folder / FILM, options.seconds, tuple(options.size), options.seed)
+        result, alike, placed = measured(video, folder / video.stem, options)
+        print_result(result)
+        draw(result.laps, alike, placed, true_poses(placed.reconstruction, read_truth(video)), options.png)
+        print(f"drawn to {options.png}")
+    if options.json:
+        print(f"written to {write_json('capture', machine, [result])}")
+
+
+if __name__ == "__main__":
+    main()
