@@ -12,7 +12,7 @@ from hydra.utils import get_method
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationToMissingValueError, OmegaConfBaseException
 
-from splatrl.configuration import command_line, conf_dir, load_config
+from splatrl.configuration import command_line, conf_dir, load_config, quoted
 from splatrl.experiments import Run, Selection, budget, check_settings, planned, report_all, score, statement, train_all
 from splatrl.experiments.machine import machine
 from splatrl.native.threads import usable_cores
@@ -42,11 +42,12 @@ def experiment(cfg: DictConfig) -> None:
         ValueError: for an invalid name, scene or setting.
         SystemExit: if trainings failed, naming them, once all others are done.
     """
-    names = _names(cfg)
-    scenes = _scenes(cfg)
-    folder = Path(cfg.folder)
-    selection = Selection(*(_plain(cfg)[key] for key in ("seeds", "frames", "scenes")))
+    names, folder = _names(cfg), Path(cfg.folder)
     nodes = _plain(cfg.experiments)
+    _prepare(cfg, names, nodes)
+    scenes = _scenes(cfg)
+    places = None if cfg.scenes is None else [_scene_name(str(scene)) for scene in cfg.scenes]
+    selection = Selection(_plain(cfg)["seeds"], cfg.frames, places)
     experiments = [planned(name, nodes[name], scenes, folder, _compose, selection) for name in names]
     runs = [each for asked in experiments for each in asked.runs]
     if not runs:
@@ -75,21 +76,61 @@ def _names(cfg: DictConfig) -> list[str]:
     return names if given == "all" else [given]
 
 
+def _prepare(cfg: DictConfig, names: Sequence[str], nodes: Mapping[str, Any]) -> None:
+    """Make what the trainings of some experiments need, where that is not there yet."""
+    given = {str(scene): _overrides(cfg, str(scene)) for scene in cfg.scene_overrides}
+    for name in names:
+        if nodes[name]["prepare"] and not cfg.report_only:
+            known = {scene: overrides for scene, overrides in given.items() if overrides is not None}
+            get_method(nodes[name]["prepare"])(Path(cfg.folder) / name, known)
+
+
+def _overrides(cfg: DictConfig, scene: str) -> list[str] | None:
+    """The overrides of a scene; None where its file is not given."""
+    try:
+        return [str(override) for override in cfg.scene_overrides[scene]]
+    except InterpolationToMissingValueError:
+        return None
+
+
+def _scene_name(scene: str) -> str:
+    """The name of a scene, which may be given by a path: that of its folder or file."""
+    return Path(scene).expanduser().resolve().stem if "/" in scene or Path(scene).suffix else scene
+
+
 def _scenes(cfg: DictConfig) -> dict[str, list[str]]:
-    """Overrides of the scenes in which to train: those whose files are given."""
+    """Overrides of the scenes in which to train: those whose files are given or there.
+
+    Raises:
+        ValueError: for a scene that is neither known nor there, or whose file is not given.
+    """
     known = [str(scene) for scene in cfg.scene_overrides]
-    for scene in cfg.scenes or []:
+    result: dict[str, list[str]] = {}
+    for scene in map(str, cfg.scenes or known):
         if scene not in known:
-            raise ValueError(f"scenes: expected some of {', '.join(known)}, got {scene}")
-    result = {}
-    for scene in cfg.scenes or known:
-        try:
-            result[scene] = [str(override) for override in cfg.scene_overrides[scene]]
-        except InterpolationToMissingValueError as error:
-            if cfg.scenes is not None:
-                raise ValueError(f"scenes={scene}: expected {scene}=<its file> as well, got none") from error
-            print(f"{scene} is left out; to include it, give {scene}=<its file>", file=sys.stderr)
+            if not Path(scene).expanduser().exists():
+                raise ValueError(f"scenes: expected some of {', '.join(known)}, or a path that exists, got {scene}")
+            name = _scene_name(scene)
+            if name in known or name in result:
+                raise ValueError(f"scenes={scene}: expected a name of its own, got {name} again; rename its folder")
+            path = str(Path(scene).expanduser().absolute())
+            result[name] = ["scene=file", f"scene.path={quoted(path)}", f"device={cfg.device}"]
+            continue
+        overrides = _overrides(cfg, scene)
+        fault = f"{scene}=<its file>" if overrides is None else _absent(overrides)
+        if fault is None and overrides is not None:
+            result[scene] = overrides
+        elif cfg.scenes is not None:
+            raise ValueError(f"scenes={scene}: expected {fault} as well, got none")
+        else:
+            print(f"{scene} is left out; to include it, give {fault}", file=sys.stderr)
     return result
+
+
+def _absent(overrides: Sequence[str]) -> str | None:
+    """What makes the folder of a scene that is not there yet; None where it is there, or where there is no folder."""
+    paths = [override.removeprefix("scene=") for override in overrides if override.startswith("scene=")]
+    return "name=loop" if any("/" in path and not Path(path).exists() for path in paths) else None
 
 
 def _compose(overrides: Sequence[str]) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """An experiment as data: a question, and the trainings that answer it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -101,12 +101,18 @@ class Selection:
     Attributes:
         seeds: seeds to train.
         frames: frames of each training.
-        scenes: scenes in which to train.
+        scenes: scenes in which to train; those that no arm names are taken in place of an arm's own.
     """
 
     seeds: Sequence[int] | None = None
     frames: int | None = None
     scenes: Sequence[str] | None = None
+
+    def of(self, arm: Arm, named: Collection[str]) -> list[str]:
+        """The scenes of an arm, if all arms together name these."""
+        if self.scenes is None:
+            return list(arm.scenes)
+        return [scene for scene in self.scenes if scene in arm.scenes or scene not in named]
 
 
 def planned(
@@ -133,11 +139,14 @@ def planned(
     selection = selection or Selection()
     home = folder / name
     runs: list[tuple[int, Run]] = []
+    arms = {}
     for key, values in node["arms"].items():
+        arms[key] = Arm(**_checked(values, {field.name for field in fields(Arm)}, f"experiments.{name}.arms.{key}"))
+    named = {scene for arm in arms.values() for scene in arm.scenes}
+    for key, arm in arms.items():
         where = f"experiments.{name}.arms.{key}"
-        arm = Arm(**_checked(values, {field.name for field in fields(Arm)}, where))
-        for scene in arm.scenes:
-            if scene not in scenes or (selection.scenes is not None and scene not in selection.scenes):
+        for scene in selection.of(arm, named):
+            if scene not in scenes:
                 continue
             overrides = [*scenes[scene], *arm.overrides]
             if selection.frames is not None:
@@ -152,7 +161,7 @@ def planned(
                 runs.append((place, Run(scene, key, arm.label, seed, run_folder, own, {**config, "seed": seed})))
     ordered = tuple(run for _, run in sorted(runs, key=lambda entry: entry[0]))
     own_keys = {field.name for field in fields(Experiment)} - {"name", "folder", "runs"}
-    known = _checked(node, own_keys | {"arms", "score"}, f"experiments.{name}")
+    known = _checked(node, own_keys | {"arms", "prepare", "score"}, f"experiments.{name}")
     return Experiment(name=name, folder=home, runs=ordered, **{key: known[key] for key in own_keys})
 
 

@@ -12,10 +12,19 @@ from splatrl.evaluation.report import write_json
 from splatrl.experiments.curves import learning_curves
 from splatrl.experiments.experiment import Experiment
 from splatrl.experiments.results import Entry, Spread, comparable, entries
-from splatrl.experiments.tables import main_table, marks_table, scores_sentences, scores_table, table, verdicts
+from splatrl.experiments.tables import (
+    main_table,
+    marks_table,
+    scores_sentences,
+    scores_table,
+    table,
+    transfer_sentences,
+    transfer_table,
+    verdicts,
+)
 from splatrl.files import replacing
 
-SCORES, MACHINE = "scores.json", "machine.json"
+SCORES, MACHINE, FIGURES, VIEWS = "scores.json", "machine.json", "capture.json", "views.png"
 MAPS = {"starts.png": "start poses by success", "success_map.png": "success by start position"}
 """Pictures of a run that are shown side by side."""
 EXPLANATION = (
@@ -86,8 +95,10 @@ def _section(
     lines += [f"**Question.** {experiment.question}", "", f"**Paper.** {experiment.paper}", ""]
     if not finished:
         return [*lines, f"**Results.** None of {len(experiment.runs)} trainings is finished."]
-    scores = _scores(experiment)
-    sentences = scores_sentences(scores, experiment) if scores else []
+    every = _scores(experiment)
+    tests = [row for row in every if "place" in row]
+    scores = [row for row in every if "clip" in row]
+    sentences = [*scores_sentences(scores, experiment), *transfer_sentences(tests, experiment)]
     lines += ["**Results.**", "", *sentences, *verdicts(found), ""]
     if finished < len(experiment.runs):
         lines += [f"*{finished} of {len(experiment.runs)} trainings are finished; the rest is left out.*", ""]
@@ -96,6 +107,9 @@ def _section(
         lines += [EXPLANATION, ""]
     if scores:
         lines += [f"{heading}# Actions on labelled clips", "", *scores_table(scores, experiment), ""]
+    if tests:
+        lines += [f"{heading}# Tested in each scene", "", *transfer_table(tests, experiment), ""]
+    lines += _capture(experiment, base, heading)
     lines += [f"{heading}# Success while learning", "", *marks_table(found, experiment), ""]
     lines += ["Tests are episodes from starts spread over the whole start set, whatever the curriculum's level.", ""]
     for curve in curves:
@@ -109,6 +123,19 @@ def _section(
     for entry in found:
         lines += _pictures(entry, base)
     return [*lines, f"Run on: {_machine(experiment, machine)}."]
+
+
+def _capture(experiment: Experiment, base: Path, heading: str) -> list[str]:
+    """The figures of a scene that was captured for the experiment, and what robots see there; nothing without one."""
+    path, views = experiment.folder / FIGURES, experiment.folder / VIEWS
+    if not path.exists():
+        return []
+    figures = json.loads(path.read_text())["figures"]
+    rows = [[name.replace("_", " "), "–" if value is None else f"{value:.4g}"] for name, value in figures.items()]
+    lines = [f"{heading}# The captured scene", "", *table(["figure", "value"], rows, words=1), ""]
+    if views.exists():
+        lines += [f"![What robots see]({_link(views, base)})", "", "*Above in the original, below in the capture.*", ""]
+    return lines
 
 
 def _pictures(entry: Entry, base: Path) -> list[str]:

@@ -7,6 +7,8 @@ from typing import Any
 from splatrl.experiments.experiment import Experiment
 from splatrl.experiments.results import Entry, Spread, comparable
 
+RATES = ("success_rate", "success_rate_argmax", "collision_rate", "spl")
+"""What is said of a policy that was tested in several scenes."""
 TOTAL = "**all**"
 """Stands for all clips of a scene."""
 
@@ -116,6 +118,63 @@ def scores_sentences(scores: Sequence[Mapping[str, Any]], experiment: Experiment
             each = ", ".join(f"{label} {rate.percent()}" for label, rate in rates.items())
             lines.append(f"- **{scene}, labelled clips**: share of {frames:,} frames in which actions match: {each}.")
     return lines
+
+
+def transfer_table(tests: Sequence[Mapping[str, Any]], experiment: Experiment) -> list[str]:
+    """The table of policies that were tested in several scenes, one row per place, scene of training and arm.
+
+    Args:
+        tests: one row per run and place: ``run`` (name of its folder), ``place``, ``starts`` and rates.
+        experiment: the experiment to which the runs belong.
+    """
+    header = ["tested in", "trained in", "arm", "seeds", "starts", "success", "argmax", "collisions", "SPL"]
+    rows = []
+    for (place, scene, label), found in _transfers(tests, experiment).items():
+        spreads = {
+            key: Spread(tuple(float(row[key]) for row in found if key in row)) for key in found[0] if key in RATES
+        }
+        rows.append(
+            [
+                place,
+                scene,
+                label,
+                str(len(found)),
+                f"{found[0]['starts']:,}",
+                f"**{spreads['success_rate'].percent()}**",
+                spreads["success_rate_argmax"].percent(),
+                spreads["collision_rate"].percent(),
+                spreads["spl"].text(3) if "spl" in spreads else "–",
+            ]
+        )
+    return table(header, rows, words=3)
+
+
+def transfer_sentences(tests: Sequence[Mapping[str, Any]], experiment: Experiment) -> list[str]:
+    """One sentence per place: what the policies of each scene and arm reach there.
+
+    Args:
+        tests: as for ``transfer_table``.
+        experiment: the experiment to which the runs belong.
+    """
+    said: dict[str, list[str]] = {}
+    for (place, scene, label), found in _transfers(tests, experiment).items():
+        rate = Spread(tuple(float(row["success_rate"]) for row in found)).percent()
+        said.setdefault(place, []).append(f"{rate} trained in {scene} {label}")
+    return [f"- **tested in {place}**, camera steady: success {', '.join(each)}." for place, each in said.items()]
+
+
+def _transfers(
+    tests: Sequence[Mapping[str, Any]], experiment: Experiment
+) -> dict[tuple[str, str, str], list[Mapping[str, Any]]]:
+    """The tests by place, scene of training and label, in the order of the experiment's scenes."""
+    runs = {run.folder.name: run for run in experiment.runs}
+    scenes = list(dict.fromkeys(run.scene for run in experiment.runs))
+    groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
+    for row in tests:
+        run = runs.get(row["run"])
+        if run is not None and row["place"] in scenes:
+            groups.setdefault((row["place"], run.scene, run.label), []).append(row)
+    return dict(sorted(groups.items(), key=lambda group: tuple(scenes.index(name) for name in group[0][:2])))
 
 
 def _match_rates(

@@ -8,11 +8,14 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
+from splatrl.build import build_world
+from splatrl.capture.folder import write_scene
 from splatrl.commands.experiment import TRAIN, experiment, main
 from splatrl.configuration import load_config
-from splatrl.experiments import Run, conduct
+from splatrl.experiments import Run, conduct, recapture
+from tests.capture.rooms import ABOVE, tiny_capture
 from tests.commands.test_train import SETTINGS
-from tests.tiny import tiny_overrides
+from tests.tiny import tiny_gaussians, tiny_overrides
 
 Command = Callable[..., None]
 
@@ -38,12 +41,13 @@ def test_every_experiment_composes_and_states_its_budget(
         return []
 
     monkeypatch.setattr(conduct, "train", nothing)
-    experiment(load_config(["name=all", f"folder={tmp_path}", "kitchen=kitchen.spz", "jobs=2"], "experiment"))
-    assert len(trained) == 25 + 8 + 6 + 8
+    words = ["name=all", f"folder={tmp_path}", "kitchen=kitchen.spz", "jobs=2", "experiments.loop.prepare=null"]
+    experiment(load_config(words, "experiment"))
+    assert len(trained) == 25 + 8 + 6 + 8 + 2
     assert "kitchen-gru-s0" in trained
     said = capsys.readouterr().out
-    assert "47 of 47 trainings to do" in said
-    for name in ("grid", "fps", "apple", "sim2real"):
+    assert "49 of 49 trainings to do" in said
+    for name in ("grid", "fps", "apple", "sim2real", "loop"):
         assert f"{name:<9} " in said
         assert (tmp_path / name / "report.md").is_file()
     assert (tmp_path / "report.md").is_file()
@@ -81,9 +85,12 @@ def test_a_training_is_run_reported_and_not_run_again(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "name: expected one of grid, fps, apple, sim2real, all, got nothing"),
+        ([], "name: expected one of grid, fps, apple, sim2real, loop, all, got nothing"),
         (["name=gird"], "got gird"),
-        (["name=grid", "scenes=[cellar]"], "scenes: expected some of backyard, kitchen, got cellar"),
+        (
+            ["name=grid", "scenes=[cellar]"],
+            "expected some of backyard, kitchen, recaptured, or a path that exists, got cellar",
+        ),
         (["name=grid", "scenes=[kitchen]"], "expected kitchen=<its file>"),
         (["name=grid", "sedes=[0]"], "did you mean seeds"),
     ],
@@ -118,3 +125,45 @@ def test_settings_that_changed_begin_anew_only_when_asked(
     assert run.exists()
     command(*words, "fresh=true")
     assert not run.exists()
+
+
+def test_a_captured_place_is_trained_in_in_place_of_the_arms_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trained: list[Run] = []
+
+    def nothing(runs: Sequence[Run], *_: object) -> list[Run]:
+        trained.extend(runs)
+        return []
+
+    monkeypatch.setattr(conduct, "train", nothing)
+    garden = tmp_path / "my garden"
+    write_scene(garden, tiny_gaussians(), tiny_capture(tmp_path / "images"))
+    for name in ("grid", "fps"):
+        words = [f"name={name}", f"folder={tmp_path / 'out'}", f"scenes=['{garden}/',backyard]", "seeds=[0]", "jobs=1"]
+        experiment(load_config(words, "experiment"))
+    names = {run.folder.name for run in trained}
+    assert {"my garden-distance-s0", "my garden-none-s0", "my garden-gru-s0", "backyard-distance-s0"} <= names
+    assert "backyard-gru-s0" not in names  # an arm's own scenes are chosen from
+    config = next(run.config for run in trained if run.folder.name == "my garden-none-s0")
+    assert config["scene"]["path"] == str(garden) and config["robot"]["height"] == ABOVE
+    assert build_world(
+        load_config(next(run.overrides for run in trained if run.scene == "my garden"))
+    ).plan.starts.any()
+
+
+def test_scenes_that_are_not_there_are_refused(tmp_path: Path) -> None:
+    for scenes, message in (("[garden/]", "or a path that exists, got garden/"), ("[recaptured]", "name=loop")):
+        with pytest.raises(ValueError, match=message):
+            experiment(load_config(["name=grid", f"folder={tmp_path}/none", f"scenes={scenes}"], "experiment"))
+
+
+def test_what_an_experiment_needs_is_made_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[tuple[Path, list[str]]] = []
+    monkeypatch.setattr(conduct, "train", lambda *_: [])
+    monkeypatch.setattr(recapture, "recapture", lambda folder, scenes: made.append((folder, list(scenes))))
+    words = ["name=loop", f"folder={tmp_path}", "jobs=1"]
+    experiment(load_config([*words, "report_only=true"], "experiment"))
+    assert not made
+    experiment(load_config(words, "experiment"))
+    assert made == [(tmp_path / "loop", ["backyard", "recaptured"])]

@@ -17,6 +17,7 @@ NODE: dict[str, Any] = {
     "overhead": 10,
     "marks": [200, 400],
     "threshold": 0.9,
+    "prepare": None,
     "score": None,
     "arms": {
         "with": {"label": "with it", "overrides": ["curriculum=yes"], "scenes": ["yard", "hall"], "seeds": [0, 1]},

@@ -1,0 +1,179 @@
+"""A scene captured again: a walk through it is filmed as with a phone, and the film becomes a scene of its own.
+
+The new scene is laid over the old one by the true poses of the camera, once, so that goal and starts mean the same
+places in both. The truth is used for nothing else.
+"""
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+from tqdm import tqdm
+
+from splatrl.build import build_world
+from splatrl.capture.base import CaptureError
+from splatrl.capture.check import Quality, colour_corrected, psnr
+from splatrl.capture.folder import SPLAT
+from splatrl.capture.pipeline import CaptureSettings, build_scene, reconstruct
+from splatrl.capture.progress import Progress
+from splatrl.capture.truth import Deviation, deviation, read_truth
+from splatrl.collision import Occupancy
+from splatrl.configuration import load_config
+from splatrl.envs.world import World
+from splatrl.evaluation.phone_video import Phone, phone_video
+from splatrl.evaluation.phone_walk import Stroll, phone_walk
+from splatrl.evaluation.report import write_json
+from splatrl.evaluation.rollouts import spread
+from splatrl.experiments.report import FIGURES, VIEWS
+from splatrl.files import new_folder, replacing
+from splatrl.renderers import NativeRenderer
+from splatrl.scenes.description import SCENE_FILE, write_description
+from splatrl.scenes.placement import matrix_frame
+
+FILM, CAPTURED, RECAPTURED = "walk.mp4", "captured", "recaptured"
+PHONE = Phone(960, 540)
+SECONDS = 60.0
+BESIDE = 0.8
+"""Metres around the robots' area in which the walk goes."""
+ABOVE = 0.2
+"""Metres by which the camera is above the robots' on average."""
+TASK = "task=grid"
+SEEN, SHOWN = 256, 8
+"""Poses from which the two scenes are compared, and shown."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How alike two scenes are to a robot.
+
+    Attributes:
+        psnr: of what robots see from starts that are free in both, dB, mean.
+        psnr_corrected: the same once colours have been fitted.
+        blocked: share of the original's starts that are none in the other scene.
+        opened: share of the other scene's starts that are none in the original.
+    """
+
+    psnr: float
+    psnr_corrected: float
+    blocked: float
+    opened: float
+
+
+def recapture(folder: Path, scenes: Mapping[str, Sequence[str]], original: str = "backyard") -> Path:
+    """Film a scene, capture the film, and lay the captured scene over the original; done once.
+
+    Args:
+        folder: for the film, the capture, the scene ``recaptured`` and what is to be reported of them.
+        scenes: overrides of scenes by name.
+        original: name of the scene to film.
+
+    Returns:
+        The folder of the captured scene, whose ``scene.yaml`` has the original's bounds, goal, robot height and area.
+
+    Raises:
+        CaptureError: where the film cannot be captured.
+        ValueError: where nobody can walk in the original.
+    """
+    target = folder / RECAPTURED
+    if (target / SCENE_FILE).is_file() and (folder / FIGURES).is_file():
+        return target
+    folder.mkdir(parents=True, exist_ok=True)
+    cfg = load_config([*scenes[original], TASK])
+    world = build_world(cfg)
+    film = _film(world, folder / FILM)
+    truth = read_truth(film)
+    height = float(truth.camera_to_world[:, 2, 3].median() - world.scene.bounds[0][2])
+    settings = CaptureSettings(camera_height=height, force=True)
+    with _bar() as progress:
+        placed, notes = reconstruct(film, folder / CAPTURED, settings, progress, tqdm.write)
+        quality = build_scene(placed, folder / CAPTURED, settings, notes, progress, tqdm.write)
+    off = deviation(placed, truth, PHONE.width)
+    shutil.rmtree(target, ignore_errors=True)
+    with new_folder(target) as made:
+        shutil.copy(folder / CAPTURED / SPLAT, made / SPLAT)
+        proposals = {
+            "robot_height": float(cfg.robot.height),
+            "walk": [[float(value) for value in corner] for corner in (cfg.task.motion.lower, cfg.task.motion.upper)],
+            "goal": [float(value) for value in cfg.landmarks.goal],
+            "object": [float(value) for value in cfg.landmarks.object],
+        }
+        frame = matrix_frame(off.world_from_capture)
+        write_description(made, SPLAT, RECAPTURED, frame, world.scene.bounds, proposals=proposals)
+    cfg.scene = load_config([f"scene={target}", TASK]).scene
+    alike = compare(world, build_world(cfg), folder / VIEWS)
+    write_json(folder / FIGURES, {"figures": _figures(placed.reconstruction.missing, off, quality, alike)})
+    return target
+
+
+def _film(world: World, path: Path) -> Path:
+    """Film a walk around where robots are, unless it is there already."""
+    motion = world.task.motion
+    places = motion.body_to_world(motion.states())[:, :3, 3]
+    lower, upper = (places[:, :2].amin(0) - BESIDE).tolist(), (places[:, :2].amax(0) + BESIDE).tolist()
+    stroll = Stroll((lower[0], lower[1]), (upper[0], upper[1]), float(places[0, 2]) + ABOVE)
+    if not (path.is_file() and path.with_suffix(".npz").is_file()):
+        walk = phone_walk(Occupancy.from_scene(world.scene), stroll, round(SECONDS * PHONE.fps), PHONE.fps)
+        with _bar() as progress:
+            phone_video(NativeRenderer(world.scene), walk, PHONE, path, 0, lambda *now: progress("film", *now))
+    return path
+
+
+def compare(original: World, other: World, path: Path) -> Agreement:
+    """Compare what robots see in two scenes, and where they can be; draws some views, one scene a row."""
+    starts = {tuple(state) for state in original.plan.starts.tolist()}
+    others = {tuple(state) for state in other.plan.starts.tolist()}
+    both = torch.tensor(sorted(starts & others))
+    if len(both) == 0:
+        raise CaptureError("recaptured: expected starts that are free in the original too, got none")
+    states = both[spread(torch.arange(len(both)), SEEN)]
+    views = [_views(world, states) for world in (original, other)]
+    pairs = [(b / 255.0, a / 255.0) for a, b in zip(*(view.double().numpy() for view in views), strict=True)]
+    shown = spread(torch.arange(len(states)), SHOWN)
+    page = torch.cat([view[shown].movedim(0, 1).flatten(1, 2) for view in views])
+    with replacing(path) as stream:
+        image = Image.fromarray(page.numpy())
+        image.resize((2 * image.width, 2 * image.height), Image.Resampling.NEAREST).save(stream, "PNG")
+    return Agreement(
+        psnr=float(np.mean([psnr(*pair) for pair in pairs])),
+        psnr_corrected=float(np.mean([psnr(colour_corrected(*pair), pair[1]) for pair in pairs])),
+        blocked=len(starts - others) / len(starts),
+        opened=len(others - starts) / len(others),
+    )
+
+
+def _views(world: World, states: Tensor) -> Tensor:
+    cameras = world.robot.cameras(world.task.motion.body_to_world(states))
+    return NativeRenderer(world.scene).pixels(cameras)
+
+
+def _figures(missing: float, off: Deviation, quality: Quality, alike: Agreement) -> dict[str, Any]:
+    return {
+        "images_without_a_pose": missing,
+        "cameras_metres": off.metres,
+        "cameras_share_of_path": off.path,
+        "up_deg": off.up_deg,
+        "scale": off.scale,
+        "held_out_psnr_corrected": quality.psnr_corrected,
+        "path_free": quality.path_free,
+        **asdict(alike),
+    }
+
+
+@contextmanager
+def _bar() -> Iterator[Progress]:
+    """A progress bar for one thing after the other."""
+    with tqdm(dynamic_ncols=True, leave=False) as bar:
+
+        def progress(what: str, done: int, total: int) -> None:
+            bar.total = total
+            bar.set_description(what, refresh=False)
+            bar.update(done - bar.n)
+
+        yield progress

@@ -1,0 +1,68 @@
+"""Policies tested in scenes other than the one in which they were trained."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+from tqdm import tqdm
+
+from splatrl.build import build_world
+from splatrl.configuration import run_config
+from splatrl.envs.world import World
+from splatrl.evaluation.report import summarise
+from splatrl.evaluation.rollouts import run_episodes, spread
+from splatrl.experiments.experiment import Run
+from splatrl.runs import load_policy
+
+PLACE = ("scene", "robot", "landmarks", "task", "collision", "renderer")
+"""What of a run's config belongs to the place in which it was trained."""
+KEPT = ("success_rate", "success_rate_argmax", "collision_rate", "timeout_rate", "spl")
+
+
+def score_everywhere(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
+    """Test finished runs in every scene in which any of them was trained, from its whole start set, without pose noise.
+
+    Args:
+        runs: with the same task and motion.
+        folder: of the experiment; nothing is written to it.
+
+    Returns:
+        One row per run and scene: ``run`` (name of its folder), ``place`` (name of the scene), ``starts`` and rates.
+    """
+    places = {run.scene: placed(run_config(run.folder), run_config(run.folder)) for run in reversed(runs)}
+    worlds = {name: build_world(cfg) for name, cfg in places.items()}
+    rows = []
+    for run in tqdm(runs, unit="run", desc="transfer", dynamic_ncols=True):
+        own = run_config(run.folder)
+        for name, world in worlds.items():
+            rows.append({"run": run.folder.name, "place": name, **tested(run.folder, placed(own, places[name]), world)})
+    return rows
+
+
+def placed(cfg: DictConfig, place: DictConfig) -> DictConfig:
+    """The config of a run, moved to another's place, with a steady camera."""
+    cfg = cfg.copy()
+    for key in PLACE:
+        cfg[key] = place[key]
+    cfg.transforms.pose_noise = {}
+    return cfg
+
+
+def tested(folder: Path, cfg: DictConfig, world: World) -> dict[str, Any]:
+    """Rates of a run's policy in a world, over its start set.
+
+    Args:
+        folder: the run folder.
+        cfg: config with which the policy is tested.
+        world: built from it.
+    """
+    torch.set_num_threads(cfg.threads)
+    policy = load_policy(folder, cfg=cfg, world=world).policy
+    rows = spread(world.plan.start_rows, cfg.evaluation.starts)
+    starts = world.plan.states[rows]
+    env = world.env(min(cfg.evaluation.batch_size, len(starts)))
+    sampled, argmax = (run_episodes(env, policy, starts, way, cfg.evaluation.seed) for way in (True, False))
+    summary = summarise(sampled, argmax, None if world.plan.field is None else world.plan.distance[rows])
+    return {"starts": len(starts), **{key: summary[key] for key in KEPT if key in summary}}

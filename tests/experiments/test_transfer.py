@@ -1,0 +1,91 @@
+"""Policies are tested in every scene of their experiment, with a steady camera."""
+
+import json
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+from PIL import Image
+
+from splatrl.configuration import load_config, run_config
+from splatrl.experiments import Experiment, Run, planned
+from splatrl.experiments.report import write_report
+from splatrl.experiments.tables import transfer_sentences, transfer_table
+from splatrl.experiments.transfer import placed, score_everywhere
+from tests.experiments.made_up import NODE, SCENES, compose, finish
+from tests.experiments.trained import save_run
+from tests.tiny import tiny_overrides
+
+
+def run_of(folder: Path, scene: str, *more: str) -> Run:
+    """A run of the first-person task in the tiny room, as if trained."""
+    cfg = load_config([*tiny_overrides(folder, "fps"), *more])
+    save_run(folder / f"{scene}-a-s0", cfg, 2)
+    config = OmegaConf.to_container(cfg)
+    assert isinstance(config, dict)
+    return Run(
+        scene, "a", "an arm", 0, folder / f"{scene}-a-s0", (), {str(key): value for key, value in config.items()}
+    )
+
+
+def test_every_policy_is_tested_in_every_scene(tmp_path: Path) -> None:
+    small = ["evaluation.starts=12", "task.motion.upper=[0.0,1.5]", "landmarks.goal=[-0.5,1.0,0.0]"]
+    runs = [
+        run_of(tmp_path, "room", "evaluation.starts=30", "transforms/pose_noise=uniform"),
+        run_of(tmp_path, "part", *small),
+    ]
+    rows = score_everywhere(runs, tmp_path)
+    assert [(row["run"], row["place"]) for row in rows] == [
+        ("room-a-s0", "part"),
+        ("room-a-s0", "room"),
+        ("part-a-s0", "part"),
+        ("part-a-s0", "room"),
+    ]
+    assert all(0 <= row["success_rate"] <= 1 and 0 <= row["spl"] <= 1 for row in rows)
+    assert [row["starts"] for row in rows] == [30, 30, 12, 12]
+    assert rows == score_everywhere(runs, tmp_path)
+
+
+def test_a_policy_keeps_what_is_its_own_and_takes_on_the_place(tmp_path: Path) -> None:
+    own = run_of(tmp_path, "room", "transforms/pose_noise=uniform", "memory=stack").folder
+    other = run_of(tmp_path, "part", "robot.height=0.7", "landmarks.goal=[0.0,0.5,90.0]").folder
+    moved = placed(run_config(own), run_config(other))
+    assert moved.robot.height == 0.7 and moved.landmarks.goal == [0.0, 0.5, 90.0]
+    assert not moved.transforms.pose_noise and moved.network.memory == run_config(own).network.memory
+    assert run_config(own).transforms.pose_noise  # the run's own config stays
+
+
+def experiment(folder: Path) -> Experiment:
+    return planned("tried", NODE, SCENES, folder, compose)
+
+
+TESTS = [
+    {"run": "hall-with-s0", "place": "yard", "starts": 40, "success_rate": 0.5, "success_rate_argmax": 0.4}
+    | {"collision_rate": 0.1, "spl": 0.3},
+    {"run": "hall-with-s1", "place": "yard", "starts": 40, "success_rate": 0.7, "success_rate_argmax": 0.4}
+    | {"collision_rate": 0.1, "spl": 0.3},
+    {"run": "yard-with-s0", "place": "yard", "starts": 40, "success_rate": 0.9, "success_rate_argmax": 0.8}
+    | {"collision_rate": 0.0},
+    {"run": "gone-with-s0", "place": "yard", "starts": 1, "success_rate": 0.0},
+]
+
+
+def test_tests_in_other_scenes_are_told_by_place_and_training(tmp_path: Path) -> None:
+    lines = transfer_table(TESTS, experiment(tmp_path))
+    assert lines[2].startswith("| yard | yard | with it | 1 | 40 | **90.0 %** | 80.0 % | 0.0 % | – |")
+    assert lines[3].startswith("| yard | hall | with it | 2 | 40 | **60.0 ± 14.1 %** |") and len(lines) == 4
+    (said,) = transfer_sentences(TESTS, experiment(tmp_path))
+    assert "tested in yard" in said and "90.0 % trained in yard with it, 60.0 ± 14.1 % trained in hall with it" in said
+
+
+def test_a_report_tells_transfers_and_the_captured_scene(tmp_path: Path) -> None:
+    asked = experiment(tmp_path)
+    for run in asked.runs:
+        finish(run, 0.9)
+    (asked.folder / "scores.json").write_text(json.dumps({"scores": TESTS}))
+    (asked.folder / "capture.json").write_text(json.dumps({"figures": {"psnr": 31.25, "spl": None}}))
+    Image.new("RGB", (8, 8)).save(asked.folder / "views.png")
+    text = write_report(asked, "an abacus").read_text()
+    assert "# Tested in each scene" in text and "| psnr | 31.25 |" in text and "](views.png)" in text
+    assert "labelled clips" not in text
+    assert pytest.approx(json.loads((asked.folder / "report.json").read_text())["scores"][0]["success_rate"]) == 0.5
