@@ -1,0 +1,80 @@
+"""benchmarks/capture.py times stages and judges a capture; film, structure from motion and fit are made up here."""
+
+import importlib
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import splatrl
+from splatrl.cameras import Cameras
+from splatrl.capture.check import Quality
+from splatrl.capture.world import Placed, moved
+from splatrl.renderers import NativeRenderer
+from splatrl.scenes import write_gaussians
+from tests.capture.walks import HEIGHT, WIDTH, K, walk
+
+ROOT = Path(__file__).parents[2]
+SIZE = 1.02
+QUALITY = Quality(30.0, 0.9, 31.0, 0.9, 5, 1.0, 100, 0, 0.05)
+
+
+@pytest.fixture
+def benchmark(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The benchmark, whose capture finds every camera, and gives a metre as 1.02."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    module = importlib.import_module("capture")
+    scaled = np.diag([SIZE, SIZE, SIZE, 1.0])
+
+    def reconstruct(video: Path, folder: Path, settings: Any, progress: Any, say: Any) -> tuple[Placed, list[str]]:
+        folder.mkdir()
+        true, gaussians = walk(), splatrl.backyard().gaussians
+        cameras = Cameras(true.camera_to_world.float(), K.float(), WIDTH, HEIGHT)
+        paths = []
+        for number, image in enumerate(NativeRenderer(gaussians).pixels(cameras).numpy()):
+            paths.append(folder / f"{number}.png")
+            Image.fromarray(image).save(paths[-1])
+        progress("extract", 1, 2)
+        progress("extract", 2, 2)
+        say("poses       40 of 40")
+        time.sleep(0.01)
+        found = moved(true, scaled)
+        found = type(found)(**{**vars(found), "paths": paths, "seconds": torch.arange(40).double() / 10})
+        return Placed(found, torch.eye(4), "camera_height", 0.05, "floor", 0.5, settings.camera_height, 100), []
+
+    def build_scene(placed: Placed, folder: Path, settings: Any, notes: Any, progress: Any, say: Any) -> Quality:
+        write_gaussians(folder / "splat.ply", splatrl.backyard().gaussians.transformed(torch.from_numpy(scaled)))
+        say("fit         many Gaussians")
+        return QUALITY
+
+    monkeypatch.setattr(module, "reconstruct", reconstruct)
+    monkeypatch.setattr(module, "build_scene", build_scene)
+    return module
+
+
+def test_a_capture_is_timed_and_judged_against_its_truth(
+    tmp_path: Path, benchmark: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    video = benchmark.filmed(tmp_path / "walk.mp4", 0.2, (64, 48), 0)
+    written = video.stat().st_mtime_ns
+    assert benchmark.filmed(video, 0.2, (64, 48), 0).stat().st_mtime_ns == written
+    np.savez(
+        video.with_suffix(".npz"), camera_to_world=walk().camera_to_world, time=np.arange(40) / 10, K=K * 64 / WIDTH
+    )
+    monkeypatch.setattr(benchmark, "write_json", lambda kind, machine, results: json.dumps(results[0].ate_metres))
+    words = ["capture.py", str(video), "--keep", str(tmp_path / "kept"), "--png", str(tmp_path / "a.png"), "--json"]
+    monkeypatch.setattr(sys, "argv", words)
+    benchmark.main()
+    said = capsys.readouterr().out
+    assert "+2.00 % (by camera_height)" in said and "| up" in said
+    rows = [line.split("|")[1].strip() for line in said.splitlines() if line.startswith("|")]
+    assert [row for row in rows if row in ("poses", "fit", "extract", "all")] == ["poses", "fit", "extract", "all"]
+    held_out = next(line for line in said.splitlines() if "held out" in line)
+    assert float(held_out.split("|")[2].split()[0]) > 25  # the photos are PNG, and only smaller here
+    assert Image.open(tmp_path / "a.png").width > 1000
