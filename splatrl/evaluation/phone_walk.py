@@ -62,10 +62,10 @@ class Stroll:
     rise: float = 0.1
     radius: float = 0.25
     speed: float = 0.45
-    turn: float = 20.0
-    far: float = 1.5
-    pitch_deg: float = -3.0
-    nod_deg: float = 22.0
+    turn: float = 24.0
+    far: float = 3.0
+    pitch_deg: float = 0.0
+    nod_deg: float = 18.0
     nod: float = 8.3
     hand: Hand = field(default_factory=lambda: Hand(0.01, 0.01, 0.8, 0.8, 0.8))
 

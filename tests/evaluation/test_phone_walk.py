@@ -13,7 +13,7 @@ from splatrl.evaluation.walks import Hand
 from splatrl.geometry import first_not_rigid
 
 STILL = Hand(place=0.0, height=0.0, pitch_deg=0.0, roll_deg=0.0, yaw_deg=0.0)
-STROLL = Stroll((-1.9, -1.4), (1.9, 1.4), 0.6, turn=24.0, far=3.0, hand=STILL)
+STROLL = Stroll((-1.9, -1.4), (1.9, 1.4), 0.6, hand=STILL)
 
 
 def hall() -> Occupancy:
