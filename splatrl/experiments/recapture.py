@@ -20,11 +20,12 @@ from tqdm import tqdm
 from splatrl.build import build_world
 from splatrl.capture.base import CaptureError
 from splatrl.capture.check import Quality, colour_corrected, psnr
-from splatrl.capture.folder import SPLAT
+from splatrl.capture.folder import FREE, SPLAT
 from splatrl.capture.pipeline import CaptureSettings, build_scene, reconstruct
 from splatrl.capture.progress import Progress
 from splatrl.capture.truth import Deviation, deviation, read_truth
 from splatrl.collision import Occupancy
+from splatrl.collision.point_clouds import read_points, write_points
 from splatrl.configuration import load_config
 from splatrl.envs.world import World
 from splatrl.evaluation.phone_video import Phone, phone_video
@@ -34,8 +35,9 @@ from splatrl.evaluation.rollouts import spread
 from splatrl.experiments.report import FIGURES, VIEWS
 from splatrl.files import new_folder, replacing
 from splatrl.renderers import NativeRenderer
-from splatrl.scenes.description import SCENE_FILE, write_description
+from splatrl.scenes.description import SCENE_FILE, read_description, write_description
 from splatrl.scenes.placement import matrix_frame
+from splatrl.scenes.scene import Bounds
 
 FILM, CAPTURED, RECAPTURED = "walk.mp4", "captured", "recaptured"
 PHONE = Phone(960, 540)
@@ -44,6 +46,8 @@ BESIDE = 0.8
 """Metres around the robots' area in which the walk goes."""
 ABOVE = 0.2
 """Metres by which the camera is above the robots' on average."""
+BORDER = 12
+"""Voxels around a scene's bounds of which it is also told that they are free."""
 TASK = "task=grid"
 SEEN, SHOWN = 256, 8
 """Poses from which the two scenes are compared, and shown."""
@@ -98,8 +102,12 @@ def recapture(folder: Path, scenes: Mapping[str, Sequence[str]], original: str =
     shutil.rmtree(target, ignore_errors=True)
     with new_folder(target) as made:
         shutil.copy(folder / CAPTURED / SPLAT, made / SPLAT)
+        edge = float(cfg.collision.occupancy.resolution)
+        _lay_free_voxels(folder / CAPTURED, made, off.world_from_capture, world.scene.bounds, edge)
         proposals = {
             "robot_height": float(cfg.robot.height),
+            "voxel_size": edge,
+            "free": FREE if (made / FREE).exists() else None,
             "walk": [[float(value) for value in corner] for corner in (cfg.task.motion.lower, cfg.task.motion.upper)],
             "goal": [float(value) for value in cfg.landmarks.goal],
             "object": [float(value) for value in cfg.landmarks.object],
@@ -110,6 +118,21 @@ def recapture(folder: Path, scenes: Mapping[str, Sequence[str]], original: str =
     alike = compare(world, build_world(cfg), folder / VIEWS)
     write_json(folder / FIGURES, {"figures": _figures(placed.reconstruction.missing, off, quality, alike)})
     return target
+
+
+def _lay_free_voxels(capture: Path, target: Path, world_from_capture: Tensor, bounds: Bounds, edge: float) -> None:
+    """Write the voxels of the world whose centres a capture knows to be free; nothing where it knows of none."""
+    stated = read_description(capture)
+    if "free" not in stated:
+        return
+    free = Occupancy.from_points(read_points(capture / stated["free"]), float(stated["voxel_size"]))
+    first, last = (np.floor(np.array(corner) / edge).astype(int) for corner in bounds)
+    axes = [np.arange(low - BORDER, high + 1 + BORDER) for low, high in zip(first, last, strict=True)]
+    centers = (np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3) + 0.5) * edge
+    inverse = torch.linalg.inv(world_from_capture).numpy()
+    known = free.contains(centers @ inverse[:3, :3].T + inverse[:3, 3])
+    if known.any():
+        write_points(target / FREE, centers[known].astype(np.float32))
 
 
 def _film(world: World, path: Path) -> Path:

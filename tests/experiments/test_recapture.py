@@ -1,6 +1,7 @@
 """A scene that was captured again lies over the original; film, structure from motion and fit are made up here."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +14,22 @@ from splatrl.build import build_world
 from splatrl.capture.base import Reconstruction
 from splatrl.capture.check import Quality
 from splatrl.capture.world import Placed, moved
+from splatrl.collision.point_clouds import read_points, write_points
 from splatrl.configuration import load_config
 from splatrl.evaluation.phone_video import Phone
 from splatrl.evaluation.phone_walk import camera_poses
 from splatrl.experiments import recapture as module
 from splatrl.experiments.recapture import recapture
 from splatrl.scenes import write_gaussians
+from splatrl.scenes.description import write_description
 from tests.capture.walks import similarity_of
 from tests.tiny import tiny_gaussians, tiny_overrides
 
 CAPTURE = similarity_of(5)
 """From the original to the frame of the made-up capture."""
+SCALE = float(np.linalg.det(CAPTURE[:3, :3]) ** (1 / 3))
+HAZE = (1.0, -1.0, 0.5)
+"""Around it the made-up capture knows voxels to be free."""
 QUALITY = Quality(30.0, 0.9, 31.0, 0.9, 5, 1.0, 100, 0, 0.05)
 
 
@@ -52,6 +58,10 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         assert notes == ["a note"]
         folder.mkdir()
         write_gaussians(folder / "splat.ply", tiny_gaussians().transformed(torch.from_numpy(CAPTURE)))
+        spots = np.stack(np.meshgrid(*[np.arange(-0.3, 0.3, 0.02)] * 3, indexing="ij"), -1).reshape(-1, 3) + HAZE
+        write_points(folder / "free.ply", (spots @ CAPTURE[:3, :3].T + CAPTURE[:3, 3]).astype(np.float32))
+        proposals = {"voxel_size": 0.05 * SCALE, "free": "free.ply"}
+        write_description(folder, "splat.ply", "made up", {}, ((0, 0, 0), (1, 1, 1)), proposals=proposals)
         return QUALITY
 
     for stage in (reconstruct, build_scene):
@@ -70,6 +80,10 @@ def test_the_capture_lies_over_the_original_and_keeps_its_task(tmp_path: Path, c
     np.testing.assert_allclose(found.scene.gaussians.means, original.scene.gaussians.means, atol=1e-3)
     assert found.robot == original.robot and torch.equal(found.task.motion.origin, original.task.motion.origin)
     np.testing.assert_allclose(found.scene.bounds, original.scene.bounds, atol=1e-3)
+    assert found.scene.free is not None and found.scene.free.voxel_size == 0.05
+    free = read_points(found.scene.free.path)
+    assert np.abs(free - HAZE).max() == pytest.approx(0.3, abs=0.07)
+    assert np.prod(np.ptp(free, axis=0) + 0.05) == pytest.approx(len(free) * 0.05**3, rel=0.4)  # it is turned
     assert calls == ["film", "reconstruct", "fit"]
     assert recapture(tmp_path / "loop", {"room": room}, "room") == folder and calls == ["film", "reconstruct", "fit"]
 
@@ -88,7 +102,6 @@ def test_a_film_that_is_there_is_not_made_again(tmp_path: Path, calls: list[str]
     room = tiny_overrides(tmp_path)
     folder = recapture(tmp_path / "loop", {"room": room}, "room")
     (folder / "scene.yaml").unlink()
-    (tmp_path / "loop" / "captured" / "splat.ply").unlink()
-    (tmp_path / "loop" / "captured").rmdir()
+    shutil.rmtree(tmp_path / "loop" / "captured")
     recapture(tmp_path / "loop", {"room": room}, "room")
     assert calls == ["film", "reconstruct", "fit", "reconstruct", "fit"] and (folder / "scene.yaml").is_file()
