@@ -79,7 +79,7 @@ def test_the_published_rewards_are_the_defaults() -> None:
     [
         ({"goal": (0.0, 1.0)}, r"task\.goal: expected finite x, y \(metres\) and yaw \(degrees\), got \[0\.0, 1\.0\]"),
         ({"goal": (0.0, math.inf, 0.0)}, r"task\.goal"),
-        ({"max_steps": 0}, r"task\.max_steps: expected at least 1, got 0"),
+        ({"max_steps": 0}, r"task\.max_steps: expected a whole number of at least 1, got 0"),
     ],
 )
 def test_a_goal_or_limit_without_sense_is_refused(change: dict[str, Any], message: str) -> None:
