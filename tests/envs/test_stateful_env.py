@@ -4,11 +4,19 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensordict.nn import TensorDictModule
 from torchrl.collectors import Collector
 
 from splatrl.build import make_env
 from splatrl.envs.stateful_env import StatefulEnv
 from tests.tiny import tiny_overrides
+
+
+class FirstAction(torch.nn.Module):
+    """Takes action 0."""
+
+    def forward(self, step_count: torch.Tensor) -> torch.Tensor:
+        return torch.zeros_like(step_count[..., 0])
 
 
 def shaky(folder: Path) -> StatefulEnv:
@@ -32,7 +40,9 @@ def test_a_restored_env_goes_on_as_the_other_one(tmp_path: Path) -> None:
 
 
 def test_a_collector_restores_the_transforms(tmp_path: Path) -> None:
-    collectors = [Collector(shaky(tmp_path), None, frames_per_batch=12, total_frames=48) for _ in range(2)]
+    envs = [shaky(tmp_path) for _ in range(2)]
+    policy = TensorDictModule(FirstAction(), in_keys=["step_count"], out_keys=["action"])
+    collectors = [Collector(env, policy, frames_per_batch=12, total_frames=48) for env in envs]
     next(iter(collectors[0]))
     collectors[1].load_state_dict(collectors[0].state_dict())
     states = [collector.env.transform.state_dict() for collector in collectors]  # TorchRL keeps no other
