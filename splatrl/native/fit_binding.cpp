@@ -6,6 +6,7 @@
 #include "arrays.h"
 #include "bindings.h"
 #include "fitter.h"
+#include "interpreter.h"
 
 namespace nb = nanobind;
 
@@ -44,7 +45,7 @@ void render(Fitter& fitter, Values values, size_t count, float near, Poses poses
             Known known, Tensor<float, -1, -1, -1, 3> rgb, Slopes agreement, Slopes alpha, size_t threads) {
     const std::vector<const float*> planes = planes_of(known);
     const FitBatch batch = batch_of(values, count, near, poses, K, rgb.shape(2), rgb.shape(1), planes);
-    const nb::gil_scoped_release release;
+    const Release release;
     fitter.render(batch, threads, rgb.data(), agreement.data(), alpha.data());
 }
 
@@ -53,7 +54,7 @@ void pull(Fitter& fitter, Values values, size_t count, float near, Poses poses, 
           Tensor<float, -1, 6> turns, size_t threads) {
     const std::vector<const float*> planes = planes_of(known);
     const FitBatch batch = batch_of(values, count, near, poses, K, slopes.shape(2), slopes.shape(1), planes);
-    const nb::gil_scoped_release release;
+    const Release release;
     fitter.pull(batch, threads, slopes.data(), gradients.data(), turns.data());
 }
 
@@ -65,7 +66,7 @@ void compare(Fitter& fitter, Values values, size_t count, float near, Poses pose
     std::vector<const float*> planes;
     for (size_t view = 0; view < chosen.shape(0); ++view) planes.push_back(all.at(size_t(chosen.data()[view])));
     const FitBatch batch = batch_of(values, count, near, poses, K, pixels.shape(2), pixels.shape(1), planes);
-    const nb::gil_scoped_release release;
+    const Release release;
     std::vector<FitTarget> targets;
     std::vector<FitLoss> found(batch.views);
     const size_t image = pixels.shape(1) * pixels.shape(2) * 3;
@@ -85,7 +86,7 @@ void compare(Fitter& fitter, Values values, size_t count, float near, Poses pose
 void update(Fitter& fitter, Values values, Slopes gradients, Values first, Values second,
             Tensor<const float, -1> rates, int step, float beta1, float beta2, float epsilon, float opacity_slope,
             float scale_slope, float noise, uint64_t seed, size_t threads) {
-    const nb::gil_scoped_release release;
+    const Release release;
     std::vector<const float*> views;
     for (size_t view = 0; view < gradients.shape(0); ++view)
         views.push_back(gradients.data() + view * gradients.shape(1) * gradients.shape(2));

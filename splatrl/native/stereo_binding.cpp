@@ -5,6 +5,7 @@
 #include "arrays.h"
 #include "bindings.h"
 #include "buffer.h"
+#include "interpreter.h"
 #include "stereo.h"
 #include "threads.h"
 
@@ -54,7 +55,7 @@ void sweep(Images grey, Poses poses, Tensor<const float, 3, 3> K, Rows rows, Nei
         if (task.neighbour_count > 0) tasks.push_back(task);
     }
     const StereoKernels& kernels = stereo_kernels_of(choose_isa());
-    const nb::gil_scoped_release release;
+    const Release release;
     const size_t area = photos.area(), whole = area * size_t(depths);
     parallel_for(tasks.size(), threads, [&](size_t, size_t item) {
         const Buffer<float> best = make_buffer<float>(STEREO_BEST * whole), volume = make_buffer<float>(whole),
@@ -71,7 +72,7 @@ void agree(Images inverse, Poses poses, Tensor<const float, 3, 3> K, Rows rows, 
     for (size_t item = 0; item < rows.shape(0); ++item)
         tasks.push_back(task_of(rows, neighbours, item, inverse.shape(0)));
     const StereoKernels& kernels = stereo_kernels_of(choose_isa());
-    const nb::gil_scoped_release release;
+    const Release release;
     parallel_for(tasks.size(), threads, [&](size_t, size_t item) {
         kernels.agree(photos, tasks[item], inverse.data(), tolerance, least,
                       out.data() + tasks[item].photo * photos.area());
