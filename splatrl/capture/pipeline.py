@@ -12,6 +12,7 @@ import torch
 from splatrl.capture.area import dense_voxels
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.check import Quality
+from splatrl.capture.depth_points import with_measured_points
 from splatrl.capture.fit import FitSettings, fit, held_out, trained
 from splatrl.capture.fit_pictures import Frame, frame_of
 from splatrl.capture.floaters import without_floaters
@@ -128,7 +129,7 @@ def reconstruct(
     knows = f", with poses{' and depth' if photos.depths else ''}" if known else ""
     say(f"frames      {len(photos.paths)} of {photos.width} × {photos.height} pixels{knows}")
     notes = [] if known else _first_look(photos, settings.force, progress, say)
-    found = find_poses(photos, stages, settings.seed, progress)
+    found = with_measured_points(find_poses(photos, stages, settings.seed, progress))
     say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points")
     placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
     say(f"world       up by {placed.up_from}, scale by {placed.scale_from}, camera {placed.camera_height:.2f} m high")

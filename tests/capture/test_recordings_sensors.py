@@ -3,6 +3,7 @@
 import json
 import tracemalloc
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,14 @@ from PIL import Image, ImageFilter
 
 from splatrl.capture import optional
 from splatrl.capture.base import CaptureError, Photos
+from splatrl.capture.depth_points import with_measured_points
 from splatrl.capture.fit import FitSettings
 from splatrl.capture.pipeline import CaptureSettings, capture
+from splatrl.capture.poses import find_poses
 from splatrl.capture.recordings import is_recording, read_recording, record3d
 from splatrl.capture.recordings.base import Lens
 from splatrl.capture.recordings.keeping import one_camera, quarter_turns
+from splatrl.capture.world import place
 from splatrl.scenes.description import read_description
 from tests.capture.ray_cast import HALF, HEIGHT, WIDTH, room_depth, room_image, walk
 from tests.capture.recorded import (
@@ -200,7 +204,8 @@ def test_images_are_turned_upright(turns: int, right: tuple[int, int, int]) -> N
 def test_polycams_corrected_images_go_before_the_plain_ones_and_lose_their_black_border(
     tmp_path: Path, images: list[Taken]
 ) -> None:
-    plain = [Taken(one.pose, one.K, np.zeros_like(one.image), one.depth, one.confidence) for one in images]
+    plain = [replace(one, image=np.zeros_like(one.image)) for one in images]
+    images = [replace(one, image=one.image.copy()) for one in images]
     for one in images:
         one.image[:2] = one.image[-2:] = 0
     source = write_polycam(tmp_path / "in", plain)
@@ -332,6 +337,14 @@ def _small_confidence(folder: Path, images: list[Taken]) -> Path:
     return source
 
 
+def _another_sensor(folder: Path, images: list[Taken]) -> Path:
+    source = write_polycam(folder, images)
+    some = sorted((source / "keyframes" / "depth").iterdir())[4]
+    Image.fromarray(np.ones((6, 8), np.uint16)).save(some)
+    (source / "keyframes" / "confidence" / some.name).unlink()
+    return source
+
+
 def _archive(folder: Path, content: bytes) -> Path:
     folder.with_suffix(".r3d").write_bytes(content)
     return folder.with_suffix(".r3d")
@@ -353,6 +366,7 @@ HEADER = "timestamp, frame, x, y, z, qx, qy, qz, qw\n"
         (lambda f, i: _stray(f, i, "odometry.csv", HEADER + "1, .5, 0, 0, 0, 0, 0, 0, 1"), "frame: expected ascending"),
         (lambda f, i: _stray(f, i, "camera_matrix.csv", "1, 2\n3, 4"), "expected 3 rows of 3 numbers"),
         (lambda f, i: _stray(f, i, "rgb.mp4", "no video"), r"rgb\.mp4: expected a whole video"),
+        (_another_sensor, r"expected depth of one size, got \(64, 48\) and \(8, 6\)"),
         (_small_confidence, r"000001\.png: expected depth of the size"),
         (lambda f, i: _archive(f, b"RED's own"), r"\.r3d: expected Record3D's ZIP archive"),
         (lambda f, i: write_record3d(f, i, poses=[[0, 0, 0, 1, 0, 0, 0]] * 8), "more than one place"),
@@ -373,6 +387,27 @@ def test_what_makes_no_sense_is_refused_in_a_line(
     with pytest.raises(CaptureError, match=message) as refused:
         read_recording(source, tmp_path / "out")
     assert "\n" not in str(refused.value)
+
+
+def test_a_room_without_texture_still_has_its_floor(tmp_path: Path, images: list[Taken]) -> None:
+    for package in ("cv2", "pycolmap"):
+        pytest.importorskip(package)
+    bare = [replace(one, image=np.full_like(one.image, 90 + number)) for number, one in enumerate(images)]
+    photos = read_recording(write_polycam(tmp_path / "in", bare), tmp_path / "out")
+    triangulated = find_poses(photos, tmp_path / "out")
+    assert len(triangulated.points) == 0
+    found = with_measured_points(triangulated)
+    places = np.concatenate([found.points.numpy(), np.ones((len(found.points), 1))], 1)
+    off = (np.abs((places @ np.linalg.inv(ARKIT_FROM_ROOM).T)[:, :3]) - HALF).max(1)
+    assert len(off) > 480 and np.abs(off).max() < 0.1 and np.median(np.abs(off)) < 0.02
+    assert found.seen_point.tolist() == list(range(len(off))) and sorted(set(found.seen_by.tolist())) == list(range(8))
+    shown = torch.from_numpy(np.arange(8) + 90)[found.seen_by]
+    assert (found.colors.int() - shown[:, None]).abs().max() <= 1
+    placed = place(found, photos.up, photos.metric, marker=None)
+    height = float(np.median([pose[2, 3] for pose in walk(8)])) + HALF[2]
+    assert placed.camera_height == pytest.approx(height, abs=0.05)
+    without = replace(triangulated, depths=())
+    assert with_measured_points(without) is without
 
 
 @pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "depth/none.png"])
