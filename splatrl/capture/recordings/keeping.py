@@ -26,6 +26,8 @@ SPREAD = 1.1
 """Largest over smallest focal length of what is still one camera."""
 WANDER = 0.1
 """How far its centre may move, as an image stabiliser moves it, in widths of the image."""
+TRANSPOSED = {1: Image.Transpose.ROTATE_90, 2: Image.Transpose.ROTATE_180, 3: Image.Transpose.ROTATE_270}
+"""Pillow's names of quarter turns counter-clockwise."""
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """From the axes of a camera whose image was turned a quarter counter-clockwise to those it had before."""
 
@@ -123,36 +125,37 @@ def _write(
     camera, boxes = one_camera(recording.source, [shot.lens for shot in shots], recording.border)
     poses = np.array([shot.camera_to_world for shot in shots])
     turns = quarter_turns(poses, recording.up)
-    scale = min(1.0, longest / max(camera.width, camera.height))
-    size: tuple[int, int] | None = None
+    depths = _DepthFiles(made / DEPTHS, recording.source)
     index: dict[str, Any] = {"digest": digest, "names": [], "seconds": [], "poses": []}
-    depths: list[Depth | None] = []
+    size: tuple[int, int] | None = None
     for number, picture in _chosen(recording, count, progress):
-        image = picture.image()
-        stored = np.array(image.size) / [camera.width, camera.height]  # images may have been scaled since
-        if abs(stored[0] / stored[1] - 1) > 0.01:
-            raise CaptureError(
-                f"{recording.source}: expected images shaped as {camera.width:.0f} × {camera.height:.0f}, got "
-                f"{image.width} × {image.height}"
-            )
-        if size is None:
-            smaller = min(scale, float(stored.min()))
-            size = max(1, round(camera.width * smaller)), max(1, round(camera.height * smaller))
-        name = f"{len(index['names']):04}"
-        _cut(image, boxes[number] * np.tile(stored, 2), size, turns).save(
-            made / f"{name}.jpg", quality=95, subsampling=0
-        )
-        shot = shots[number]
-        depth = None if shot.depth is None else shot.depth()
-        depths.append(None if depth is None else _cut_depth(depth, boxes[number], camera, turns))
+        image, shot, name = picture.image(), shots[number], f"{len(index['names']):04}"
+        stored = _scale(recording.source, image, camera)
+        size = size or _size(camera, min(*stored, longest / max(camera.width, camera.height)))
+        seen = _cut(image, boxes[number] * np.tile(stored, 2), size, turns)
+        seen.save(made / f"{name}.jpg", quality=95, subsampling=0)
+        depths.write(name, None if shot.depth is None else _cut_depth(shot.depth(), boxes[number], camera, turns))
         index["names"].append(name)
         index["seconds"].append(shot.seconds - shots[0].seconds)
         index["poses"].append(_turned(poses[number], turns).tolist())
     if size is None:
         raise CaptureError(f"{recording.source}: expected images, found none for its poses")
     index["size"], index["K"] = _intrinsics(camera, size, turns)
-    index["depth"] = _write_depths(made / DEPTHS, recording.source, depths)
+    index["depth"] = depths.finish()
     (made / INDEX).write_text(json.dumps(index), "utf-8")
+
+
+def _scale(source: object, image: Image.Image, camera: Lens) -> Floats:
+    """How much larger an image is than its intrinsics say, across and down: it may have been scaled since."""
+    stored = np.array(image.size) / [camera.width, camera.height]
+    if abs(stored[0] / stored[1] - 1) > 0.01:
+        shape = f"{camera.width:.0f} × {camera.height:.0f}"
+        raise CaptureError(f"{source}: expected images shaped as {shape}, got {image.width} × {image.height}")
+    return stored
+
+
+def _size(camera: Lens, scale: float) -> tuple[int, int]:
+    return max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
 
 
 def _chosen(recording: Recording, count: tuple[int, int], progress: Progress) -> Iterator[tuple[int, Picture]]:
@@ -182,10 +185,6 @@ def _cut(image: Image.Image, box: Floats, size: tuple[int, int], turns: int) -> 
     return seen if turns == 0 else seen.transpose(TRANSPOSED[turns])
 
 
-TRANSPOSED = {1: Image.Transpose.ROTATE_90, 2: Image.Transpose.ROTATE_180, 3: Image.Transpose.ROTATE_270}
-"""Pillow's names of quarter turns counter-clockwise."""
-
-
 def _cut_depth(depth: Depth, box: Floats, camera: Lens, turns: int) -> Depth:
     """The part of measured depth that the one camera sees, at the sensor's size, turned; no two depths are mixed."""
     left, upper, right, lower = box / [camera.width, camera.height, camera.width, camera.height]
@@ -212,19 +211,32 @@ def _intrinsics(camera: Lens, size: tuple[int, int], turns: int) -> tuple[list[i
     return [width, height], [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
 
 
-def _write_depths(made: Path, source: object, depths: list[Depth | None]) -> bool:
-    """Write measured depth, and images of none where a shot has none; False where no shot has any."""
-    sizes = {depth.shape for depth in depths if depth is not None}
-    if not sizes:
-        return False
-    if len(sizes) > 1:
-        raise CaptureError(f"{source}: expected depth of one size, got {' and '.join(map(str, sorted(sizes)))}")
-    size = sizes.pop()
-    made.mkdir()
-    for number, depth in enumerate(depths):
-        values = np.zeros(size, np.uint16) if depth is None else np.ascontiguousarray(depth)
-        Image.fromarray(values).save(made / f"{number:04}.png")
-    return True
+class _DepthFiles:
+    """Depth as it is written; images of none where a shot has none, and no folder where no shot has any."""
+
+    def __init__(self, folder: Path, source: object) -> None:
+        self.folder, self.source = folder, source
+        self.size: tuple[int, ...] | None = None
+        self.missing: list[str] = []
+
+    def write(self, name: str, depth: Depth | None) -> None:
+        if depth is None:
+            self.missing.append(name)
+            return
+        if self.size is None:
+            self.size = depth.shape
+            self.folder.mkdir()
+        if depth.shape != self.size:
+            raise CaptureError(f"{self.source}: expected depth of one size, got {self.size} and {depth.shape}")
+        Image.fromarray(np.ascontiguousarray(depth)).save(self.folder / f"{name}.png")
+
+    def finish(self) -> bool:
+        """Whether there is any."""
+        if self.size is None:
+            return False
+        for name in self.missing:
+            Image.fromarray(np.zeros(self.size, np.uint16)).save(self.folder / f"{name}.png")
+        return True
 
 
 def _photos(kept: Path, recording: Recording) -> Photos:
