@@ -17,6 +17,8 @@ from splatrl.envs.robot import Robot
 from splatrl.scenes.description import scene_folder
 
 INTERRUPTED = 130
+SELDOM = 10.0
+"""Seconds between the lines of a bar that goes to a file."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -136,7 +138,9 @@ class Bars:
         """Show how far a stage is."""
         if self._bar is None or what != self._what:
             self._close()
-            self._bar, self._what = tqdm(total=total, desc=what, dynamic_ncols=True, leave=False), what
+            often = 0.1 if sys.stderr.isatty() else SELDOM
+            self._bar = tqdm(total=total, desc=what, dynamic_ncols=True, leave=False, mininterval=often)
+            self._what = what
         self._bar.total = total
         self._bar.update(done - self._bar.n)
 
