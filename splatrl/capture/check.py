@@ -148,7 +148,7 @@ def _views(
         path = reconstruction.paths[row]
         try:
             photo = np.asarray(read_photo(path), np.float64) / 255.0
-        except ValueError as error:
+        except (OSError, ValueError) as error:
             raise CaptureError(f"{path}: expected an image, got {error}") from error
         if photo.shape != (height, width, 3):
             raise CaptureError(f"{path}: expected {width} × {height} pixels, got {photo.shape[1]} × {photo.shape[0]}")

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.fit_pictures import Frame, Pictures, pictures
 from splatrl.capture.progress import Progress, silent
+from splatrl.images import read_grey
 from splatrl.native import _core
 from splatrl.native.threads import usable_cores
 
@@ -35,7 +35,7 @@ TURNED = 0.8
 FEWEST = 10
 """Points that a photo must show, for a range of depths."""
 AT_ONCE = 16
-MAX_PIXELS = 2**24
+"""Photos between two words of progress."""
 
 
 @dataclass(frozen=True)
@@ -129,13 +129,11 @@ def measured(reconstruction: Reconstruction, frame: Frame, rows: Tensor) -> Dept
     for row in rows.tolist():
         path = reconstruction.depths[row]
         try:
-            with Image.open(path, formats=["PNG"]) as image:
-                if image.width * image.height > MAX_PIXELS:
-                    raise ValueError(f"{image.width} × {image.height} pixels")
-                counts = np.asarray(image.resize((width, height), Image.Resampling.NEAREST), np.float64)
-        except (OSError, ValueError, SyntaxError) as error:
+            every = read_grey(path)
+        except (OSError, ValueError) as error:
             raise CaptureError(f"{path}: expected a depth image, uint16 PNG: {error}") from error
-        if counts.ndim != 2:
-            raise CaptureError(f"{path}: expected one channel, got {counts.shape[2]}")
+        lines = ((np.arange(height) + 0.5) * every.shape[0] / height).astype(int)
+        columns = ((np.arange(width) + 0.5) * every.shape[1] / width).astype(int)
+        counts = every[lines[:, None], columns].astype(np.float64)
         known[row] = torch.from_numpy(np.where(counts > 0, 1.0 / np.maximum(counts * unit, 1e-12), 0.0)).float()
     return Depths(known, known)

@@ -13,6 +13,8 @@ from splatrl.documents import read_json
 from splatrl.scenes.frame import AXES, checked_similarity, similarity
 from splatrl.scenes.upright import Upright, axis_name
 
+MOST_BYTES = 2**20
+"""Of nerfstudio's file, which holds 13 numbers."""
 Frame = dict[str, Any]
 """Arguments of ``similarity`` by name, as YAML can write them."""
 
@@ -79,7 +81,7 @@ def nerfstudio_transform(path: Path) -> Tensor:
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected nerfstudio's dataparser_transforms.json, found no file")
-    content = read_json(path)
+    content = read_json(path, MOST_BYTES)
     if not isinstance(content, dict) or not {"transform", "scale"} <= content.keys():
         keys = list(content) if isinstance(content, dict) else type(content).__name__
         raise ValueError(f"{path}: expected the keys transform and scale, got {keys}")

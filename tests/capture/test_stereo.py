@@ -151,5 +151,5 @@ def test_a_sensor_is_believed_and_its_unit_follows_the_frame(capture: Reconstruc
     with pytest.raises(CaptureError, match=r"2\.png: expected a depth image, uint16 PNG: "):
         found(measured)
     Image.new("RGB", (40, 30)).save(paths[2])
-    with pytest.raises(CaptureError, match=r"2\.png: expected one channel, got 3$"):
+    with pytest.raises(CaptureError, match=r"2\.png: expected a depth image, uint16 PNG: .*one channel"):
         found(measured)

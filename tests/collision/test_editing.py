@@ -65,6 +65,7 @@ def test_from_scene_clears_and_adds_boxes_before_it_fills():
     scene = SimpleNamespace(
         gaussians=blobs(grid, 0.02),
         bounds=((0.0, 0.0, 0.0), (2.0, 1.5, 1.0)),
+        free=None,
         cached=lambda kind, settings, build, most: json.loads(json.dumps(settings)) and build(),
     )
     shell = [[[0.5, 0.5, 0.1], [1.0, 1.0, 0.8]]]

@@ -243,7 +243,7 @@ def test_a_camera_that_cannot_be_drawn_is_black_with_parts_too(make: Make) -> No
     cameras.camera_to_world[2, 0, 3] = torch.inf
     pixels = renderer.pixels(cameras, parts)
     assert not pixels[2].any() and pixels[[0, 1, 3]].flatten(1).any(1).all()
-    with pytest.raises(ValueError, match=r"cameras\[2\]: expected finite"):
+    with pytest.raises(ValueError, match=r"cameras\[2\]: expected rigid"):
         renderer.raise_faults()
     renderer.raise_faults()
 

@@ -82,7 +82,7 @@ def test_parts_and_several_models_are_refused() -> None:
 def test_a_camera_that_is_not_finite_is_refused() -> None:
     cameras = random_cameras(2, 4)
     cameras.camera_to_world[2, 0, 0] = torch.nan
-    with pytest.raises(ValueError, match=r"camera_to_world\[2\]: expected finite values"):
+    with pytest.raises(ValueError, match=r"camera_to_world\[2\]: expected finite numbers"):
         GsplatRenderer(random_gaussians(1, 80), device="cpu").pixels(cameras)
 
 
