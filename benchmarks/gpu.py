@@ -25,13 +25,14 @@ from gpu_collision import collision
 from gpu_device import Machine
 from gpu_figure import draw
 from gpu_first_use import first_use
+from gpu_fit import fitting
 from gpu_reach import targets
 from gpu_render import gsplat, gsplat_missing, rendering
 from gpu_tables import print_tables
 from gpu_training import stepping, training
 from record import RESULTS, today, write_json
 
-SECONDS = {"first use": 40, "rendering": 130, "collision": 60, "stepping": 60, "training": 60, "gsplat": 80}
+SECONDS = {"first use": 40, "rendering": 130, "collision": 60, "stepping": 60, "training": 60, "fit": 25, "gsplat": 80}
 """Time limit of each section, in this order; what one does not use goes to those after it."""
 SPARE = 20
 """Seconds that a section may run beyond that before it is interrupted: together with ``SECONDS``, under 8 minutes."""
@@ -48,6 +49,7 @@ def sections(bench: Bench, machine: Machine) -> dict[str, Callable[[], None]]:
         "collision": lambda: collision(bench),
         "stepping": lambda: stepping(bench),
         "training": lambda: training(bench),
+        "fit": lambda: fitting(bench),
         "gsplat": lambda: gsplat(bench, None if dry else gsplat_missing()),
     }
 

@@ -13,11 +13,12 @@ from unittest.mock import patch
 
 import torch
 from gpu_device import CHAINS, RATE, STEPS, Machine, measured_machine
-from scenes import Room, Subject, chosen
+from scenes import YARD, Room, Subject, backyard, chosen, dense_backyard
 
 from splatrl.bodies import Body
 from splatrl.build import build_world
 from splatrl.cameras import Cameras
+from splatrl.capture.fit_cuda import CudaFitter
 from splatrl.collision import Occupancy
 from splatrl.collision.cuda import CudaChecker
 from splatrl.configuration import load_config
@@ -48,6 +49,8 @@ class Sizes:
         compared: queries that the CPU answers as well.
         robots: per env.
         steps: of an env, per timed call.
+        fits: scenes that Gaussians are fitted to, with the width and height of their photos, pixels.
+        fit_views: views between two steps of the fit, ascending.
         copied: bytes that are copied to find the bandwidth.
         training: overrides of splatrl-train.
         iterations: batches of PPO that are timed.
@@ -66,6 +69,8 @@ class Sizes:
     compared: int = 65_536
     robots: tuple[int, ...] = (64, 1024, 4096)
     steps: int = 16
+    fits: tuple[tuple[str, int, int], ...] = (("backyard", 320, 240), ("dense", 400, 300))
+    fit_views: tuple[int, ...] = (1, 2, 8)
     copied: int = 2**30
     training: tuple[str, ...] = ("ppo=many", "collector.total_frames=100000000")
     iterations: int = 8
@@ -84,6 +89,8 @@ TINY = Sizes(
     compared=60,
     robots=(2, 4),
     steps=2,
+    fits=(("tiny", 37, 22),),
+    fit_views=(1, 2),
     copied=2**20,
     training=(
         "env.num_envs=4",
@@ -157,6 +164,14 @@ class Bench:
         """The checker that is measured."""
         return CudaChecker(occupancy, body, device=self.device)
 
+    def fitter(self) -> CudaFitter:
+        """The fitter that is measured."""
+        return CudaFitter(self.device)
+
+    def fitted(self, name: str) -> Subject:
+        """Gaussians as a fit leaves them: those of the yard, or 150,000 in its place."""
+        return Subject(backyard() if name == "backyard" else dense_backyard(150_000, 1), YARD)
+
     def architecture(self) -> str:
         """The architecture that kernels are compiled for."""
         major, minor = torch.cuda.get_device_capability(self.device)
@@ -211,6 +226,14 @@ class DryRun(Bench):
         from tests.emulator import emulated
 
         return CudaChecker(occupancy, body, load=emulated)
+
+    def fitter(self) -> CudaFitter:
+        from tests.emulator import emulated
+
+        return CudaFitter("cpu", emulated)
+
+    def fitted(self, name: str) -> Subject:
+        return self.subjects()["tiny"]
 
     def architecture(self) -> str:
         return "sm_90"

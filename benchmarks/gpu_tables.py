@@ -7,6 +7,7 @@ from figure import tolerance_name
 from gpu_bench import Bench
 from gpu_collision import Agreement, Collision
 from gpu_first_use import FirstUse
+from gpu_fit import Fit
 from gpu_reach import Target
 from gpu_render import Effort, Likeness, Rendering
 from gpu_training import Stepping, Training
@@ -75,6 +76,14 @@ TABLES: dict[type, Columns] = {
         "batch": lambda r: f"{r.frames_per_batch:,} in {r.mini_batch_size:,}, {r.epochs} epochs",
         "frames/s of PPO (slowest to fastest)": lambda r: str(r.frames_per_second),
         "collected alone": lambda r: str(r.collected_per_second),
+    },
+    Fit: {
+        "Gaussians": lambda r: f"{r.gaussians:,}",
+        "photos": lambda r: f"{r.width}×{r.height}",
+        "views a step": lambda r: str(r.views_a_step),
+        "views/s of the fit (slowest to fastest)": lambda r: str(r.views_per_second),
+        "slopes, cosine with the CPU's": lambda r: f"{r.cosine:.6f}",
+        "GiB": lambda r: f"{r.memory_bytes / GIB:.1f}",
     },
     Target: {
         "reach (issue 6, H200)": lambda r: r.name,

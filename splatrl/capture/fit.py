@@ -1,20 +1,21 @@
-"""Gaussians from photos with known poses, on a CPU.
+"""Gaussians from photos with known poses, on a CPU or a GPU.
 
-Every step draws a few views with ``splatrl.native``, one thread each, compares them with their photos by L1 and
-structural similarity, pulls the slopes back to all parameters and takes a step of Adam. Gaussians that became
+Every step draws a few views with ``splatrl.native``, on a CPU one thread each, compares them with their photos by L1
+and structural similarity, pulls the slopes back to all parameters and takes a step of Adam. Gaussians that became
 transparent are moved to where opaque ones are (MCMC, Kheradmand et al. 2024). Results do not depend on the number of
 threads.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.fit_cameras import Learned, turned
+from splatrl.capture.fit_cuda import CudaFitter
 from splatrl.capture.fit_model import Model
 from splatrl.capture.fit_pictures import Frame, Pictures, frame_of, pictures
 from splatrl.capture.fit_start import start
@@ -60,6 +61,7 @@ class FitSettings:
         poses: learning rate of the poses, in radians and the extent of the cameras; 0 takes them as they are.
         seed: of everything that is random.
         threads: None takes all cores that this process may use.
+        device: where the Gaussians are while they are fitted: a CPU, or a GPU whose kernels the extra ``cuda`` brings.
     """
 
     width: int = 320
@@ -80,6 +82,7 @@ class FitSettings:
     poses: float = 0.0
     seed: int = 0
     threads: int | None = None
+    device: str = "cpu"
 
     def __post_init__(self) -> None:
         for name in ("width", "cap", "views", "views_a_step", "refine_every"):
@@ -114,7 +117,7 @@ def fit(
         depths: what ``find_depths`` found in ``frame_of`` the cameras; None finds them.
 
     Returns:
-        Gaussians in the frame and unit of the reconstruction, to be drawn antialiased on black.
+        Gaussians on the CPU, in the frame and unit of the reconstruction, to be drawn antialiased on black.
 
     Raises:
         CaptureError: for fewer than two photos, or no points.
@@ -156,14 +159,17 @@ class Fitting:
         for _, scale in settings.levels:
             seen = pictures(reconstruction, self.frame, max(1, round(widest * scale)))
             self.levels[scale] = seen, depths.at(seen, self.trained)
-        self.model = Model(settings.cap, settings.sh_degree)
+        device = torch.device(settings.device)
+        self.model = Model(settings.cap, settings.sh_degree, device)
         finest, _ = self.levels[max(self.levels)]
         start(reconstruction, self.frame, finest, depths, self.trained, self.model, settings.start_share, settings.seed)
+        for scale, (seen, known) in self.levels.items():
+            self.levels[scale] = replace(seen, pixels=seen.pixels.to(device)), known.to(device)
         count = len(reconstruction.paths)
         self.exposure = Learned(torch.tensor([[[1.0, 0.0]] * 3] * count), EXPOSURE_RATE)
         self.moves = Learned(torch.zeros(count, 6), settings.poses)
-        self._core = _core.Fitter()
-        self._gradients = torch.zeros(self.views, *self.model.values.shape)
+        self._core = _core.Fitter() if device.type == "cpu" else CudaFitter(device)
+        self._gradients = torch.zeros(self.views, *self.model.values.shape, device=device)
         self._order: list[int] = []
 
     def level(self, done: float) -> tuple[Pictures, Tensor]:

@@ -18,7 +18,7 @@ MOST_COPIES = 51
 
 
 class Model:
-    """Parameters of up to ``cap`` Gaussians, each row contiguous, as the native fit reads them.
+    """Parameters of up to ``cap`` Gaussians on a device, each row contiguous, as the native fit reads them.
 
     Attributes:
         values: [11 + 3 (degree + 1)², C] float32: means, log-scales, quaternions, opacity logits, harmonics by
@@ -29,10 +29,10 @@ class Model:
         cap: the most there may be.
     """
 
-    def __init__(self, cap: int, degree: int) -> None:
+    def __init__(self, cap: int, degree: int, device: torch.device | None = None) -> None:
         stride = -(-cap // LANES) * LANES
         rows = SH + 3 * (degree + 1) ** 2
-        self.values, self.first, self.second = (torch.zeros(rows, stride) for _ in range(3))
+        self.values, self.first, self.second = (torch.zeros(rows, stride, device=device) for _ in range(3))
         self.values[QUAT.start] = 1.0  # what is not there yet is well-defined, too
         self.count = 0
         self.cap = cap
@@ -48,8 +48,8 @@ class Model:
         self.count = end
 
     def gaussians(self, frame: Frame) -> Gaussians:
-        """Those that show, in the frame of the reconstruction."""
-        values = self.values[:, : self.count]
+        """Those that show, on the CPU, in the frame of the reconstruction."""
+        values = self.values[:, : self.count].cpu()
         values = values[:, values[LOGIT].sigmoid() > DEAD].clone()
         return Gaussians(
             means=(values[MEAN].T.double() * frame.extent + frame.middle).float(),
@@ -61,7 +61,10 @@ class Model:
         )
 
     def refine(self, generator: torch.Generator) -> None:
-        """Give dead Gaussians the places of live ones, and grow towards the cap (Kheradmand et al. 2024, MCMC)."""
+        """Give dead Gaussians the places of live ones, and grow towards the cap (Kheradmand et al. 2024, MCMC).
+
+        The generator is one of the CPU, whatever the device.
+        """
         opacities = self.values[LOGIT, : self.count].sigmoid()
         dead = (opacities <= DEAD).nonzero().squeeze(1)
         if 0 < len(dead) < self.count:
@@ -76,7 +79,8 @@ class Model:
 
     def _parents(self, chances: Tensor, children: int, generator: torch.Generator) -> Tensor:
         """Choose parents by opacity, and share each one's opacity and size among it and its children."""
-        parents = torch.multinomial(chances, children, replacement=True, generator=generator)
+        drawn = torch.multinomial(chances.cpu(), children, replacement=True, generator=generator)
+        parents = drawn.to(chances.device)
         copies = torch.bincount(parents, minlength=self.count) + 1
         shared = (copies > 1).nonzero().squeeze(1)
         opacities, factors = share(self.values[LOGIT, shared].double().sigmoid(), copies[shared].clamp_max(MOST_COPIES))

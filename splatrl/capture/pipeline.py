@@ -217,7 +217,7 @@ def _fitted(placed: Placed, depths: Depths, stages: Path, settings: FitSettings,
 
 def _digest(reconstruction: Reconstruction, settings: FitSettings | None = None) -> str:
     """Fingerprint of all that depths, or with settings a fit, depend on."""
-    chosen = {} if settings is None else asdict(settings) | {"threads": None}
+    chosen = {} if settings is None else asdict(settings) | {"threads": None, "device": None}
     digest = hashlib.blake2b(json.dumps([VERSION, chosen], sort_keys=True).encode(), digest_size=16)
     for values in (reconstruction.K, reconstruction.camera_to_world, reconstruction.points, reconstruction.seen_by):
         digest.update(torch.as_tensor(values).contiguous().numpy().tobytes())

@@ -13,6 +13,7 @@ from splatrl.capture.pipeline import CaptureSettings, capture
 from splatrl.capture.resolution import Resolution
 from splatrl.capture.scale import Click, Distance
 from splatrl.commands.options import is_numbers, joined, split
+from splatrl.device import AUTO, chosen_device, device_line
 from splatrl.envs.robot import Robot
 from splatrl.scenes.description import scene_folder
 
@@ -62,6 +63,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--gaussians", type=int, help="at most; follows the number of pixels by default")
     result.add_argument("--views", type=int, default=FitSettings.views, help="drawn in the fit: more takes longer")
     result.add_argument("--seed", type=int, default=0)
+    result.add_argument("--device", default=AUTO, help="of the fit: auto, cpu, cuda or cuda:<number>")
     return result
 
 
@@ -97,8 +99,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     source = options.source.expanduser()
     folder, splat = scene_folder((options.out or Path(source.stem)).expanduser())
     try:
+        device = chosen_device(options.device)
+        print(device_line(device))
         with Bars() as bars:
-            capture(source, folder, _settings(options, splat), bars, bars.say)
+            capture(source, folder, _settings(options, splat, str(device)), bars, bars.say)
     except (ImportError, OSError, ValueError) as error:
         sys.exit(f"splatrl-capture: {error}")
     except KeyboardInterrupt:
@@ -107,8 +111,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"report in {folder / 'report.html'}\ntrain in it: splatrl-train scene={folder}/")
 
 
-def _settings(options: argparse.Namespace, splat: str) -> CaptureSettings:
-    fit = FitSettings(views=options.views, seed=options.seed)
+def _settings(options: argparse.Namespace, splat: str, device: str) -> CaptureSettings:
+    fit = FitSettings(views=options.views, seed=options.seed, device=device)
     return CaptureSettings(
         force=options.force,
         seed=options.seed,

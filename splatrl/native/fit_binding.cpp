@@ -87,12 +87,9 @@ void update(Fitter& fitter, Values values, Slopes gradients, Values first, Value
             Tensor<const float, -1> rates, int step, float beta1, float beta2, float epsilon, float opacity_slope,
             float scale_slope, float noise, uint64_t seed, size_t threads) {
     const Release release;
-    std::vector<const float*> views;
-    for (size_t view = 0; view < gradients.shape(0); ++view)
-        views.push_back(gradients.data() + view * gradients.shape(1) * gradients.shape(2));
     const float correction1 = float(1.0 / (1.0 - std::pow(double(beta1), step)));
     const float correction2 = float(1.0 / (1.0 - std::pow(double(beta2), step)));
-    fitter.update({values.data(), views.data(), views.size(), first.data(), second.data(), rates.data(),
+    fitter.update({values.data(), gradients.data(), gradients.shape(0), first.data(), second.data(), rates.data(),
                    values.shape(0), values.shape(1), beta1, beta2, epsilon, correction1, correction2, opacity_slope,
                    scale_slope, noise, seed},
                   threads);

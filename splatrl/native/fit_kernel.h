@@ -80,7 +80,7 @@ struct FitLoss {
 // One step of Adam over Gaussians [first, last), sixteen-aligned.
 struct FitUpdate {
     float* values;                    // [rows, stride]
-    const float* const* gradients;    // of each view, [rows, stride]
+    const float* gradients;           // [views, rows, stride]
     size_t views;
     float *first_moments, *second_moments;  // [rows, stride]
     const float* rates;               // [rows]

@@ -23,6 +23,7 @@ EVERYTHING = {
     "agreement",
     "stepping",
     "training",
+    "fit",
     "target",
 }
 
@@ -51,6 +52,7 @@ def test_a_dry_run_measures_everything_and_leaves_no_result(
     assert {row["what"] for row in record["results"]} == EVERYTHING | {"target"}
     assert all(math.isfinite(row["found"]) for row in record["results"] if row["what"] == "target")
     assert not any(row["different"] for row in record["results"] if row["what"] == "agreement")
+    assert all(row["cosine"] > 0.9999 for row in record["results"] if row["what"] == "fit")
     likenesses = [row for row in record["results"] if row["what"] == "likeness"]
     assert min(row["mean_db"] for row in likenesses) > 60
     assert record["machine"]["name"] == "CPU" and path.name.endswith("-cpu-gpu.json")

@@ -65,7 +65,7 @@ def stages(photographed: tuple[Photos, Reconstruction], monkeypatch: pytest.Monk
     return called
 
 
-QUICK = ["--camera-height", "1.4", "--width", "80", "--gaussians", "3000", "--views", "200"]
+QUICK = ["--camera-height", "1.4", "--width", "80", "--gaussians", "3000", "--views", "200", "--device", "cpu"]
 
 
 def test_photos_become_a_folder_that_is_all_a_training_needs(
@@ -130,6 +130,11 @@ def test_a_fault_of_a_stage_is_one_line(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(pipeline, "read_photos", broken)
     with pytest.raises(SystemExit, match=r"^splatrl-capture: walk\.mp4: expected a video"):
         capture.main(["walk.mp4", "--out", str(tmp_path / "walk")])
+
+
+def test_a_device_that_there_is_not_is_refused_in_one_line() -> None:
+    with pytest.raises(SystemExit, match=r"^splatrl-capture: device: expected auto, cpu.*, got tpu9"):
+        capture.main(["walk.mp4", "--device", "tpu9"])
 
 
 def test_an_interrupt_says_how_to_continue(

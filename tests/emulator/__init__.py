@@ -92,7 +92,7 @@ extern "C" int launch(const char* name, unsigned blocks, unsigned threads, void*
     return 0;
 }}
 """
-    folders = [HERE, NATIVE / "cuda", NATIVE]
+    folders = [HERE, NATIVE / "cuda", NATIVE, NATIVE / "kernels"]
     macros = [f"-D{name}={value}" for name, value in defines]
     flags = [*_FLAGS, *macros, *(part for f in folders for part in ("-I", str(f)))]
     digest = hashlib.sha256(program.encode() + repr(flags).encode())

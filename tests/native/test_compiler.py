@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from splatrl.bodies import Box, Capsule, Sphere
+from splatrl.capture.fit_cuda import kernel_defines as fit_defines
 from splatrl.collision.cuda import kernel_defines as collision_defines
 from splatrl.native.cuda import compiler
 from splatrl.native.cuda.compiler import FOLDERS, compiled, translated
@@ -19,6 +20,7 @@ SOURCES: dict[str, list[dict[str, int]]] = {
         for antialiased, degree, levels in ((True, 0, False), (True, 3, True), (False, 1, True), (False, 2, False))
         for parts in (False, True)
     ],
+    "fit": [fit_defines(degree) for degree in range(4)],
     "place": [{}],
 }
 """Every kernel compiles, with every value of each of its macros."""

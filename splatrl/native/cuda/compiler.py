@@ -10,7 +10,7 @@ from pathlib import Path
 from splatrl.files import cache_dir, replacing
 
 NATIVE = Path(__file__).parents[1]
-FOLDERS = (NATIVE / "cuda", NATIVE, NATIVE / "cuda" / "std")
+FOLDERS = (NATIVE / "cuda", NATIVE, NATIVE / "cuda" / "std", NATIVE / "kernels")
 """Where sources and headers are found, in this order."""
 _MISSING = (
     "CUDA kernels need cuda-core and NVRTC: pip install 'splatrl[cuda]', or 'splatrl[cuda12]' for a driver of CUDA 12"

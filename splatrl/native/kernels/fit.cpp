@@ -2,9 +2,9 @@
 #include "kernels/fit_bin.h"
 #include "kernels/fit_blend.h"
 #include "kernels/fit_loss.h"
-#include "kernels/fit_project.h"
-#include "kernels/fit_unproject.h"
+#include "kernels/fit_pull.h"
 #include "kernels/fit_update.h"
+#include "kernels/fit_visible.h"
 
 namespace splatrl {
 namespace SPLATRL_ISA {

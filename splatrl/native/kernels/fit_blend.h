@@ -2,13 +2,13 @@
 #pragma once
 
 #include "fit_kernel.h"
+#include "kernels/fit_pixel.h"
 #include "kernels/fit_turn.h"
 #include "lanes.h"
 
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-constexpr float LOG2_MAX_ALPHA = -0.00144341686f;
 constexpr uint32_t FIT_AHEAD = 4;
 
 struct FitBlock {
@@ -39,21 +39,6 @@ LANE_INLINE Lanes read_block(const float* plane, const FitGrid& grid, size_t pla
     for (int row = 0; row < FIT_BLOCK; ++row)
         std::memcpy(pixels + FIT_BLOCK * row, plane + place + size_t(row) * size_t(grid.stride), 4 * FIT_BLOCK);
     return load(pixels);
-}
-
-LANE_INLINE Lanes exponent_at(const FitSplat& splat, const Lanes& dx, const Lanes& dy) {
-    const Lanes u = dx * splat.l11 + dy * splat.l12, v = dy * splat.l22;
-    return splat.log2_opacity - u * u - v * v;
-}
-
-LANE_INLINE Lanes alpha_of(const Lanes& exponent) {
-    return select_if_at_least(exponent, LOG2_INVISIBLE_ANTIALIASED, min(exp2(exponent), MAX_ALPHA));
-}
-
-// How much a depth agrees with known ones, given by their inverses.
-LANE_INLINE Lanes agreement(float depth, const Lanes& known) {
-    const Lanes away = known * depth - 1.0f;
-    return max(1.0f - max(away, -away), 0.0f);
 }
 
 template <bool KNOWN>
@@ -95,29 +80,6 @@ static void blend_all(const FitGrid& grid, const FitScratch& scratch) {
         for (int c = 0; c < FIT_CHANNELS; ++c)
             write_block(scratch.image + size_t(c) * grid.area(), grid, at.place, sums[c]);
     }
-}
-
-// What the pixels of a block carry through the backward.
-struct FitBehind {
-    Lanes slopes[FIT_CHANNELS], known, total, before, transmittance;
-};
-
-// v = dL / d ln(alpha) of one splat at the pixels, and its share; moves on behind it.
-template <bool KNOWN>
-LANE_INLINE void step_back(const FitSplat& splat, const FitBlock& at, FitBehind& behind, Lanes& v, Lanes& share) {
-    const Lanes exponent = exponent_at(splat, at.x - splat.x, at.y - splat.y);
-    const Lanes alpha = alpha_of(exponent);
-    const Lanes let_through = behind.transmittance * alpha;
-    behind.transmittance = behind.transmittance - let_through;
-    share = select_if_at_least(behind.transmittance, MIN_TRANSMITTANCE, let_through);
-    Lanes worth = behind.slopes[F_RED] * splat.red + behind.slopes[F_GREEN] * splat.green +
-                  behind.slopes[F_BLUE] * splat.blue + behind.slopes[F_ALPHA];
-    if (KNOWN) worth = worth + behind.slopes[F_AGREEMENT] * agreement(splat.depth, behind.known);
-    const Lanes gain = share * worth;
-    behind.before = behind.before + gain;
-    const Lanes hidden = (behind.total - behind.before) * alpha * reciprocal(1.0f - alpha);
-    const Lanes slope = select_if_at_least(behind.transmittance, MIN_TRANSMITTANCE, gain - hidden);
-    v = select_if_at_least(-exponent, -LOG2_MAX_ALPHA, slope);
 }
 
 // The moments of sixteen splats over a block: `turned_v` and `turned_share` are [pixels, splats].
@@ -179,7 +141,7 @@ LANE_INLINE void block_batch(const FitScratch& scratch, const FitBlock& at, cons
         const FitSplat& splat = scratch.splats[item[i]];
         x[i] = splat.x, y[i] = splat.y, depth[i] = splat.depth;
         Lanes slope, weight;
-        step_back<KNOWN>(splat, at, behind, slope, weight);
+        step_back<KNOWN>(splat, at.x, at.y, behind, slope, weight);
         store(v + LANES * i, slope);
         store(share + LANES * i, weight);
     }

@@ -4,6 +4,10 @@
 #include "fit_kernel.h"
 #include "lanes.h"
 
+#ifndef __CUDACC__
+#include <cmath>
+#endif
+
 namespace splatrl {
 namespace SPLATRL_ISA {
 
@@ -31,8 +35,9 @@ LANE_INLINE Lanes regulariser(const FitUpdate& update, size_t row, const Lanes& 
 
 LANE_INLINE void adam(const FitUpdate& update, size_t row, size_t at) {
     const size_t place = row * update.stride + at;
-    Lanes value = load(update.values + place), gradient = load(update.gradients[0] + place);
-    for (size_t view = 1; view < update.views; ++view) gradient = gradient + load(update.gradients[view] + place);
+    Lanes value = load(update.values + place), gradient = load(update.gradients + place);
+    for (size_t view = 1; view < update.views; ++view)
+        gradient = gradient + load(update.gradients + view * update.rows * update.stride + place);
     gradient = gradient * (1.0f / float(update.views)) + regulariser(update, row, value);
     const Lanes first = load(update.first_moments + place) * update.beta1 + gradient * (1.0f - update.beta1);
     const Lanes second = load(update.second_moments + place) * update.beta2 + gradient * gradient * (1.0f - update.beta2);
@@ -49,14 +54,14 @@ LANE_INLINE void shake(const FitUpdate& update, size_t at, float weight) {
     float* values = update.values + at;
     float q[4], squared = 1e-30f, scale[3], random[3];
     for (int i = 0; i < 4; ++i) q[i] = values[(FIT_QUAT + i) * update.stride], squared += q[i] * q[i];
-    const float inverse = 1.0f / __builtin_sqrtf(squared);
+    const float inverse = 1.0f / sqrtf(squared);
     const float w = q[0] * inverse, x = q[1] * inverse, y = q[2] * inverse, z = q[3] * inverse;
     const float R[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
                         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
                         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)};
     for (int i = 0; i < 3; ++i) {
         random[i] = normal_of(mixed(update.seed + 3 * at + size_t(i)));
-        scale[i] = __builtin_expf(values[(FIT_LOG_SCALE + i) * update.stride]);
+        scale[i] = expf(values[(FIT_LOG_SCALE + i) * update.stride]);
     }
     for (int k = 0; k < 3; ++k) {  // the covariance times the noise
         const float along = R[k] * random[0] + R[3 + k] * random[1] + R[6 + k] * random[2];

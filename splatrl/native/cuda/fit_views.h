@@ -1,0 +1,77 @@
+// What the stages of fit.cu pass to each other.
+#pragma once
+
+#include "platform.h"
+
+#include "coverage.h"
+#include "fit_kernel.h"
+
+namespace splatrl {
+
+constexpr int FIT_TILE = 16;  // width and height of a tile, pixels: a block has a thread for each
+constexpr int FIT_THREADS = FIT_TILE * FIT_TILE, FIT_WARPS = FIT_THREADS / WARP;
+
+// Views that are drawn at once: of one model, of one size. What they compare with lies photo by photo.
+struct FitViews {
+    const float* camera_to_world;  // [views, 4, 4]
+    const float* K;                // [views, 3, 3]
+    const int64_t* photos;         // [views] which photo each is compared with
+    const float* known;            // [photos, height, width] inverse depths, 0 where unknown
+    int views, width, height;
+
+    INLINE_MEMBER int across() const { return (width + FIT_TILE - 1) / FIT_TILE; }
+    INLINE_MEMBER int tiles() const { return across() * ((height + FIT_TILE - 1) / FIT_TILE); }
+    INLINE_MEMBER size_t area() const { return size_t(width) * size_t(height); }
+    INLINE_MEMBER Camera camera(int view) const {
+        return camera_of(camera_to_world + 16 * view, K + 9 * view, width, height);
+    }
+};
+
+// The pairs of a splat and a tile on which it shows: first splat by splat, then sorted by tile and depth.
+struct FitPairs {
+    FitSplat* splats;        // [views, stride]; those that show nowhere are not set
+    int* counts;             // [views, stride] pairs of each
+    const int64_t* ends;     // [views, stride] behind the last pair of each
+    int64_t* keys;           // [pairs] tile of all views in the high, depth in the low half
+    int* owners;             // [pairs] which splat
+    const int64_t* order;    // [pairs] tile by tile, nearest first; equal ones in the order of the model
+    const int64_t* starts;   // [views · tiles + 1] where the pairs of each tile begin in `order`
+    int* taken;              // [views, tiles] how many of them were blended
+};
+
+// A pixel of a tile.
+struct FitPlace {
+    int view, x, y;
+    bool inside;
+    size_t at;  // in a plane
+
+    INLINE_MEMBER FitPlace(const FitViews& views, int tile, int column, int row) {
+        view = tile / views.tiles();
+        const int number = tile % views.tiles();
+        x = number % views.across() * FIT_TILE + column, y = number / views.across() * FIT_TILE + row;
+        inside = x < views.width && y < views.height;
+        at = inside ? size_t(y) * size_t(views.width) + size_t(x) : 0;
+    }
+};
+
+// Where a thread's pixel is in its tile: a warp has 8×4 of them.
+SPLAT_INLINE int patch_column() { return warp() % 2 * 8 + lane() % 8; }
+SPLAT_INLINE int patch_row() { return warp() / 2 * 4 + lane() / 8; }
+
+// Sums over the block, to `out`, which belongs to this block alone.
+template <int N>
+SPLAT_INLINE void add_up(const float* values, float (*sums)[N], float* out) {
+    for (int i = 0; i < N; ++i) {
+        float sum = values[i];
+        for (int by = WARP / 2; by > 0; by /= 2) sum += __shfl_xor_sync(ALL_LANES, sum, by);
+        if (lane() == 0) sums[warp()][i] = sum;
+    }
+    __syncthreads();
+    if (thread() < N) {
+        float sum = 0.0f;
+        for (int i = 0; i < FIT_WARPS; ++i) sum += sums[i][thread()];
+        out[thread()] = sum;
+    }
+}
+
+}  // namespace splatrl

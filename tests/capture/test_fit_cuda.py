@@ -1,0 +1,271 @@
+"""The fit for GPUs against the one for CPUs: its kernels' source, emulated and, where there is a GPU, run on it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from splatrl.capture import fit_cuda
+from splatrl.capture.base import Reconstruction
+from splatrl.capture.fit import FitSettings, Fitting, fit
+from splatrl.capture.fit_cuda import CudaFitter, kernel_defines
+from splatrl.native import _core
+from tests.capture.test_fit import COUNT as FEW
+from tests.capture.test_fit import (
+    GROUPS,
+    HEIGHT,
+    SETTINGS,
+    WIDTH,
+    activated,
+    cosine,
+    held_out_psnr,
+    known_depths,
+    moved_cameras,
+    random_values,
+    reference_images,
+    same_bytes,
+    tiny_capture,
+)
+from tests.emulator import emulated
+from tests.renderers.cases import random_cameras, random_gaussians
+
+NEAR = 0.01
+PHOTOS = 3
+CHOSEN = torch.tensor([2, 0])
+"""The photos that two views are compared with."""
+
+
+@pytest.fixture(params=["emulated", pytest.param("gpu", marks=pytest.mark.gpu)])
+def fitter(request: pytest.FixtureRequest) -> CudaFitter:
+    """A fitter on either machine."""
+    if request.param == "gpu":
+        return CudaFitter(request.getfixturevalue("cuda_device"))
+    return CudaFitter("cpu", emulated)
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
+    return tiny_capture(tmp_path_factory.mktemp("photos"))
+
+
+def crowd() -> tuple[Tensor, int]:
+    """Parameters of more faint Gaussians than a block loads at once."""
+    cloud = random_gaussians(4, 700, 1)
+    values = torch.zeros(23, 704)
+    values[6] = 1.0
+    columns = (cloud.means.T, cloud.scales.log().T, cloud.quats.T, cloud.opacities.clamp(0.01, 0.3).logit()[None])
+    values[:, :700] = torch.cat([*columns, 0.3 * cloud.sh.flatten(1).T])
+    return values, 700
+
+
+MODELS: dict[str, Callable[[], tuple[Tensor, int]]] = {
+    "degree 0": lambda: (random_values(0), FEW),
+    "degree 1": lambda: (random_values(1), FEW),
+    "a crowd": crowd,
+}
+
+
+def photos() -> tuple[Tensor, Tensor, Tensor]:
+    """Pixels, known depths and exposures."""
+    pixels = torch.randint(
+        0, 256, (PHOTOS, HEIGHT, WIDTH, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(2)
+    )
+    known = torch.cat([known_depths(2).flip(0), known_depths(1)])
+    known[1] = 9.0  # nobody looks at it
+    exposure = torch.tensor([[[0.9, 0.1]] * 3, [[5.0, 5.0]] * 3, [[1.1, 0.02], [0.9, -0.01], [1.2, 0.0]]])
+    return pixels, known, exposure
+
+
+def there(device: torch.device, *values: Any) -> list[Any]:
+    """Copies of tensors on a device; everything else as it is."""
+    return [value.to(device, copy=True) if isinstance(value, Tensor) else value for value in values]
+
+
+def drawn(fitter: Any, values: Tensor, count: int, device: str | torch.device = "cpu") -> list[Tensor]:
+    """Images of two views, slopes of the parameters and poses by random slopes of the images, on the CPU."""
+    cameras = random_cameras(5, 2, WIDTH, HEIGHT)
+    slopes = torch.randn(2, HEIGHT, WIDTH, 5, generator=torch.Generator().manual_seed(1))
+    images = torch.empty(2, HEIGHT, WIDTH, 3), torch.empty(2, HEIGHT, WIDTH), torch.empty(2, HEIGHT, WIDTH)
+    gradients, poses = torch.zeros(2, *values.shape), torch.empty(2, 6)
+    out = there(torch.device(device), *images, gradients, poses)
+    model = values, count, NEAR, cameras.camera_to_world, cameras.K.contiguous(), known_depths(2)
+    fitter.render(*there(torch.device(device), *model), *out[:3], 1)
+    fitter.pull(*there(torch.device(device), *model, slopes), *out[3:], 1)
+    return [value.cpu() for value in out]
+
+
+def compared(fitter: Any, values: Tensor, count: int, device: str | torch.device = "cpu") -> tuple[Tensor, Tensor]:
+    """Slopes of the parameters, and losses, of two views against their photos."""
+    cameras = random_cameras(5, 2, WIDTH, HEIGHT)
+    pixels, known, exposure = photos()
+    here = there(torch.device(device), values, count, NEAR)
+    seen = there(torch.device(device), pixels, known)
+    gradients, losses = torch.zeros(2, *values.shape, device=device), torch.empty(2, 16)
+    lenses = cameras.camera_to_world, cameras.K.contiguous()
+    fitter.compare(*here, *lenses, *seen, CHOSEN, exposure, 0.2, 0.3, gradients, losses, 1)
+    return gradients.cpu(), losses
+
+
+def assert_same_slopes(found: Tensor, expected: Tensor, count: int) -> None:
+    """Slopes [V, R, C] of every group of parameters have the same direction and length."""
+    for name, (first, last) in GROUPS.items():
+        mine, true = found[:, first:last, :count], expected[:, first:last, :count]
+        assert cosine(mine, true) > 0.99999, name
+        assert float(mine.norm() / true.norm()) == pytest.approx(1.0, abs=1e-4), name
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_views_and_slopes_are_those_of_the_cpu(fitter: CudaFitter, model: str) -> None:
+    values, count = MODELS[model]()
+    found, expected = drawn(fitter, values, count, fitter.device), drawn(_core.Fitter(), values, count)
+    for mine, true in zip(found[:3], expected[:3], strict=True):
+        assert torch.allclose(mine, true, atol=1e-4)
+    assert expected[1].amax() > 0.3 and expected[2].amax() > 0.5
+    assert_same_slopes(found[3], expected[3], count)
+    assert (found[3][:, :, count:] == 0).all()
+    assert torch.allclose(found[4], expected[4], rtol=1e-4, atol=1e-4 * float(expected[4].abs().max()))
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_the_loss_and_its_slopes_are_those_of_the_cpu(fitter: CudaFitter, model: str) -> None:
+    values, count = MODELS[model]()
+    gradients, losses = compared(fitter, values, count, fitter.device)
+    true_gradients, true_losses = compared(_core.Fitter(), values, count)
+    assert torch.allclose(losses[:, :4], true_losses[:, :4], rtol=1e-5, atol=1e-6)
+    assert (true_losses[:, 3] > 0.1).all()
+    for part in (slice(4, 10), slice(10, 16)):  # by the exposure and by the pose
+        assert torch.allclose(losses[:, part], true_losses[:, part], rtol=1e-3, atol=1e-5)
+        assert cosine(losses[:, part], true_losses[:, part]) > 0.99999
+    assert_same_slopes(gradients, true_gradients, count)
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_higher_harmonics_have_the_slopes_of_the_reference_under_autograd(fitter: CudaFitter, degree: int) -> None:
+    values, cameras = random_values(degree), random_cameras(5, 2, WIDTH, HEIGHT)
+    leaf = values[:, :FEW].double().requires_grad_()
+    moves = torch.zeros(2, 6, dtype=torch.float64, requires_grad=True)
+    expected = reference_images(activated(leaf), moved_cameras(cameras, moves))
+    slopes = torch.randn(2, HEIGHT, WIDTH, 5, generator=torch.Generator().manual_seed(1))
+    (expected * slopes).sum().backward()
+    assert leaf.grad is not None and moves.grad is not None
+    rgb, _, _, gradients, poses = drawn(fitter, values, FEW, fitter.device)
+    assert torch.allclose(rgb.double(), expected.detach()[..., :3], atol=1e-3)
+    for name, (first, last) in {**GROUPS, "sh": (11, len(values))}.items():
+        assert cosine(gradients.sum(0)[first:last, :FEW], leaf.grad[first:last]) > 0.9999, name
+    assert cosine(poses, moves.grad) > 0.9999
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e2])
+def test_a_step_of_the_optimiser_is_that_of_the_cpu(fitter: CudaFitter, noise: float) -> None:
+    random, values = torch.Generator().manual_seed(7), random_values(1)
+    gradients = torch.randn(3, *values.shape, generator=random)
+    first, second = torch.randn(values.shape, generator=random), torch.rand(values.shape, generator=random)
+    rates = torch.rand(len(values), generator=random) * 0.01
+    numbers = 5, 0.8, 0.997, 1e-15, 0.4, 0.3, noise, (3 << 40) + 12345, 1
+    found, expected = there(fitter.device, values, gradients, first, second), [values, gradients, first, second]
+    before = values.clone()
+    fitter.update(*found, rates, *numbers)
+    _core.Fitter().update(*expected, rates, *numbers)
+    for mine, true in zip(found, expected, strict=True):
+        assert torch.allclose(mine.cpu(), true, rtol=1e-5, atol=1e-6)
+    means = (values - before)[:3]
+    assert (means.norm(dim=0) > 0.05).any() == (noise > 0)
+
+
+def test_nothing_in_view_is_black_and_has_no_slopes(fitter: CudaFitter) -> None:
+    values = random_values(0)
+    values[2] += 1e4
+    rgb, agreement, alpha, gradients, poses = drawn(fitter, values, FEW, fitter.device)
+    for value in (rgb, agreement, alpha, gradients, poses):
+        assert (value == 0).all()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_order_of_threads_changes_no_byte(seed: int) -> None:
+    fitter = CudaFitter("cpu", emulated)
+    values, count = MODELS["degree 1"]()
+    expected = compared(fitter, values, count)
+    for kernels in fitter._kernels.values():
+        kernels.seed = seed  # type: ignore[attr-defined]
+    assert all(torch.equal(*pair) for pair in zip(compared(fitter, values, count), expected, strict=True))
+
+
+def test_parameters_of_no_degree_are_refused() -> None:
+    with pytest.raises(ValueError, match="values: expected 14, 23, 38, 59 rows, got 15"):
+        drawn(CudaFitter("cpu", emulated), torch.zeros(15, 16), 1)
+
+
+SHORT = replace(SETTINGS, cap=130, start_share=1.0, levels=((0.0, 0.5),), refine=(0.0, 1.0), refine_every=3, poses=1e-3)
+
+
+def test_a_short_fit_is_that_of_the_cpu(capture: Reconstruction) -> None:
+    """Births, deaths, exposures and poses included."""
+    fittings = Fitting(capture, SHORT), Fitting(capture, SHORT)
+    fittings[1]._core = CudaFitter("cpu", emulated)
+    for one in fittings:
+        one.model.values[10, :20] = -6.0  # these die
+    losses = torch.tensor([[one.step(step, 8) for one in fittings] for step in range(8)])
+    assert torch.allclose(losses[:, 0], losses[:, 1], rtol=1e-3)
+    one, other = fittings
+    assert one.model.count == other.model.count
+    assert cosine(one.exposure.values - 1, other.exposure.values - 1) > 0.999
+    assert one.moves.values.abs().max() > 0 and cosine(one.moves.values, other.moves.values) > 0.99
+
+
+class NoKernels:
+    """Kernels that are told where their tensors are, and do nothing."""
+
+    def __init__(self, *_: Any) -> None:
+        self.launched: list[str] = []
+
+    def launch(self, name: str, blocks: int, threads: int, *arguments: Any, shared: int = 0) -> None:
+        assert all(value.device.type == "meta" for value in arguments if isinstance(value, Tensor)), name
+        self.launched.append(name)
+
+
+def test_a_step_mixes_no_devices_and_reads_only_the_losses(
+    capture: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a device that holds no data, and that mixes with no other."""
+    copied: list[tuple[int, ...]] = []
+
+    def copy(to: Tensor, source: Tensor) -> Tensor:
+        assert to.shape == source.shape
+        copied.append(tuple(to.shape))
+        return to.zero_()
+
+    fitting = Fitting(capture, replace(SHORT, device="meta"))
+    monkeypatch.setattr(fit_cuda, "CudaKernels", NoKernels)
+    monkeypatch.setattr(fit_cuda, "_length", lambda ends: 300)
+    monkeypatch.setattr(Tensor, "copy_", copy)
+    for step in range(2):
+        fitting.step(step, 4)
+    launched = fitting._core._kernels[0].launched
+    assert launched[: len(launched) // 2] == launched[len(launched) // 2 :]
+    assert len(set(launched)) == 8
+    assert copied == [(2, 16)] * 2  # the losses
+
+
+@pytest.mark.gpu
+def test_a_fit_on_a_gpu_looks_like_its_held_out_photos_and_repeats_itself(
+    cuda_device: torch.device, capture: Reconstruction
+) -> None:
+    settings = replace(SETTINGS, device=str(cuda_device))
+    fitted = fit(capture, settings)
+    assert held_out_psnr(fitted, capture) > 25.0 and fitted.means.device.type == "cpu"
+    assert same_bytes(fitted, fit(capture, settings))
+
+
+@pytest.mark.gpu
+def test_all_that_a_step_needs_is_on_the_gpu(cuda_device: torch.device, capture: Reconstruction) -> None:
+    fitting = Fitting(capture, FitSettings(width=48, cap=600, device=str(cuda_device)))
+    model, (seen, known) = fitting.model, fitting.level(0.0)
+    tensors = (model.values, model.first, model.second, seen.pixels, known, fitting._gradients)
+    assert {value.device for value in tensors} == {cuda_device}
+
+
+def test_shared_memory_is_what_a_block_may_have() -> None:
+    assert max(size for name, size in kernel_defines(0).items() if name.endswith("_BYTES")) <= 48 * 1024
