@@ -133,11 +133,14 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=7_000)
     parser.add_argument("--degree", type=int, default=1)
     parser.add_argument("--threads", type=int)
+    parser.add_argument("--device", default="cpu", help="cuda fits on a GPU")
     parser.add_argument("--look", type=Path)
     args = parser.parse_args()
     if args.scene == "kitchen" and args.splat is None:
         parser.error("--scene kitchen: expected --splat FILE")
-    settings = FitSettings(args.width, args.cap, args.views, sh_degree=args.degree, threads=args.threads)
+    settings = FitSettings(
+        args.width, args.cap, args.views, sh_degree=args.degree, threads=args.threads, device=args.device
+    )
     with tempfile.TemporaryDirectory() as folder, tqdm(total=args.views, unit="view") as bar:
         reconstruction = capture_of(args, Path(folder))
         began, used = time.perf_counter(), time.process_time()

@@ -101,9 +101,10 @@ class CudaFitter:
     """Draws views of Gaussians and pulls slopes back to their parameters, as ``_core.Fitter`` does on a CPU.
 
     Parameters, gradients, moments, photos and known depths must be on the device; poses, lenses, exposures, rates and
-    losses may be anywhere, because they are small. ``values`` have harmonics up to degree 3. A call reads one number on
-    the host, the length of the lists of tiles. The same input gives the same bytes: no sum depends on the order of
-    threads. Kernels are compiled once per machine, in seconds, and cached.
+    losses may be anywhere, because they are small. ``values`` have harmonics up to degree 3. A call reads the length of
+    the lists of tiles on the host. The same input gives the same bytes: no sum depends on the order of threads. Kernels
+    are compiled by the first call, once per machine, in seconds, and cached; it raises ``ImportError`` where the extra
+    ``cuda`` is not installed.
 
     Args:
         device: a CUDA device.
@@ -111,9 +112,6 @@ class CudaFitter:
 
     Attributes:
         device: where the model must be.
-
-    Raises:
-        ImportError: where the extra ``cuda`` is not installed.
     """
 
     def __init__(self, device: torch.device | str, load: Load | None = None) -> None:
@@ -187,12 +185,14 @@ class CudaFitter:
                 kernel, 3 * views * drawn.tiles, THREADS, drawn.views, photos, shared=COMPARE_BYTES
             )  # fmt: skip
         poses = self._pull(drawn, slopes, gradients)
-        apart, by_gain, by_offset, depth, similar = sums.double().sum(1).unbind(-1)  # [V, 3]
+        parts = torch.cat([sums.sum(1, dtype=torch.float64).flatten(1), poses], 1)
+        found, turns = _read(parts, losses.device).split([3 * SUMS, 6], 1)
+        apart, by_gain, by_offset, depth, similar = found.view(views, 3, SUMS).unbind(-1)  # [V, 3]
         l1, ssim = apart.sum(1) / (3 * height * width), similar.sum(1) / (3 * height * width)
         unknown = depth[:, 0] / (height * width)
         total = (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim) + depth_weight * unknown
         by_exposure = torch.stack([by_gain, by_offset], -1).flatten(1)
-        losses.copy_(torch.cat([torch.stack([total, l1, ssim, unknown], 1), by_exposure, poses], 1))
+        losses.copy_(torch.cat([torch.stack([total, l1, ssim, unknown], 1), by_exposure, turns], 1))
 
     def update(
         self,
@@ -245,7 +245,7 @@ class CudaFitter:
         pairs = _Pairs(splats.data_ptr(), counts.data_ptr())
         kernels.launch("project_views", blocks, THREADS, model, views, pairs)
         ends = counts.cumsum(0)
-        total = _length(ends)
+        total = int(_read(ends[-1:], torch.device("cpu")))
         keys = torch.empty(total, dtype=torch.int64, device=self.device)
         owners = torch.empty(total, dtype=torch.int32, device=self.device)
         pairs.ends, pairs.keys, pairs.owners = ends.data_ptr(), keys.data_ptr(), owners.data_ptr()
@@ -273,7 +273,7 @@ class CudaFitter:
             "pull_views", drawn.blocks, THREADS, drawn.model, drawn.views, drawn.pairs, moments, gradients, poses,
             shared=PULL_BYTES,
         )  # fmt: skip
-        return poses.double().view(count, -1, 6).sum(1)
+        return poses.view(count, -1, 6).sum(1, dtype=torch.float64)
 
     def _kernels_for(self, values: Tensor) -> Kernels:
         if len(values) not in ROWS:
@@ -294,9 +294,9 @@ class CudaFitter:
         return torch.empty(shape, device=self.device)
 
 
-def _length(ends: Tensor) -> int:
-    """How many pairs there are; waits for the device."""
-    return int(ends[-1])
+def _read(values: Tensor, device: torch.device) -> Tensor:
+    """Values on another device; waits for those of a GPU."""
+    return values.to(device)
 
 
 def _correction(beta: float, step: int) -> float:

@@ -1,5 +1,6 @@
 import hashlib
 import pickle
+import re
 import sys
 from pathlib import Path
 
@@ -65,6 +66,14 @@ def test_every_kernel_compiles_for_every_architecture(source: str, defines: dict
     code, log = kept(source, arch, defines)
     assert code[:4] == b"\x7fELF"
     assert f"for '{arch}" in log and "registers" in log
+
+
+@pytest.mark.parametrize("arch", ARCHITECTURES)
+@pytest.mark.parametrize("defines", SOURCES["fit"])
+def test_the_fit_keeps_all_it_computes_in_registers(defines: dict[str, int], arch: str) -> None:
+    _, log = kept("fit", arch, defines)
+    spilled = re.findall(r"(\d+) bytes stack frame, (\d+) bytes spill stores", log)
+    assert spilled == [("0", "0")] * 8
 
 
 def test_a_kernel_is_compiled_once_and_says_so(cache: Path, sources: Path, capsys: pytest.CaptureFixture[str]) -> None:
