@@ -3,7 +3,6 @@
 Files of recordings come from strangers: images are looked for beside them only, and nothing in them is run.
 """
 
-import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from splatrl.capture.base import CaptureError
 from splatrl.capture.frames import SHARPNESS_WIDTH
 from splatrl.capture.photo_files import read_photo
 from splatrl.capture.videos import shrunk
+from splatrl.documents import parsed_json
 from splatrl.images import PHOTO_SUFFIXES
 
 Floats = NDArray[np.float64]
@@ -159,9 +159,9 @@ def read_json(source: object, text: str | bytes) -> Any:
         CaptureError: for anything else; names the source.
     """
     try:
-        return json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise CaptureError(f"{source}: expected JSON, got {error}") from error
+        return parsed_json(str(source), text)
+    except ValueError as error:
+        raise CaptureError(str(error)) from error
 
 
 def quaternion_poses(source: object, xyzw: Floats, places: Floats) -> Floats:
