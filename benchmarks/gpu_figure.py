@@ -122,7 +122,9 @@ def _scenes(rows: Sequence[Rendering] | Sequence[Likeness]) -> list[str]:
 
 
 def _plain(axis: Axis, form: str = "{x:,.0f}") -> None:
-    """Write the numbers along a logarithmic axis in full."""
+    """Write the numbers along a logarithmic axis in full; one without data begins at 1."""
+    if axis.get_view_interval()[0] <= 0.0:
+        axis.set_view_interval(1.0, 10.0, ignore=True)
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(StrMethodFormatter(form))
     axis.set_minor_locator(NullLocator())

@@ -60,6 +60,13 @@ def test_a_dry_run_measures_everything_and_leaves_no_result(
     assert {path: path.stat().st_mtime_ns for path in RESULTS.iterdir()} == before
 
 
+def test_the_picture_of_a_run_of_few_sections_has_empty_panels(tmp_path: Path, benchmark: Any) -> None:
+    bench = benchmark("gpu_bench").DryRun()
+    reach = benchmark("gpu_reach").targets(bench)
+    benchmark("gpu_figure").draw(bench, reach, "nothing was measured", tmp_path / "empty.png")
+    assert (tmp_path / "empty.png").stat().st_size > 10_000
+
+
 def test_a_dry_run_keeps_out_of_the_results(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["gpu.py", "--dry-run", "--only", "gsplat", "--folder", str(RESULTS)])
     with pytest.raises(SystemExit, match="expected a folder other than that of results"):
