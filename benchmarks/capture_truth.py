@@ -29,11 +29,11 @@ from scipy import ndimage
 from torch import Tensor
 
 from splatrl.bodies import Box
-from splatrl.cameras import Cameras
-from splatrl.capture.frames import read_photos
-from splatrl.capture.pipeline import STAGES
-from splatrl.capture.poses import find_poses
-from splatrl.capture.world import Placed, moved, place
+from splatrl.cameras import Cameras, depths_at
+from splatrl.capture.base import Reconstruction
+from splatrl.capture.pipeline import CaptureSettings, reconstruct
+from splatrl.capture.truth import closest_similarity, read_truth, true_poses
+from splatrl.capture.world import Placed, moved
 from splatrl.collision import NativeChecker, Occupancy
 from splatrl.geometry import rigid
 from splatrl.renderers import NativeRenderer
@@ -51,41 +51,26 @@ AGREES = 0.03
 """A camera sees a place whose depth is off by at most this share."""
 
 
-def similarity(from_places: NDArray[np.float64], to_places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The similarity [4, 4] that brings places [N, 3] closest to others (Umeyama 1991)."""
-    a, b = from_places - from_places.mean(0), to_places - to_places.mean(0)
-    u, values, vt = np.linalg.svd(b.T @ a / len(a))
-    signs = np.array([1.0, 1.0, np.linalg.det(u @ vt)])
-    turn = (u * signs) @ vt
-    scale = (values * signs).sum() / (a**2).sum(1).mean()
-    out = np.eye(4)
-    out[:3, :3] = scale * turn
-    out[:3, 3] = to_places.mean(0) - scale * turn @ from_places.mean(0)
-    return out
+def aligned(placed: Placed, true: Tensor) -> tuple[Tensor, float]:
+    """The similarity [4, 4] from a capture to the truth by its cameras [N, 4, 4], and its scale."""
+    to_truth = closest_similarity(placed.reconstruction.camera_to_world[:, :3, 3], true[:, :3, 3])
+    return to_truth, float(to_truth[:3, :3].det() ** (1 / 3))
 
 
-def aligned(placed: Placed, seconds: Tensor, truth: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The similarity [4, 4] from a capture to the truth [frames, 4, 4] by its cameras."""
-    rows = (seconds * FRAMES_A_SECOND).round().long().clamp_max(len(truth) - 1).numpy()
-    found = placed.reconstruction.camera_to_world[:, :3, 3].numpy()
-    return similarity(found, truth[rows, :3, 3])
-
-
-def redkitchen(scene: Scene, occupancy: Occupancy, placed: Placed, seconds: Tensor) -> dict[str, float]:
+def redkitchen(scene: Scene, occupancy: Occupancy, placed: Placed) -> dict[str, float]:
     """Depth and free space against the sensor's."""
     folder = VIDEOS["redkitchen"].parent
-    truth = np.load(folder / "truth.npz")["camera_to_world"]
-    to_truth = aligned(placed, seconds, truth)
-    scale = float(np.linalg.det(to_truth[:3, :3]) ** (1 / 3))
-    from_truth = np.linalg.inv(to_truth)
+    truth = torch.from_numpy(np.load(folder / "truth.npz")["camera_to_world"]).double()
+    taken = (placed.reconstruction.seconds * FRAMES_A_SECOND).round().long().clamp_max(len(truth) - 1)
+    to_truth, scale = aligned(placed, truth[taken])
     depths, poses = [], []
     for path in sorted((folder / "depth").glob("*.png")):
         depth = np.asarray(Image.open(path)).astype(np.float64)
         depth[depth == NO_DEPTH] = 0
-        pose = from_truth @ truth[int("".join(filter(str.isdigit, path.stem)))]
+        pose = to_truth.inverse() @ truth[int("".join(filter(str.isdigit, path.stem)))]
         pose[:3, :3] *= scale
         depths.append(torch.from_numpy(depth / 1000 / scale))
-        poses.append(torch.from_numpy(pose))
+        poses.append(pose)
     measured, cameras_to_world = torch.stack(depths), torch.stack(poses)
     cameras = Cameras(cameras_to_world.float(), SENSOR_K.float(), 640, 480)
     renderer = NativeRenderer(scene)
@@ -121,16 +106,14 @@ def looked_through(occupancy: Occupancy, poses: Tensor, measured: Tensor, scale:
     return free
 
 
-def kitchen(scene: Scene, occupancy: Occupancy, placed: Placed, seconds: Tensor) -> dict[str, float]:
+def kitchen(scene: Scene, occupancy: Occupancy, placed: Placed) -> dict[str, float]:
     """Occupancy against hand-made boxes."""
     truth = kitchen_truth()
     assert truth is not None
-    known = np.load(VIDEOS["kitchen"].with_suffix(".npz"))
-    to_truth = aligned(placed, seconds, known["camera_to_world"])
-    from_truth = torch.from_numpy(np.linalg.inv(to_truth))
-    scale = float(np.linalg.det(to_truth[:3, :3]) ** (1 / 3))
+    to_truth, scale = aligned(placed, true_poses(placed.reconstruction, read_truth(VIDEOS["kitchen"])))
+    from_truth = to_truth.inverse()
     surface = truth.surface(POSES)
-    surface = surface[seen(truth.scene, surface.double(), moved(placed.reconstruction, to_truth)) >= 2]
+    surface = surface[seen(truth.scene, surface.double(), moved(placed.reconstruction, to_truth.numpy())) >= 2]
     turn = (from_truth[:3, :3] * scale).float()
 
     def hit(places: Tensor, cube: Box) -> float:
@@ -145,27 +128,14 @@ def kitchen(scene: Scene, occupancy: Occupancy, placed: Placed, seconds: Tensor)
     }
 
 
-def seen(scene: Scene, places: Tensor, capture: object) -> Tensor:
+def seen(scene: Scene, places: Tensor, capture: Reconstruction) -> Tensor:
     """By how many cameras of a capture each place [N, 3] of a scene is seen."""
     renderer, count = NativeRenderer(scene), torch.zeros(len(places), dtype=torch.int64)
-    K, width, height = capture.K, capture.width, capture.height
     for pose in capture.camera_to_world:
-        x, y, z = ((places - pose[:3, 3]) @ pose[:3, :3]).unbind(1)
-        across, down = (K[0, 0] * x / z + K[0, 2]).long(), (K[1, 1] * y / z + K[1, 2]).long()
-        inside = (z > 0.05) & (across >= 0) & (down >= 0) & (across < width) & (down < height)
-        depth = renderer.render(Cameras(pose[None].float(), K.float(), width, height)).depth[0].double()
-        found = depth[down.clamp(0, height - 1), across.clamp(0, width - 1)]
-        count += inside & ((found - z).abs() < AGREES * z)
+        view = renderer.render(Cameras(pose[None].float(), capture.K.float(), capture.width, capture.height))
+        z, found = depths_at(places, view.depth[0], pose, capture.K, 0.05)
+        count += (found > 0) & ((found - z).abs() < AGREES * z)
     return count
-
-
-def capture_of(folder: Path, video: Path, camera_height: float | None) -> tuple[Placed, Tensor]:
-    """The cameras and points of a capture that was made, and when its images were taken."""
-    photos = read_photos(video, folder / STAGES, (120, 200), 960)
-    found = find_poses(photos, folder / STAGES)
-    taken = {path.name: float(second) for path, second in zip(photos.paths, photos.seconds, strict=True)}
-    seconds = torch.tensor([taken[path.name] for path in found.paths])
-    return place(found, camera_height=camera_height), seconds
 
 
 def main() -> None:
@@ -175,15 +145,12 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="of the capture of its video")
     parser.add_argument("--camera-height", type=float, default=None)
     arguments = parser.parse_args()
-    placed, seconds = capture_of(arguments.folder, VIDEOS[arguments.place], arguments.camera_height)
+    settings = CaptureSettings(camera_height=arguments.camera_height)
+    placed, _ = reconstruct(VIDEOS[arguments.place], arguments.folder, settings)
     scene = read_scene(arguments.folder)
     occupancy = Occupancy.from_scene(scene, resolution=read_description(arguments.folder)["voxel_size"])
-    measure = {"redkitchen": redkitchen, "kitchen": kitchen}[arguments.place]
-    print(
-        json.dumps(
-            {name: round(value, 5) for name, value in measure(scene, occupancy, placed, seconds).items()}, indent=1
-        )
-    )
+    found = {"redkitchen": redkitchen, "kitchen": kitchen}[arguments.place](scene, occupancy, placed)
+    print(json.dumps({name: round(value, 5) for name, value in found.items()}, indent=1))
 
 
 if __name__ == "__main__":

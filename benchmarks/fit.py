@@ -72,7 +72,7 @@ def psnr(a: Tensor, b: Tensor) -> float:
 
 def judge(gaussians: Gaussians, reconstruction: Reconstruction, width: int, look: Path | None) -> None:
     """Print the likeness of held-out views, as the robot's renderer draws them."""
-    seen = pictures(reconstruction, frame_of(reconstruction.camera_to_world), width)
+    (seen,) = pictures(reconstruction, frame_of(reconstruction.camera_to_world), [width])
     rows = held_out(len(reconstruction.paths))
     photos = seen.pixels[rows].float() / 255
     height = photos.shape[1]

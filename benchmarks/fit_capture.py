@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from splatrl.cameras import Cameras
+from splatrl.cameras import Cameras, depths_at
 from splatrl.capture.base import Reconstruction
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes.scene import Scene
@@ -69,11 +69,8 @@ def surveyed(
     world, colors = world[far > 0], colors[(far > 0).numpy()]
     seen_point, seen_by = [], []
     for row, pose in enumerate(poses.double()):
-        x, y, z = ((world - pose[:3, 3]) @ pose[:3, :3]).unbind(1)
-        across, down = (K[0, 0] * x / z + K[0, 2]).long(), (K[1, 1] * y / z + K[1, 2]).long()
-        inside = (z > 0.05) & (across >= 0) & (down >= 0) & (across < size[0]) & (down < size[1])
-        found = depths[row, down.clamp(0, size[1] - 1), across.clamp(0, size[0] - 1)]
-        sees = (inside & ((found - z).abs() < AGREES * z)).nonzero().squeeze(1)
+        z, found = depths_at(world, depths[row], pose, K.double(), 0.05)
+        sees = ((found > 0) & ((found - z).abs() < AGREES * z)).nonzero().squeeze(1)
         seen_point.append(sees)
         seen_by.append(torch.full_like(sees, row))
     return Reconstruction(

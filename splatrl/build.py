@@ -15,12 +15,13 @@ from torchrl.modules import ActorValueOperator
 from splatrl.bodies import Body
 from splatrl.collision import NativeChecker
 from splatrl.collision.base import Checker
-from splatrl.configuration import check_config, load_config, made_with
+from splatrl.configuration import check_config, load_config
 from splatrl.curriculum import plan
 from splatrl.device import AUTO, KINDS, chosen_device
 from splatrl.envs.tasks import Task
 from splatrl.envs.world import World
 from splatrl.evaluation.rollouts import run_episodes, spread
+from splatrl.made_with import made_with
 from splatrl.scenes.scene import Bounds
 from splatrl.training import PPO, Trainer, memory_transforms
 

@@ -95,3 +95,26 @@ def look_at(
     right = torch.where(right.norm(dim=-1, keepdim=True) < 1e-6, spare, right)
     right = torch.nn.functional.normalize(right, dim=-1)
     return rigid(torch.stack([right, torch.linalg.cross(forward, right), forward], -1), eye)
+
+
+def depths_at(
+    points: Tensor, depth: Tensor, camera_to_world: Tensor, K: Tensor, nearest: float
+) -> tuple[Tensor, Tensor]:
+    """How deep points are for a camera, and how deep its image says it is there.
+
+    Args:
+        points: [M, 3] float64, world, metres.
+        depth: [H, W] along the optical axis, metres.
+        camera_to_world: [4, 4] float64 pose of the camera.
+        K: [3, 3] float64 intrinsics for images of that size, pixels.
+        nearest: points no deeper than this are not in the image, metres.
+
+    Returns:
+        [M] depth of the points; [M] what the image says, 0 where a point is not in it.
+    """
+    height, width = depth.shape
+    x, y, z = ((points - camera_to_world[:3, 3]) @ camera_to_world[:3, :3]).unbind(1)
+    column, row = (K[0, 0] * x / z + K[0, 2]).floor().long(), (K[1, 1] * y / z + K[1, 2]).floor().long()
+    inside = (z > nearest) & (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    said = depth.double()[row.clamp(0, height - 1), column.clamp(0, width - 1)]
+    return z, torch.where(inside, said, 0.0)

@@ -86,7 +86,7 @@ def _text(path: Path, limit: int) -> str:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected a file, found none")
     with path.open("rb") as stream:
-        content = stream.read(limit + 1)
+        content = stream.read(min(limit, path.stat().st_size) + 1)
     if len(content) > limit:
         raise ValueError(f"{path}: expected at most {limit:,} bytes, got more")
     try:

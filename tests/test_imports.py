@@ -34,6 +34,7 @@ ORDER = [
     {"capture"},
     {"scene_overrides", "targets"},
     {"configuration"},
+    {"made_with"},
     {"build"},
     {"runs"},
     {"experiments"},
@@ -42,7 +43,17 @@ ORDER = [
 """Packages ("rooms") and single modules under splatrl/, in order; a new one is added here."""
 ONLY = {
     "hydra": {"targets", "configuration", "build", "commands"},
-    "omegaconf": {"documents", "targets", "scenes", "configuration", "build", "runs", "experiments", "commands"},
+    "omegaconf": {
+        "documents",
+        "targets",
+        "scenes",
+        "configuration",
+        "made_with",
+        "build",
+        "runs",
+        "experiments",
+        "commands",
+    },
     "splatrl.device": {"build", "commands"},
 }
 """What only some rooms may import."""

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
 from torch import Tensor
 
 
@@ -71,3 +72,8 @@ class Reconstruction:
     depths: tuple[Path, ...] = ()
     depth_unit: float = 0.001
     seconds: Tensor | None = None
+
+    def K_at(self, width: int, height: int) -> Tensor:
+        """The intrinsics [3, 3] float64 for these images at another size."""
+        scale = [[width / self.width], [height / self.height], [1.0]]
+        return self.K.double() * torch.tensor(scale, dtype=torch.float64)

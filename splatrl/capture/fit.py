@@ -155,14 +155,14 @@ class Fitting:
         self.views = min(settings.views_a_step, len(self.trained))
         widest = min(settings.width, reconstruction.width)
         depths = depths or find_depths(reconstruction, self.frame, self.trained, self.threads)
-        self.levels: dict[float, tuple[Pictures, Tensor]] = {}
-        for _, scale in settings.levels:
-            seen = pictures(reconstruction, self.frame, max(1, round(widest * scale)))
-            self.levels[scale] = seen, depths.at(seen, self.trained)
+        scales = sorted({scale for _, scale in settings.levels})
+        sizes = pictures(reconstruction, self.frame, [max(1, round(widest * scale)) for scale in scales])
+        self.levels = {scale: (seen, depths.at(seen, self.trained)) for scale, seen in zip(scales, sizes, strict=True)}
         device = torch.device(settings.device)
         self.model = Model(settings.cap, settings.sh_degree, device)
-        finest, _ = self.levels[max(self.levels)]
-        start(reconstruction, self.frame, finest, depths, self.trained, self.model, settings.start_share, settings.seed)
+        start(
+            reconstruction, self.frame, sizes[-1], depths, self.trained, self.model, settings.start_share, settings.seed
+        )
         for scale, (seen, known) in self.levels.items():
             self.levels[scale] = replace(seen, pixels=seen.pixels.to(device)), known.to(device)
         count = len(reconstruction.paths)

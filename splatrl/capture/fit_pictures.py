@@ -1,5 +1,6 @@
 """What a fit compares its views with: the photos at one size, their cameras, and known depths."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,28 +74,33 @@ def sightings(reconstruction: Reconstruction, frame: Frame) -> tuple[Tensor, Ten
     return seen[kept], camera[kept], point[kept]
 
 
-def pictures(reconstruction: Reconstruction, frame: Frame, width: int) -> Pictures:
-    """Read the photos at a width, as close as whole pixels allow to their shape.
+def pictures(reconstruction: Reconstruction, frame: Frame, widths: Sequence[int]) -> list[Pictures]:
+    """Read each photo once, at some widths, as close as whole pixels allow to its shape.
 
     Raises:
         CaptureError: for a photo of another size than the reconstruction states.
     """
-    height = max(1, round(reconstruction.height * width / reconstruction.width))
-    read = np.empty((len(reconstruction.paths), height, width, 3), np.uint8)
+    full = reconstruction.width, reconstruction.height
+    sizes = [(width, max(1, round(full[1] * width / full[0]))) for width in widths]
+    read = [np.empty((len(reconstruction.paths), height, width, 3), np.uint8) for width, height in sizes]
     for row, path in enumerate(reconstruction.paths):
         image = read_photo(path)
-        if image.size != (reconstruction.width, reconstruction.height):
-            expected = f"{reconstruction.width} × {reconstruction.height}"
+        if image.size != full:
+            expected = f"{full[0]} × {full[1]}"
             raise CaptureError(f"{path}: expected {expected} pixels, got {image.size[0]} × {image.size[1]}")
-        read[row] = np.asarray(image.resize((width, height), Image.Resampling.BOX))
+        for size, images in zip(sizes, read, strict=True):
+            images[row] = np.asarray(image.resize(size, Image.Resampling.BOX))
     seen, camera, _ = sightings(reconstruction, frame)
-    scale = torch.tensor([[width / reconstruction.width], [height / reconstruction.height], [1.0]])
+    firsts = torch.searchsorted(camera, torch.arange(len(reconstruction.paths) + 1))
     poses = reconstruction.camera_to_world.double().clone()
     poses[:, :3, 3] = (poses[:, :3, 3] - frame.middle) / frame.extent
-    return Pictures(
-        pixels=torch.from_numpy(read),
-        K=(reconstruction.K.double() * scale).float(),
-        camera_to_world=poses.float(),
-        soundings=torch.stack([seen[:, 0] * width, seen[:, 1] * height, 1.0 / seen[:, 2]], 1).float(),
-        firsts=torch.searchsorted(camera, torch.arange(len(reconstruction.paths) + 1)),
-    )
+    return [
+        Pictures(
+            pixels=torch.from_numpy(images),
+            K=reconstruction.K_at(width, height).float(),
+            camera_to_world=poses.float(),
+            soundings=torch.stack([seen[:, 0] * width, seen[:, 1] * height, 1.0 / seen[:, 2]], 1).float(),
+            firsts=firsts,
+        )
+        for (width, height), images in zip(sizes, read, strict=True)
+    ]

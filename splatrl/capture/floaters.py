@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from splatrl.cameras import Cameras
+from splatrl.cameras import Cameras, depths_at
 from splatrl.capture.base import Reconstruction
 from splatrl.collision.occupancy import Occupancy
 from splatrl.renderers import NativeRenderer
@@ -83,11 +83,11 @@ def hazy_voxels(
     places = torch.from_numpy((cells + occupancy.origin_key + 0.5) * occupancy.resolution)
     width = min(DRAWN_WIDTH, reconstruction.width)
     height = max(1, round(reconstruction.height * width / reconstruction.width))
-    renderer, poses = NativeRenderer(gaussians), reconstruction.camera_to_world.double()
+    renderer, poses = NativeRenderer(gaussians), reconstruction.camera_to_world.float()
+    K = reconstruction.K_at(width, height).float()
 
     def drawn(row: int) -> Tensor:
-        view = renderer.render(Cameras(poses[row : row + 1].float(), _scaled(reconstruction, width, height).float(),
-                                       width, height))  # fmt: skip
+        view = renderer.render(Cameras(poses[row : row + 1], K, width, height))
         return torch.where(view.alpha[0] >= OPAQUE, view.depth[0], 0.0)
 
     hazy = _behind(places, reconstruction, occupancy.resolution, drawn)
@@ -102,22 +102,11 @@ def _behind(places: Tensor, reconstruction: Reconstruction, edge: float, depths:
     behind, within = torch.zeros(len(places), dtype=torch.int64), torch.zeros(len(places), dtype=torch.int64)
     for row, pose in enumerate(reconstruction.camera_to_world.double()):
         depth = depths(row)
-        height, width = depth.shape
-        K = _scaled(reconstruction, width, height)
-        x, y, z = ((places - pose[:3, 3]) @ pose[:3, :3]).unbind(1)
-        across, down = (K[0, 0] * x / z + K[0, 2]).floor().long(), (K[1, 1] * y / z + K[1, 2]).floor().long()
-        inside = (z > edge) & (across >= 0) & (down >= 0) & (across < width) & (down < height)
-        far = torch.where(inside, depth.double()[down.clamp(0, height - 1), across.clamp(0, width - 1)], 0.0)
+        z, far = depths_at(places, depth, pose, reconstruction.K_at(depth.shape[1], depth.shape[0]), edge)
         margin = (DRAWN_MARGIN[1] * far).clamp_min(DRAWN_MARGIN[0] * edge)
         behind += (far > 0) & (z < far - margin)
         within += (far > 0) & ((z - far).abs() <= margin)
     return (behind >= HAZE_CAMERAS) & (behind > within)
-
-
-def _scaled(reconstruction: Reconstruction, width: int, height: int) -> Tensor:
-    """The intrinsics [3, 3] for images of another size."""
-    scale = [[width / reconstruction.width], [height / reconstruction.height], [1.0]]
-    return reconstruction.K.double() * torch.tensor(scale, dtype=torch.float64)
 
 
 def without_floaters(

@@ -87,7 +87,7 @@ def find_depths(
     """
     if reconstruction.depths:
         return measured(reconstruction, frame, rows)
-    seen = pictures(reconstruction, frame, min(WIDTH, reconstruction.width))
+    (seen,) = pictures(reconstruction, frame, [min(WIDTH, reconstruction.width)])
     grey = seen.pixels.float().mean(-1) / 255
     places = seen.camera_to_world.contiguous(), seen.K.contiguous()
     neighbours, ranges = torch.full((len(rows), WITNESSES), -1), torch.zeros(len(rows), 2)

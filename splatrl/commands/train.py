@@ -13,7 +13,6 @@ from splatrl.build import build_trainer, build_world
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.configuration import (
     check_config,
-    check_made_with,
     command_line,
     conf_dir,
     quoted,
@@ -22,6 +21,7 @@ from splatrl.configuration import (
 )
 from splatrl.device import device_line
 from splatrl.files import alone_in
+from splatrl.made_with import check_made_with
 
 INTERRUPTED = 130
 

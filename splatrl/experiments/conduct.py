@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from splatrl.configuration import differences
 from splatrl.documents import read_yaml
 from splatrl.evaluation.report import write_json
 from splatrl.experiments.experiment import Experiment, Run
@@ -13,6 +12,7 @@ from splatrl.experiments.folders import status
 from splatrl.experiments.machine import machine
 from splatrl.experiments.report import MACHINE, SCORES, write_joint_report, write_report
 from splatrl.experiments.running import train
+from splatrl.made_with import differences
 
 Score = Callable[[Sequence[Run], Path], list[dict[str, Any]]]
 """Maps finished runs and their experiment's folder to rows of ``run``, ``clip``, ``frames`` and ``matches``."""

@@ -109,7 +109,8 @@ void Fitter::render(const FitBatch& batch, size_t threads, float* rgb, float* ag
     });
 }
 
-void Fitter::pull(const FitBatch& batch, size_t threads, const float* slopes, float* gradients, float* poses) {
+template <class Slopes>
+void Fitter::differentiate(const FitBatch& batch, size_t threads, float* gradients, Slopes&& slopes_of) {
     make_room(batch);
     const size_t rows = size_t(FIT_SH + 3 * (batch.model.degree + 1) * (batch.model.degree + 1));
     parallel_for(batch.views, threads, [&](size_t, size_t view) {
@@ -117,6 +118,14 @@ void Fitter::pull(const FitBatch& batch, size_t threads, const float* slopes, fl
             camera_of(batch.camera_to_world + 16 * view, batch.K + 9 * view, batch.width, batch.height);
         const uint32_t visible = draw(batch, view, camera);
         const Workspace& own = *workspaces_[view];
+        float* const pose = slopes_of(view, own);
+        kernels_.backward(batch.model, camera, own.grid, own.scratch(), visible,
+                          gradients + view * rows * batch.model.stride, pose);
+    });
+}
+
+void Fitter::pull(const FitBatch& batch, size_t threads, const float* slopes, float* gradients, float* poses) {
+    differentiate(batch, threads, gradients, [&](size_t view, const Workspace& own) {
         const size_t area = own.grid.area();
         std::fill(own.slopes.get(), own.slopes.get() + FIT_CHANNELS * area, 0.0f);
         const float* from = slopes + view * size_t(batch.width) * size_t(batch.height) * FIT_CHANNELS;
@@ -124,23 +133,15 @@ void Fitter::pull(const FitBatch& batch, size_t threads, const float* slopes, fl
             for (int x = 0; x < batch.width; ++x)
                 for (size_t c = 0; c < FIT_CHANNELS; ++c)
                     own.slopes[c * area + size_t(y) * size_t(own.grid.stride) + size_t(x)] = *from++;
-        kernels_.backward(batch.model, camera, own.grid, own.scratch(), visible,
-                          gradients + view * rows * batch.model.stride, poses + 6 * view);
+        return poses + 6 * view;
     });
 }
 
 void Fitter::compare(const FitBatch& batch, size_t threads, const FitTarget* targets, float* gradients,
                      FitLoss* losses) {
-    make_room(batch);
-    const size_t rows = size_t(FIT_SH + 3 * (batch.model.degree + 1) * (batch.model.degree + 1));
-    parallel_for(batch.views, threads, [&](size_t, size_t view) {
-        const Camera camera =
-            camera_of(batch.camera_to_world + 16 * view, batch.K + 9 * view, batch.width, batch.height);
-        const uint32_t visible = draw(batch, view, camera);
-        const Workspace& own = *workspaces_[view];
+    differentiate(batch, threads, gradients, [&](size_t view, const Workspace& own) {
         losses[view] = kernels_.loss(own.grid, own.scratch(), targets[view]);
-        kernels_.backward(batch.model, camera, own.grid, own.scratch(), visible,
-                          gradients + view * rows * batch.model.stride, losses[view].pose);
+        return losses[view].pose;
     });
 }
 

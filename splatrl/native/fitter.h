@@ -45,6 +45,10 @@ private:
 
     void make_room(const FitBatch& batch);
     uint32_t draw(const FitBatch& batch, size_t view, const Camera& camera);
+    // Draw each view and pull back its slopes, which `slopes_of(view, workspace)` writes; it returns where those of the
+    // pose go.
+    template <class Slopes>
+    void differentiate(const FitBatch& batch, size_t threads, float* gradients, Slopes&& slopes_of);
 
     const FitKernels& kernels_;
     std::vector<std::unique_ptr<Workspace>> workspaces_;  // of each view

@@ -22,6 +22,7 @@ using namespace std::chrono_literals;
 
 std::atomic<int> released{0};  // calls that work without the lock
 std::atomic<bool> ending{false};
+std::atomic<bool> forked{false};
 
 // Answer signals ten times a second, so that Ctrl-C ends long work; and end it where the interpreter wants to end.
 void answer() {
@@ -37,6 +38,7 @@ void answer() {
 // Runs as Python exits, before daemon threads lose their lock for ever: wait until none works without it.
 void end() {
     ending = true;
+    nb::set_leak_warnings(released == 0 && !forked);  // what such a thread holds when Python is gone is no leak of ours
     const nb::gil_scoped_release release;
     while (released > 0) std::this_thread::sleep_for(1ms);
 }
@@ -59,7 +61,7 @@ void bind_interpreter(nb::module_&) {
     on_poll = answer;
     nb::module_::import_("atexit").attr("register")(nb::cpp_function(&end));
 #if !defined(_WIN32)
-    pthread_atfork(nullptr, nullptr, [] { released = 0; });  // the threads of others do not live on in a child
+    pthread_atfork(nullptr, nullptr, [] { released = 0, forked = true; });  // a child has no threads of others
 #endif
 }
 

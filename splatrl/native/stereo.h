@@ -31,11 +31,17 @@ struct StereoTask {
     size_t sounding_count;
 };
 
+// What matching keeps for each pixel: the photo's own windows, a neighbour's view, sums, and lines in between.
+enum StereoPlane {
+    OWN_MEAN, OWN_VARIANCE, WARPED, OUTSIDE, SUM, SUM_OF_SQUARES, SUM_OF_PRODUCTS, LINE, SQUARES, PRODUCTS, SHARE,
+    STEREO_PLANES
+};
+
 struct StereoScratch {
     float* best;      // [STEREO_BEST, depths, area]
     float* volume;    // [area, depths]
     float* total;     // [area, depths]
-    float* planes;    // [12, area]
+    float* planes;    // [STEREO_PLANES, area]
 };
 
 struct StereoKernels {

@@ -59,7 +59,7 @@ void sweep(Images grey, Poses poses, Tensor<const float, 3, 3> K, Rows rows, Nei
     const size_t area = photos.area(), whole = area * size_t(depths);
     parallel_for(tasks.size(), threads, [&](size_t, size_t item) {
         const Buffer<float> best = make_buffer<float>(STEREO_BEST * whole), volume = make_buffer<float>(whole),
-                            total = make_buffer<float>(whole), planes = make_buffer<float>(12 * area);
+                            total = make_buffer<float>(whole), planes = make_buffer<float>(STEREO_PLANES * area);
         kernels.sweep(photos, tasks[item], {best.get(), volume.get(), total.get(), planes.get()},
                       out.data() + tasks[item].photo * area);
     });

@@ -24,19 +24,29 @@ FLOATER = (0.9, 0.0, 0.5)
 HAZE = (0.7, 1.2, 0.5)
 
 
-def with_floater() -> Gaussians:
-    """The room with a dense blob in mid-air."""
-    steps = 0.05 * torch.cartesian_prod(*[torch.arange(-1.0, 2.0)] * 3)
+def with_cloud(middle: tuple[float, float, float], reach: int, scale: float, opacity: float) -> Gaussians:
+    """The room and black Gaussians around a place in mid-air, 5 cm apart, so many to each side."""
+    steps = 0.05 * torch.cartesian_prod(*[torch.arange(-reach, reach + 1.0)] * 3)
     count = len(steps)
-    blob = Gaussians(
-        means=torch.tensor(FLOATER) + steps,
+    cloud = Gaussians(
+        means=torch.tensor(middle) + steps,
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
-        scales=torch.full((count, 3), 0.04),
-        opacities=torch.full((count,), 0.9),
+        scales=torch.full((count, 3), scale),
+        opacities=torch.full((count,), opacity),
         sh=torch.zeros(count, 1, 3),
         batch_size=[count],
     )
-    return torch.cat([tiny_gaussians(), blob])
+    return torch.cat([tiny_gaussians(), cloud])
+
+
+def with_floater() -> Gaussians:
+    """The room with a dense blob in mid-air."""
+    return with_cloud(FLOATER, 1, 0.04, 0.9)
+
+
+def with_haze() -> Gaussians:
+    """The room with a cloud before a wall that no image shows: many faint Gaussians, dense together."""
+    return with_cloud(HAZE, 2, 0.004, 0.75)
 
 
 def test_a_perfect_fit_scores_high_and_its_path_is_free(tmp_path: Path) -> None:
@@ -74,21 +84,6 @@ def test_what_cameras_saw_through_is_found_and_what_they_saw_stays(tmp_path: Pat
     assert count == len(places) and len(kept) < len(with_floater())
     means = {tuple(row) for row in kept.means.tolist()}
     assert sum(tuple(row) not in means for row in tiny_gaussians().means.tolist()) < 5
-
-
-def with_haze() -> Gaussians:
-    """The room with a cloud before a wall that no image shows: many faint Gaussians, dense together."""
-    steps = 0.05 * torch.cartesian_prod(*[torch.arange(-2.0, 3.0)] * 3)
-    count = len(steps)
-    cloud = Gaussians(
-        means=torch.tensor(HAZE) + steps,
-        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
-        scales=torch.full((count, 3), 0.004),
-        opacities=torch.full((count,), 0.75),
-        sh=torch.zeros(count, 1, 3),
-        batch_size=[count],
-    )
-    return torch.cat([tiny_gaussians(), cloud])
 
 
 def test_haze_that_no_image_shows_is_free_and_surfaces_stay(tmp_path: Path) -> None:

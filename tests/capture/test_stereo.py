@@ -125,7 +125,7 @@ def test_photos_that_show_something_else_confirm_nothing(capture: Reconstruction
 def test_points_are_known_at_every_size(capture: Reconstruction) -> None:
     frame = frame_of(capture.camera_to_world)
     nothing = Depths(torch.zeros(COUNT, 9, 12), torch.zeros(COUNT, 9, 12))
-    seen = pictures(capture, frame, 48)
+    (seen,) = pictures(capture, frame, [48])
     known = nothing.at(seen, torch.tensor([3]))
     assert known.shape == (COUNT, 36, 48) and (known[:3] == 0).all()
     count = int((known[3] > 0).sum())

@@ -17,8 +17,9 @@ import torch
 from splatrl import configuration
 from splatrl.build import build_world
 from splatrl.commands import train
-from splatrl.configuration import check_made_with, made_with, resumed_config
+from splatrl.configuration import resumed_config
 from splatrl.files import alone_in
+from splatrl.made_with import check_made_with, made_with
 from splatrl.scenes import write_gaussians
 from splatrl.training import load_checkpoint
 from tests.tiny import tiny_gaussians, tiny_overrides

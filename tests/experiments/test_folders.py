@@ -3,8 +3,8 @@
 import math
 from pathlib import Path
 
-from splatrl.configuration import differences
 from splatrl.experiments.folders import frames_done, history, status
+from splatrl.made_with import differences
 from tests.experiments.made_up import begin, compose, finish, made_up
 
 

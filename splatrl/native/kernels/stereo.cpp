@@ -19,8 +19,6 @@ constexpr float EDGE = 10.0f;              // how fast the difference of two pix
 constexpr float SOUNDING_COST = 0.25f;     // of a level away from what is known, and at most six times that
 constexpr float MOST_LEVELS = 6.0f;
 
-enum StereoPlane { OWN_MEAN, OWN_VARIANCE, WARPED, OUTSIDE, SUM_A, SUM_B, SUM_C, LINE_A, LINE_B, LINE_C, SHARE };
-
 // A window's sum along rows, then along columns, of what lies within the image.
 static void window_sums(const float* __restrict in, int width, int height, float* __restrict line,
                         float* __restrict out) {
@@ -123,9 +121,9 @@ static void match(const StereoPhotos& photos, const StereoTask& task, const Ster
     const int width = photos.width, height = photos.height;
     auto plane = [&](StereoPlane which) { return scratch.planes + size_t(which) * area; };
     const float* own = photos.grey + task.photo * area;
-    float *a = plane(SUM_A), *b = plane(SUM_B), *c = plane(SUM_C), *shares = plane(SHARE);
+    float *a = plane(SUM), *b = plane(SUM_OF_SQUARES), *c = plane(SUM_OF_PRODUCTS), *shares = plane(SHARE);
     float *mean = plane(OWN_MEAN), *variance = plane(OWN_VARIANCE), *warped = plane(WARPED), *outside = plane(OUTSIDE);
-    float* line = plane(LINE_A);
+    float* line = plane(LINE);
     window_shares(width, height, shares);
     for (size_t i = 0; i < area; ++i) b[i] = own[i] * own[i];
     window_sums(own, width, height, line, a);
@@ -139,7 +137,7 @@ static void match(const StereoPhotos& photos, const StereoTask& task, const Ster
         for (int level = 0; level < task.depths; ++level) {
             const float inverse = task.low + (task.high - task.low) * float(level) / float(task.depths - 1);
             draw_warped(photos, warp, size_t(task.neighbours[n]), inverse, warped, outside);
-            float *squares = plane(LINE_B), *products = plane(LINE_C);
+            float *squares = plane(SQUARES), *products = plane(PRODUCTS);
             for (size_t i = 0; i < area; ++i) squares[i] = warped[i] * warped[i], products[i] = warped[i] * own[i];
             window_sums(warped, width, height, line, a);
             window_sums(squares, width, height, line, b);

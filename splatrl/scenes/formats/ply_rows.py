@@ -37,28 +37,25 @@ def vertex_columns(path: Path, header: PlyHeader, names: Sequence[str], dtype: D
     vertex = header.elements["vertex"]
     if vertex.size is None:
         raise ValueError(f"{path}: vertex: expected rows of a fixed size, got lists in them")
-    before = list(itertools.takewhile(lambda name: name != "vertex", header.elements))
     read = _ascii if header.format == "ascii" else _binary
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            return read(path, header, [header.elements[name] for name in before], vertex, names, np.dtype(dtype))
+            return read(path, header, names, np.dtype(dtype))
     except (ValueError, OverflowError, IndexError) as error:
         raise ValueError(f"{path}: expected the rows that the header describes, got a damaged file: {error}") from error
 
 
-def _ascii(
-    path: Path,
-    header: PlyHeader,
-    before: list[PlyElement],
-    vertex: PlyElement,
-    names: Sequence[str],
-    dtype: np.dtype[Any],
-) -> NDArray[Any]:
+def _before_vertices(header: PlyHeader) -> list[PlyElement]:
+    return [header.elements[name] for name in itertools.takewhile(lambda name: name != "vertex", header.elements)]
+
+
+def _ascii(path: Path, header: PlyHeader, names: Sequence[str], dtype: np.dtype[Any]) -> NDArray[Any]:
+    vertex = header.elements["vertex"]
     places = [list(vertex.properties).index(name) for name in names]
     with path.open("rb") as stream:
         stream.seek(header.size)
         lines = io.TextIOWrapper(stream, "ascii", "replace")
-        rows = itertools.islice(lines, sum(element.count for element in before), None)
+        rows = itertools.islice(lines, sum(element.count for element in _before_vertices(header)), None)
         if vertex.count == 0:
             return np.zeros((0, len(names)), dtype)
         values = np.loadtxt(rows, np.float64, comments=None, usecols=places, max_rows=vertex.count, ndmin=2)
@@ -67,15 +64,9 @@ def _ascii(
     return values.astype(dtype)
 
 
-def _binary(
-    path: Path,
-    header: PlyHeader,
-    before: list[PlyElement],
-    vertex: PlyElement,
-    names: Sequence[str],
-    dtype: np.dtype[Any],
-) -> NDArray[Any]:
-    sizes = [element.size for element in before]
+def _binary(path: Path, header: PlyHeader, names: Sequence[str], dtype: np.dtype[Any]) -> NDArray[Any]:
+    vertex = header.elements["vertex"]
+    sizes = [element.size for element in _before_vertices(header)]
     if None in sizes:
         raise ValueError("expected the vertices before any element with lists")
     start = header.size + sum(size for size in sizes if size is not None)

@@ -1,0 +1,78 @@
+"""What a training was made with, and whether another one may go on from there."""
+
+import warnings
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from splatrl.configuration import PATHS
+from splatrl.native import _core
+
+SPEED_ONLY = {"threads", "renderer.threads", "resume", "collector.cuda_graph", "optim.compile"}
+SPEED_ONLY |= {"resume_changed", "allow_targets"}
+"""Keys of a config that do not change the results."""
+FREE = ("device:", "scene.path:", "scene.name:", "logger.", "checkpoint.", "evaluation.", "collector.total_frames:")
+"""How lines of ``differences`` begin that a resumed run may have: a scene is known by its content."""
+
+
+def differences(asked: Mapping[str, Any], found: Mapping[str, Any]) -> list[str]:
+    """Keys in which two configs differ, with both values; keys that only change speed are left out."""
+    wanted, there = dict(_flat(asked)), dict(_flat(found))
+    return [
+        f"{key}: asked for {wanted.get(key, 'nothing')}, found {there.get(key, 'nothing')}"
+        for key in sorted(wanted.keys() | there.keys())
+        if key not in SPEED_ONLY and wanted.get(key) != there.get(key)
+    ]
+
+
+def made_with(cfg: DictConfig, scene_digest: str) -> dict[str, Any]:
+    """What a training depends on, as plain values for its checkpoints.
+
+    Args:
+        cfg: its config.
+        scene_digest: fingerprint of the scene's Gaussians.
+    """
+    settings = OmegaConf.to_container(cfg)
+    assert isinstance(settings, dict)
+    return {"settings": settings, "scene": scene_digest, "isa": _core.isa(), "threads": cfg.threads}
+
+
+def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
+    """Refuse to go on with a training that began with another scene or other settings.
+
+    What only says how a run is watched, where its scene is found or how long it lasts may change. Where PyTorch's
+    threads or the processor's instructions differ, a warning says that bytes may.
+
+    Args:
+        now: ``made_with`` of the training that is to go on.
+        then: that of its checkpoint; empty where there is none.
+
+    Raises:
+        ValueError: names the differences, and what to give to go on all the same.
+    """
+    if not then:
+        return
+    changed = [line for line in differences(now["settings"], then["settings"]) if not line.startswith(FREE)]
+    if now["scene"] != then["scene"]:
+        changed.append("scene: its Gaussians are others")
+    if changed:
+        lines = ["resume: expected the scene and settings with which the run began, got others:"]
+        raise ValueError(
+            "\n".join([*lines, *(f"  {line}" for line in changed), "resume_changed=true goes on with them"])
+        )
+    other = [f"{key} {now[key]} in place of {then[key]}" for key in ("isa", "threads") if now[key] != then[key]]
+    if other:
+        warnings.warn(
+            f"resume: going on with {', '.join(other)}; the bytes may differ in the last places", stacklevel=2
+        )
+
+
+def _flat(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in node.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{name}.")
+        else:
+            yield name, str(Path(value).expanduser().absolute()) if name in PATHS and value is not None else value
