@@ -34,7 +34,7 @@ from splatrl.capture.base import Reconstruction
 from splatrl.capture.pipeline import CaptureSettings, reconstruct
 from splatrl.capture.truth import closest_similarity, read_truth, true_poses
 from splatrl.capture.world import Placed, moved
-from splatrl.collision import NativeChecker, Occupancy
+from splatrl.collision import DensitySettings, NativeChecker, Occupancy
 from splatrl.geometry import rigid
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes import Scene, read_scene
@@ -148,7 +148,9 @@ def main() -> None:
     settings = CaptureSettings(camera_height=arguments.camera_height)
     placed, _ = reconstruct(VIDEOS[arguments.place], arguments.folder, settings)
     scene = read_scene(arguments.folder)
-    occupancy = Occupancy.from_scene(scene, resolution=read_description(arguments.folder)["voxel_size"])
+    stated = read_description(arguments.folder)
+    density = DensitySettings(cutoff=stated["cutoff"])
+    occupancy = Occupancy.from_scene(scene, resolution=stated["voxel_size"], density=density)
     found = {"redkitchen": redkitchen, "kitchen": kitchen}[arguments.place](scene, occupancy, placed)
     print(json.dumps({name: round(value, 5) for name, value in found.items()}, indent=1))
 

@@ -6,6 +6,7 @@ from typing import Any
 TARGETS = {
     "robot_height": ("robot.height",),
     "voxel_size": ("collision.occupancy.resolution",),
+    "cutoff": ("collision.occupancy.density.cutoff",),
     "goal": ("landmarks.goal",),
     "object": ("landmarks.object",),
     "antialiased": ("renderer.antialiased",),

@@ -18,6 +18,7 @@ PROPOSALS = {
     "walk": [[-1.0, -1.5], [1.0, 1.5]],
     "step": 0.5,
     "voxel_size": 0.06,
+    "cutoff": 0.8,
     "goal": [0.5, 1.0, 0.0],
     "object": [0.75, 1.0, 0.5],
     "quality": {"psnr": 27.5, "scale_from": "marker", "trusted": True, "ssim": None},
@@ -51,6 +52,7 @@ def test_a_folder_says_all_that_a_training_needs(garden: Path, tmp_path: Path) -
     assert cfg.robot.height == cfg.task.motion.height == HEIGHT
     assert (cfg.task.motion.lower, cfg.task.motion.upper) == ([-1.0, -1.5], [1.0, 1.5])
     assert (cfg.task.motion.step, cfg.collision.occupancy.resolution) == (0.5, 0.06)
+    assert cfg.collision.occupancy.density.cutoff == 0.8
     assert (cfg.task.goal, cfg.landmarks.object) == ([0.5, 1.0, 0.0], [0.75, 1.0, 0.5])
     save_config(cfg, tmp_path)
     assert run_config(tmp_path) == load_config([f"scene={garden.absolute()}", *SMALL])
@@ -88,7 +90,8 @@ def test_a_folder_named_in_full_proposes_the_same(garden: Path) -> None:
 def test_a_task_takes_only_what_it_has(task: str, garden: Path) -> None:
     proposed = with_scene_paths([f"task={task}", f"scene={garden}"])[:-3]  # without those given, "scene" being two
     keys = {override.partition("=")[0] for override in proposed}
-    always = {"robot.height", "collision.occupancy.resolution", "landmarks.goal", "landmarks.object"}
+    solid = {"collision.occupancy.resolution", "collision.occupancy.density.cutoff"}
+    always = {"robot.height", "landmarks.goal", "landmarks.object"} | solid
     bounds = set() if "circle" in task else {"task.motion.lower", "task.motion.upper"}
     assert always | bounds <= keys and keys - always - bounds <= {"task.motion.step", "task.motion.spacing"}
     for one in task.split(","):
@@ -112,6 +115,7 @@ def test_a_folder_that_proposes_nothing_changes_nothing(garden: Path) -> None:
         ("robot_height: -1.0", "robot_height: expected metres above 0, got -1.0"),
         ("robot_height: .inf", "robot_height: expected metres above 0, got inf"),
         ("voxel_size: true", "voxel_size: expected metres above 0, got True"),
+        ("cutoff: 1.0", "cutoff: expected a share of the light above 0 and below 1, got 1.0"),
         ("step: {_target_: os.system}", "step: expected metres above 0, got {'_target_': 'os.system'}"),
         ("goal: [1.0, 2.0]", r"goal: expected \[x, y, yaw\].* got \[1.0, 2.0\]"),
         ("object: ['${seed}', 0, 0]", r"object: expected \[x, y, z\] in metres"),

@@ -12,6 +12,7 @@ from splatrl.bodies import Sphere
 from splatrl.capture.floaters import hazy_voxels
 from splatrl.capture.world import Placed
 from splatrl.collision import NativeChecker
+from splatrl.collision.density import DensitySettings
 from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.voxels import Voxels
 from splatrl.geometry import rigid
@@ -34,6 +35,9 @@ _VOXELS = (256, 50)
 """Along the diagonal, at most and at least, where the usual voxel does not fit the place."""
 VOXEL = 0.05
 """Metres: edge of a voxel in places the size of a room or a garden."""
+SOLID = DensitySettings(cutoff=0.875)
+"""What the Gaussians of a fit make solid. Its surfaces absorb all light within a voxel: what lets an eighth through is
+what it could not place well, in front of bare walls and behind edges."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +86,7 @@ def dense_voxels(gaussians: Gaussians, placed: Placed) -> Occupancy:
     edge = float(f"{np.clip(VOXEL, diagonal / _VOXELS[0], diagonal / _VOXELS[1]):.2g}")
     margin = 0.1 * float((upper - lower).max())
     crop = ((lower - margin).tolist(), (upper + margin).tolist())
-    return Occupancy.from_gaussians(gaussians, edge, crop=crop)
+    return Occupancy.from_gaussians(gaussians, edge, SOLID, crop)
 
 
 def path_is_free(occupancy: Occupancy, camera_to_world: Tensor, radius: float = 0.05) -> Tensor:

@@ -14,7 +14,7 @@ from PIL import Image
 from torch import Tensor
 
 from splatrl.cameras import Cameras, intrinsics, look_at
-from splatrl.capture.area import Area, survey_area
+from splatrl.capture.area import SOLID, Area, survey_area
 from splatrl.capture.check import COMPARISON, MAP, Quality, check
 from splatrl.capture.page import report_page
 from splatrl.capture.pictures import draw_cameras
@@ -114,6 +114,7 @@ def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality)
         "walk": [list(corner) for corner in area.walk],
         "step": area.step,
         "voxel_size": area.occupancy.resolution,
+        "cutoff": SOLID.cutoff,
         "free": FREE if area.free.count else None,
         "goal": list(found.goals[0]) if found.goals else None,
         "object": list(found.thing) if found.thing else None,

@@ -18,6 +18,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from splatrl.build import build_world
+from splatrl.capture.area import SOLID
 from splatrl.capture.base import CaptureError
 from splatrl.capture.check import Quality, colour_corrected, psnr
 from splatrl.capture.folder import FREE, SPLAT
@@ -44,8 +45,9 @@ PHONE = Phone(960, 540)
 SECONDS = 60.0
 BESIDE = 0.8
 """Metres around the robots' area in which the walk goes."""
-ABOVE = 0.2
-"""Metres by which the camera is above the robots' on average."""
+ABOVE, RISE, NOD = 0.1, 0.2, 26.0
+"""Metres by which the camera is above the robots' on average, metres by which it is raised and lowered from there, and
+degrees by which it looks up and down: so that nothing that robots see is seen by them alone."""
 BORDER = 12
 """Voxels around a scene's bounds of which it is also told that they are free."""
 TASK = "task=grid"
@@ -107,6 +109,7 @@ def recapture(folder: Path, scenes: Mapping[str, Sequence[str]], original: str =
         proposals = {
             "robot_height": float(cfg.robot.height),
             "voxel_size": edge,
+            "cutoff": SOLID.cutoff,
             "free": FREE if (made / FREE).exists() else None,
             "walk": [[float(value) for value in corner] for corner in (cfg.task.motion.lower, cfg.task.motion.upper)],
             "goal": [float(value) for value in cfg.landmarks.goal],
@@ -140,7 +143,8 @@ def _film(world: World, path: Path) -> Path:
     motion = world.task.motion
     places = motion.body_to_world(motion.states())[:, :3, 3]
     lower, upper = (places[:, :2].amin(0) - BESIDE).tolist(), (places[:, :2].amax(0) + BESIDE).tolist()
-    stroll = Stroll((lower[0], lower[1]), (upper[0], upper[1]), float(places[0, 2]) + ABOVE)
+    height = float(places[0, 2]) + ABOVE
+    stroll = Stroll((lower[0], lower[1]), (upper[0], upper[1]), height, RISE, nod_deg=NOD)
     if not (path.is_file() and path.with_suffix(".npz").is_file()):
         walk = phone_walk(Occupancy.from_scene(world.scene), stroll, round(SECONDS * PHONE.fps), PHONE.fps)
         with _bar() as progress:

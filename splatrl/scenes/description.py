@@ -28,6 +28,7 @@ COMMENTS = {
     "walk": "lower and upper corner of where robots walk, x and y in metres: where people walked",
     "step": "of a robot and between its starts, metres; null takes the task's own",
     "voxel_size": "edge of the voxels that say what is solid, metres",
+    "cutoff": "share of the light that a solid voxel absorbs, at least",
     "free": "centres of voxels that are free although Gaussians fill them",
     "goal": "x, y in metres and yaw in degrees of a free pose that sees something",
     "object": "x, y, z in metres of a free place for a thing to find",

@@ -51,6 +51,7 @@ def _figures(value: object) -> bool:
 PROPOSALS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "robot_height": ("metres above 0", _positive),
     "voxel_size": ("metres above 0", _positive),
+    "cutoff": ("a share of the light above 0 and below 1", lambda value: _positive(value) and value < 1),
     "walk": ("[[x, y], [x, y]] in metres, the first below the second", _area),
     "step": ("metres above 0", _positive),
     "free": ("the name of a file in this folder", _file),

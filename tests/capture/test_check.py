@@ -41,7 +41,7 @@ def with_cloud(middle: tuple[float, float, float], reach: int, scale: float, opa
 
 def with_floater() -> Gaussians:
     """The room with a dense blob in mid-air."""
-    return with_cloud(FLOATER, 1, 0.04, 0.9)
+    return with_cloud(FLOATER, 1, 0.05, 0.95)
 
 
 def with_haze() -> Gaussians:
@@ -92,7 +92,7 @@ def test_haze_that_no_image_shows_is_free_and_surfaces_stay(tmp_path: Path) -> N
     hazy = hazy_voxels(dense, with_haze(), placed.reconstruction)
     places = (np.argwhere(hazy) + dense.origin_key + 0.5) * dense.resolution
     near = np.abs(places - HAZE).max(1) < 0.25
-    assert near.sum() > 200 and (~near).sum() < 5
+    assert near.sum() > 150 and (~near).sum() < 5
     area = survey_area(with_haze(), placed)
     assert area.free.count == hazy.sum() and area.occupancy.count == dense.count - hazy.sum()
 
