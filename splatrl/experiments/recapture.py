@@ -45,9 +45,10 @@ PHONE = Phone(960, 540)
 SECONDS = 60.0
 BESIDE = 0.8
 """Metres around the robots' area in which the walk goes."""
-ABOVE, RISE, NOD = 0.1, 0.2, 26.0
-"""Metres by which the camera is above the robots' on average, metres by which it is raised and lowered from there, and
-degrees by which it looks up and down: so that nothing that robots see is seen by them alone."""
+ABOVE, RISE = 0.1, 0.2
+"""Metres by which the camera is above the robots' on average, and by which it is raised and lowered from there."""
+TURN = 12.0
+"""Seconds in which the view goes once around, so that what is solid is seen from all sides on a walk of a minute."""
 BORDER = 12
 """Voxels around a scene's bounds of which it is also told that they are free."""
 TASK = "task=grid"
@@ -118,6 +119,7 @@ def recapture(folder: Path, scenes: Mapping[str, Sequence[str]], original: str =
         frame = matrix_frame(off.world_from_capture)
         write_description(made, SPLAT, RECAPTURED, frame, world.scene.bounds, proposals=proposals)
     cfg.scene = load_config([f"scene={target}", TASK]).scene
+    cfg.collision.occupancy.density.cutoff = SOLID.cutoff
     alike = compare(world, build_world(cfg), folder / VIEWS)
     write_json(folder / FIGURES, {"figures": _figures(placed.reconstruction.missing, off, quality, alike)})
     return target
@@ -144,7 +146,7 @@ def _film(world: World, path: Path) -> Path:
     places = motion.body_to_world(motion.states())[:, :3, 3]
     lower, upper = (places[:, :2].amin(0) - BESIDE).tolist(), (places[:, :2].amax(0) + BESIDE).tolist()
     height = float(places[0, 2]) + ABOVE
-    stroll = Stroll((lower[0], lower[1]), (upper[0], upper[1]), height, RISE, nod_deg=NOD)
+    stroll = Stroll((lower[0], lower[1]), (upper[0], upper[1]), height, RISE, turn=TURN)
     if not (path.is_file() and path.with_suffix(".npz").is_file()):
         walk = phone_walk(Occupancy.from_scene(world.scene), stroll, round(SECONDS * PHONE.fps), PHONE.fps)
         with _bar() as progress:
