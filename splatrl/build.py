@@ -18,6 +18,7 @@ from splatrl.collision.base import Checker
 from splatrl.configuration import check_config, load_config
 from splatrl.curriculum import plan
 from splatrl.device import AUTO, KINDS, chosen_device
+from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks import Task
 from splatrl.envs.world import World
 from splatrl.evaluation.rollouts import run_episodes, spread
@@ -35,7 +36,7 @@ def build_world(cfg: DictConfig) -> World:
         ValueError: for a value that is missing, or that one of them refuses.
     """
     check_config(cfg)
-    device = chosen_device(cfg.device)
+    given, device = cfg, chosen_device(cfg.device)
     cfg = cfg.copy()
     cfg.device = str(device)  # the value of ${device} in nodes
     scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
@@ -56,6 +57,7 @@ def build_world(cfg: DictConfig) -> World:
         plan(task.motion, planner, task.reached, cfg.starts.farthest, partial(_fits, scene.bounds, solid)),
         partial(_make_transforms, cfg.transforms, cfg.network.get("memory", 0)),
         device,
+        partial(build_world, given),
     )
 
 
@@ -179,4 +181,5 @@ def make_env(overrides: Sequence[str] = (), batch_size: Sequence[int] | None = N
     cfg = load_config(overrides)
     world = build_world(cfg)
     curriculum = instantiate(cfg.curriculum)(world.plan)
-    return world.env(cfg.env.num_envs if batch_size is None else batch_size[0], curriculum, seed)
+    env = world.env(cfg.env.num_envs if batch_size is None else batch_size[0], curriculum, seed)
+    return env if isinstance(env, StatefulEnv) else StatefulEnv(env)  # whose state TorchRL's collectors keep

@@ -70,6 +70,8 @@ WHOLE_NUMBERS = {
 }
 """Keys whose values are read here and there rather than by one constructor, and their ranges."""
 NULLABLE = ("starts.farthest", "renderer.threads")
+CHOICES = {"evaluation.checkpoint": ("last", "best")}
+"""Keys that are read only when the training is over, and what they may be."""
 
 PATHS = ("scene.path", "collision.occupancy.cloud")
 """Keys that hold a path, which is made absolute in a run folder."""
@@ -317,3 +319,6 @@ def check_config(cfg: DictConfig) -> None:
         value = OmegaConf.select(cfg, key)
         if value is not None or key not in NULLABLE:
             require_number(key, value, low, high, whole=True)
+    for key, choices in CHOICES.items() if "collector" in cfg else ():
+        if (chosen := OmegaConf.select(cfg, key)) not in choices:
+            raise ValueError(f"{key}: expected {' or '.join(choices)}, got {chosen!r}")

@@ -145,7 +145,7 @@ def test_a_transform_of_ones_own_takes_the_place_that_it_is_given(
 
 def test_an_order_that_names_no_transform_or_leaves_one_out_is_refused(tmp_path: Path) -> None:
     overrides = tiny_overrides(tmp_path)
-    known = r"expected some of pose_noise, appearance, stack, got stak"
+    known = r"expected some of pose_noise, skip, appearance, stack, got stak"
     with pytest.raises(ValueError, match=rf"transforms\.order: {known}"):
         make_env([*overrides, "transforms.order=[pose_noise,stak]"])
     with pytest.raises(ValueError, match=r"transforms\.order: expected a place for mine, got \['pose_noise', .*\]"):
@@ -381,6 +381,14 @@ def test_a_saved_config_keeps_its_interpolations(tmp_path: Path) -> None:
         ("robot.fov_deg=180", r"robot\.fov_deg: expected a number from 1 to 179, got 180"),
         ("optim.lr=1e400", r"optim\.lr: expected a number of at least 0\.0, got inf"),
         ("network.pool=0", r"network\.pool: expected a whole number of at least 1, got 0"),
+        ("network.features=0", r"network\.features: expected a whole number of at least 1, got 0"),
+        ("network.channels=[16,0]", r"network\.channels: expected a whole number of at least 1, got 0"),
+        ("network.channels=[16]", r"network\.channels: expected two numbers, got \[16\]"),
+        ("curriculum.window=2.5", r"curriculum\.window: expected a whole number of at least 1, got 2\.5"),
+        ("curriculum.first=1.5", r"curriculum\.first: expected a whole number of at least 1, got 1\.5"),
+        ("curriculum.stride=0", r"curriculum\.stride: expected a whole number of at least 1, got 0"),
+        ("curriculum.threshold=nan", r"curriculum\.threshold: expected a rate in \(0, 1\], got nan"),
+        ("evaluation.checkpoint=newest", r"evaluation\.checkpoint: expected last or best, got 'newest'"),
     ],
 )
 def test_a_value_out_of_range_is_named_before_anything_is_lost(override: str, message: str, tmp_path: Path) -> None:

@@ -142,6 +142,7 @@ class CudaChecker:
         """Whether anything is hit on the way, ends included: [B] bool."""
         return self._answers("find_swept_hits", torch.bool, start=start, end=end)
 
+    @torch.compiler.disable
     def clearance(self, points: Tensor) -> Tensor:
         """A lower bound on the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
         check_shape("points", points, (3,))
@@ -161,6 +162,7 @@ class CudaChecker:
         if row is not None:
             raise ValueError(f"row {row}: expected finite numbers and, for a pose, an orthonormal rotation")
 
+    @torch.compiler.disable
     def _answers(self, query: str, dtype: torch.dtype, **poses: Tensor) -> Tensor:
         """Answer a query about poses, or about the two ends of moves."""
         for name, values in poses.items():

@@ -59,6 +59,7 @@ class FclChecker:
     def __reduce__(self) -> tuple[type["FclChecker"], tuple[Occupancy, Body, float | None]]:
         return FclChecker, (self.occupancy, self.body, self.blocks)
 
+    @torch.compiler.disable
     def collides(self, body_to_world: Tensor) -> Tensor:
         """Whether the body touches a solid voxel: see ``Checker.collides``."""
         poses = checked_poses("body_to_world", body_to_world).numpy()
@@ -67,6 +68,7 @@ class FclChecker:
             hits[row] = self._hit(poses[row])
         return hits.to(body_to_world.device)
 
+    @torch.compiler.disable
     def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
         """The share of each move up to the last free step: see ``Checker.free_fraction``.
 
@@ -95,6 +97,7 @@ class FclChecker:
         """Whether anything is hit on the way, ends included: [B] bool."""
         return self.free_fraction(start, end) < 1.0
 
+    @torch.compiler.disable
     def clearance(self, points: Tensor) -> Tensor:
         """A lower bound on the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
         return torch.from_numpy(self._field.clearance(points)).float().to(points.device)

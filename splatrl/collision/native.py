@@ -52,6 +52,7 @@ class NativeChecker:
     def __reduce__(self) -> tuple[type["NativeChecker"], tuple[Occupancy, Body, int]]:
         return NativeChecker, (self.occupancy, self.body, self.threads)
 
+    @torch.compiler.disable
     def collides(self, body_to_world: Tensor) -> Tensor:
         """Whether the body touches a solid voxel: see ``Checker.collides``."""
         poses = _floats("body_to_world", body_to_world, (4, 4))
@@ -60,15 +61,18 @@ class NativeChecker:
             refuse(body_to_world=body_to_world)
         return _to_device_of(hits, body_to_world)
 
+    @torch.compiler.disable
     def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
         """The free share of each move: see ``Checker.free_fraction``. It never goes beyond the first contact."""
         fraction = torch.empty(len(start), dtype=torch.float32)
         return self._move(self._core.free_fraction, start, end, fraction)
 
+    @torch.compiler.disable
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
         """Whether anything is hit on the way, ends included: [B] bool."""
         return self._move(self._core.sweeps, start, end, torch.empty(len(start), dtype=torch.bool))
 
+    @torch.compiler.disable
     def clearance(self, points: Tensor) -> Tensor:
         """A lower bound on the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
         places = _floats("points", points, (3,))

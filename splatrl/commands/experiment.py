@@ -1,5 +1,6 @@
 """``splatrl-experiment``: run all trainings of an experiment of the paper, and report the results."""
 
+import shlex
 import signal
 import sys
 from collections.abc import Mapping, Sequence
@@ -28,7 +29,8 @@ def run(cfg: DictConfig) -> None:
     except ValueError as error:
         sys.exit(f"splatrl-experiment: {error}")
     except KeyboardInterrupt:
-        print("\nstopped; run the same command again to continue", file=sys.stderr)
+        command = shlex.join(["splatrl-experiment", *sys.argv[1:]])
+        print(f"\nstopped, and what was trained is kept; {command} goes on", file=sys.stderr)
         sys.exit(130)
 
 

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from splatrl.values import require_number
+
 
 @dataclass(frozen=True)
 class Schedule:
@@ -25,12 +27,10 @@ class Schedule:
     window: int = 100
 
     def __post_init__(self) -> None:
-        if self.levels < 1:
-            raise ValueError(f"levels: expected at least 1, got {self.levels}")
+        require_number("levels", self.levels, 1, whole=True)
         if not 0 < self.threshold <= 1:
-            raise ValueError(f"threshold: expected a rate in (0, 1], got {self.threshold}")
-        if self.window < 1:
-            raise ValueError(f"window: expected at least 1 episode, got {self.window}")
+            raise ValueError(f"curriculum.threshold: expected a rate in (0, 1], got {self.threshold}")
+        require_number("curriculum.window", self.window, 1, whole=True)
 
     def start(self) -> Tensor:
         """Progress before the first episode: [3] int64."""

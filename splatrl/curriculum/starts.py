@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from splatrl.curriculum.planner import Plan
 from splatrl.curriculum.schedule import Schedule
+from splatrl.values import require_number
 
 
 class Starts(nn.Module):
@@ -27,8 +28,8 @@ class Starts(nn.Module):
 
     def __init__(self, plan: Plan, first: int | None = 2, stride: int = 1):
         super().__init__()
-        if (first is not None and first < 1) or stride < 1:
-            raise ValueError(f"curriculum: expected first and stride of at least 1 step, got {first} and {stride}")
+        for name, steps in (("first", 1 if first is None else first), ("stride", stride)):
+            require_number(f"curriculum.{name}", steps, 1, whole=True)
         rows = plan.start_rows
         distance, order = plan.distance[rows].sort(stable=True)
         self.register_buffer("ordered", plan.states[rows[order]], persistent=False)

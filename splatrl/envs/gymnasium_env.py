@@ -13,7 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, TensorSpec
 from torchrl.envs import EnvBase
 
-from splatrl.envs.nesting import layers
+from splatrl.envs.nesting import check_layers, layers
 from splatrl.envs.tasks.base import Outcome
 from splatrl.faults import Faulty
 
@@ -152,6 +152,7 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
 
 def _spaces(env: EnvBase) -> tuple[gymnasium.Space[Any], gymnasium.Space[Any]]:
     """Observation and action space of one robot."""
+    check_layers(env)
     return Box(0, 255, tuple(env.observation_spec["pixels"].shape[1:]), np.uint8), _action_space(env.action_spec)
 
 

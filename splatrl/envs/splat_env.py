@@ -1,19 +1,20 @@
 """The one environment: a batch of robots in one scene."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from splatrl.collision.base import Checker
 from splatrl.collision.nothing import NoChecker
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.drawing.base import Drawing, View
 from splatrl.envs.robot import Robot
+from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks.base import Outcome, Step, Task
 from splatrl.faults import Faulty
 
@@ -30,7 +31,8 @@ class SplatEnv(EnvBase):
 
     In a step the task's motion carries out the actions, the drawing renders what the robots then see, and the task
     judges the step once. Neither a step nor a reset synchronises with the host on a GPU. A reset of some rows draws
-    start states for all rows, of which TorchRL keeps the requested ones; only those images are rendered.
+    start states for all rows, of which TorchRL keeps the requested ones; only those images are rendered. Under
+    ``torch.compile`` step and reset are run as they are, between the graphs of what is around them.
 
     Observation: ``pixels`` [B, H, W, 3] uint8, and whatever else the drawing returns. For users, not for the policy:
         ``state`` (the motion's), ``step_count`` [B, 1] int64, ``episode_return`` [B, 1] float32, ``level`` [B, 1] int64
@@ -44,6 +46,8 @@ class SplatEnv(EnvBase):
     Reset: start states from the curriculum, or with ``reset(td, set_state=True)`` those in ``td["state"]``, with the
         memory that ``td`` holds.
     Input: ``camera_offset`` [B, 6] float32, if present, moves the camera and not the robot (``Robot.cameras``).
+    Pickles: hold its parts and state, or in place of the parts ``made_by``, which makes the env of a curriculum, a seed
+        and a device (``World``).
 
     Args:
         drawing: makes the pixels.
@@ -79,6 +83,7 @@ class SplatEnv(EnvBase):
         super().__init__(device=device, batch_size=torch.Size(batch_size))
         self.drawing, self.checker, self.robot = drawing, checker, robot
         self.task, self.curriculum = task, curriculum
+        self.made_by: Callable[..., SplatEnv] | None = None
         self.generator = torch.Generator(self.device)
         self._make_specs()  # before the task moves: specs read its limits, which would synchronise with a GPU
         self.task = task.to(self.device)
@@ -100,6 +105,10 @@ class SplatEnv(EnvBase):
         if self.generator.device != self.device:
             self.generator = torch.Generator(self.device).manual_seed(self.generator.initial_seed())
         return self
+
+    def append_transform(self, transform: Transform | Callable[[TensorDictBase], TensorDictBase]) -> TransformedEnv:
+        """The env under a transform, with the state of both; see ``StatefulEnv``."""
+        return StatefulEnv(self).append_transform(transform)
 
     def raise_faults(self) -> None:
         """Wait for the device, and raise what renderer or checker refused since the last call; see ``Faulty``."""
@@ -141,6 +150,7 @@ class SplatEnv(EnvBase):
         specs = {key: spec.expand(*size, *spec.shape) for key, spec in specs.items()}
         return Composite(specs, shape=size).to(self.device)
 
+    @torch.compiler.disable
     def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **_: Any) -> TensorDictBase:
         given = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
         mask = given.get("_reset", None)
@@ -184,6 +194,7 @@ class SplatEnv(EnvBase):
             )
         return state.clone()
 
+    @torch.compiler.disable
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         before, action, task = tensordict["state"], tensordict["action"], self.task
         memory = {key: tensordict[key] for key in task.memory_spec}
@@ -236,6 +247,12 @@ class SplatEnv(EnvBase):
         else:
             self.generator.manual_seed(seed)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        parts = (self.drawing, self.checker, self.robot, self.task, self.curriculum, tuple(self.batch_size))
+        if self.made_by is None:
+            return _restored, (type(self), parts, self.device, self.get_extra_state())
+        return _restored, (self.made_by, (self.curriculum,), self.device, self.get_extra_state())
+
     def get_extra_state(self) -> Tensor:
         """State of the random generator, for ``state_dict()``: [n] uint8."""
         return self.generator.get_state()
@@ -243,3 +260,10 @@ class SplatEnv(EnvBase):
     def set_extra_state(self, state: Tensor) -> None:
         """Restore the random generator, from ``load_state_dict()``."""
         self.generator.set_state(state.cpu())
+
+
+def _restored(make: Callable[..., SplatEnv], parts: tuple[Any, ...], device: torch.device, state: Tensor) -> SplatEnv:
+    """An env made of parts, on a device, whose generator goes on from a state."""
+    env = make(*parts, 0, device)
+    env.set_extra_state(state)
+    return env

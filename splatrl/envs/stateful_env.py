@@ -1,33 +1,87 @@
 """An env under transforms that keeps the state of both."""
 
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from torchrl.envs import TransformedEnv
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
-BASE, TRANSFORM = "base_env.", "transform."
+from splatrl.envs.nesting import refuse_frame_skip
+
+BASE = "base_env."
 
 
 class StatefulEnv(TransformedEnv):
     """TorchRL's env under transforms, whose ``state_dict()`` holds the base env's generator and curriculum as well.
 
-    That of ``TransformedEnv`` holds the transforms' alone, so an env that was restored from it went on elsewhere.
+    That of ``TransformedEnv`` holds the transforms' alone, so an env that was restored from it went on elsewhere. Here
+    the transforms' holds all, since TorchRL's collectors ask only for that.
+
+    It is pickled as its base env and its transforms, with all state.
+
+    Args:
+        base_env: a ``SplatEnv``.
+        transforms: transforms around it, the innermost first.
+
+    Raises:
+        ValueError: for TorchRL's ``FrameSkipTransform``, here or when it is added later.
     """
 
-    def state_dict(self, *args: Any, **kwargs: Any) -> "OrderedDict[str, Any]":
-        """State of the base env and of the transforms, each under its prefix."""
-        parts = ((BASE, self.base_env), (TRANSFORM, self.transform))
-        return OrderedDict(
-            (prefix + key, value) for prefix, part in parts for key, value in part.state_dict(*args, **kwargs).items()
-        )
+    def __init__(self, base_env: EnvBase, *transforms: Transform):
+        super().__init__(base_env, BaseAndTransforms(*transforms))
+        refuse_frame_skip(self.transform)
+
+    def append_transform(self, transform: Transform | Callable[[TensorDictBase], TensorDictBase]) -> "StatefulEnv":
+        """Add a transform outside the others; see ``TransformedEnv.append_transform``."""
+        _check(transform)
+        super().append_transform(transform)
+        return self
+
+    def insert_transform(self, index: int, transform: Transform) -> "StatefulEnv":
+        """Add a transform between the others; see ``TransformedEnv.insert_transform``."""
+        _check(transform)
+        super().insert_transform(index, transform)
+        return self
 
     def load_state_dict(self, state_dict: Mapping[str, Any], **kwargs: Any) -> None:
-        """Restore a ``state_dict()``, or that of the transforms alone, which is all that TorchRL's collectors keep."""
+        """Restore a ``state_dict()``."""
         self.reset()  # gives transforms that remember frames the sizes that they had
-        if not any(key.startswith((BASE, TRANSFORM)) for key in state_dict):
-            self.transform.load_state_dict(OrderedDict(state_dict), **kwargs)
-            return
-        for prefix, part in ((BASE, self.base_env), (TRANSFORM, self.transform)):
-            own = {key.removeprefix(prefix): value for key, value in state_dict.items() if key.startswith(prefix)}
-            part.load_state_dict(OrderedDict(own), **kwargs)
+        super().load_state_dict(OrderedDict(state_dict), **kwargs)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return StatefulEnv, (self.base_env, *(transform.clone() for transform in self.transform))
+
+
+class BaseAndTransforms(Compose):
+    """Transforms whose state includes that of the env that they are around."""
+
+    def _save_to_state_dict(self, destination: dict[str, Any], prefix: str, keep_vars: bool) -> None:
+        super()._save_to_state_dict(destination, prefix, keep_vars)
+        env = self.container
+        if env is not None:
+            env.base_env.state_dict(destination=destination, prefix=prefix + BASE, keep_vars=keep_vars)
+
+    def _load_from_state_dict(
+        self,
+        state_dict: dict[str, Tensor],
+        prefix: str,
+        local_metadata: dict[str, Any],
+        strict: bool,
+        missing_keys: list[str],
+        unexpected_keys: list[str],
+        error_msgs: list[str],
+    ) -> None:
+        mine = prefix + BASE
+        rest = {key: value for key, value in state_dict.items() if not key.startswith(mine)}
+        super()._load_from_state_dict(rest, prefix, local_metadata, strict, missing_keys, unexpected_keys, error_msgs)
+        env = self.container
+        if env is not None:
+            base = {key.removeprefix(mine): value for key, value in state_dict.items() if key.startswith(mine)}
+            env.base_env.load_state_dict(base, strict=strict)
+
+
+def _check(transform: Transform | Callable[[TensorDictBase], TensorDictBase]) -> None:
+    if isinstance(transform, Transform):
+        refuse_frame_skip(transform)

@@ -2,10 +2,12 @@
 
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import partial
+from typing import Any
 
 import torch
-from torchrl.envs import Compose, EnvBase, Transform
+from torchrl.envs import EnvBase, Transform
 
 from splatrl.collision.base import Checker
 from splatrl.collision.occupancy import Occupancy
@@ -32,6 +34,8 @@ class World:
         plan: free poses and shortest paths.
         make_transforms: makes new transforms for an env, the innermost first.
         device: default device of its envs.
+        made_by: makes the same world again, from names and paths. Pickles hold this in place of all the rest, so that
+            processes are sent no scenes; None pickles everything.
     """
 
     scene: Scene
@@ -43,6 +47,15 @@ class World:
     plan: Plan
     make_transforms: Callable[[], list[Transform]]
     device: torch.device
+    made_by: "Callable[[], World] | None" = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self.made_by is None:
+            return World, tuple(getattr(self, field.name) for field in fields(self))
+        return _made, (self.made_by,)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "World":
+        return self
 
     def env(
         self,
@@ -59,15 +72,26 @@ class World:
             seed: seed of the env's generator.
             device: device of its tensors; None takes the world's.
         """
+        env = self.bare_env(num_envs, curriculum or Curriculum(self.plan, first=None), seed, device or self.device)
+        transforms = self.make_transforms()
+        return StatefulEnv(env, *transforms) if transforms else env
+
+    def bare_env(self, num_envs: int, curriculum: Curriculum, seed: int | None, device: torch.device | str) -> SplatEnv:
+        """A batch of robots without transforms, which is pickled as this world and these arguments; see ``env``."""
         env = SplatEnv(
             self.drawing,
             self.checker,
             self.robot,
             deepcopy(self.task),  # an env moves its task to its device; the plan's stays where it is
-            curriculum or Curriculum(self.plan, first=None),
+            curriculum,
             [num_envs],
             seed,
-            self.device if device is None else device,
+            device,
         )
-        transforms = self.make_transforms()
-        return StatefulEnv(env, Compose(*transforms)) if transforms else env
+        env.made_by = partial(self.bare_env, num_envs)
+        return env
+
+
+def _made(make: Callable[[], World]) -> World:
+    """The world that a constructor makes."""
+    return make()

@@ -135,6 +135,7 @@ class CudaRenderer:
         self._faults = FaultFlag(self.device)
         self._working: dict[int | None, _Working] = {}  # by the number of parts; launches share it, one after the other
 
+    @torch.compiler.disable
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera, float32, on the cameras' device; see ``Renderer``."""
         shape = (len(cameras), cameras.height, cameras.width)
@@ -144,12 +145,14 @@ class CudaRenderer:
         where = cameras.camera_to_world.device
         return RenderOutput(rgb.to(where), depth.to(where), alpha.to(where))
 
+    @torch.compiler.disable
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         """The pixels of an observation: [B, H, W, 3] uint8, on the cameras' device; see ``Renderer``."""
         pixels = self._zeros(len(cameras), cameras.height, cameras.width, 3, dtype=torch.uint8)
         self._draw("draw_pixels", cameras, parts, only, _Images(pixels.data_ptr(), None, None, None))
         return pixels.to(cameras.camera_to_world.device)
 
+    @torch.compiler.disable
     def efforts(self, cameras: Cameras, parts: Parts | None = None) -> Tensor:
         """What it takes to draw each view: [B, 3] int32, counted while drawing it.
 

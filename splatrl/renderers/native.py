@@ -82,6 +82,7 @@ class NativeRenderer:
     def __reduce__(self) -> tuple[type["NativeRenderer"], tuple[Any, ...]]:
         return NativeRenderer, self._made_of
 
+    @torch.compiler.disable
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera, float32, on the cameras' device."""
         return draw_only(self._rendered, cameras, checked_parts(parts, cameras, self._models), only)
@@ -94,6 +95,7 @@ class NativeRenderer:
         device = cameras.camera_to_world.device
         return RenderOutput(rgb.to(device), depth.to(device), alpha.to(device))
 
+    @torch.compiler.disable
     def pixels(
         self,
         cameras: Cameras,
@@ -126,6 +128,7 @@ class NativeRenderer:
         self._draw(cameras, parts, pixels)
         return pixels.to(cameras.camera_to_world.device)
 
+    @torch.compiler.disable
     def efforts(self, cameras: Cameras, parts: Parts | None = None) -> Effort:
         """What it takes to draw each view, measured by drawing it."""
         parts = checked_parts(parts, cameras, self._models)

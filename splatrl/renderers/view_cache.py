@@ -74,6 +74,7 @@ class LatticeRenderer:
         """Colour, depth and alpha of each camera; nothing is remembered."""
         return self.renderer.render(cameras, parts, only)
 
+    @torch.compiler.disable
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         """[B, H, W, 3] uint8: remembered views are copied, others rendered; rows not in ``only`` are zero."""
         return draw_only(self._recalled, cameras, parts, only)

@@ -45,7 +45,7 @@ class Trunk(nn.Module):
         features: size of the output.
 
     Raises:
-        ValueError: for an image that is too small for the convolutions.
+        ValueError: for an image that is too small for the convolutions, or other than two of them.
     """
 
     def __init__(
@@ -54,6 +54,8 @@ class Trunk(nn.Module):
         super().__init__()
         if min(height, width) < 8:
             raise ValueError(f"image: expected sides of at least 8 · pool pixels, got {height} × {width} after pooling")
+        if len(channels) != 2:
+            raise ValueError(f"network.channels: expected two numbers, got {list(channels)}")
         first, second = channels
         self.convolutions = nn.Sequential(
             orthogonal(nn.Conv2d(depth, first, 4, stride=2), GAIN),
@@ -92,8 +94,15 @@ def actor_critic(
 
     Returns:
         Operator whose ``get_policy_operator()`` acts, and whose heads share the trunk's ``hidden``.
+
+    Raises:
+        ValueError: for sizes that are no whole numbers in their ranges.
     """
     require_number("network.pool", pool, 1, whole=True)
+    require_number("network.features", features, 1, whole=True)
+    require_number("network.memory", memory, 0, whole=True)
+    for count in channels:
+        require_number("network.channels", count, 1, whole=True)
     height, width, depth = image_shape
     trunk = Trunk(height // pool, width // pool, depth, channels, features)
     seen = "features" if memory else "hidden"

@@ -7,7 +7,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 
-from splatrl.envs.nesting import layers
+from splatrl.envs.nesting import check_layers, layers
 from splatrl.envs.tasks import Outcome
 from splatrl.faults import Faulty
 from splatrl.training.collectors import Collector, HostCollector, device_collector
@@ -57,6 +57,7 @@ class PPO:
             raise ValueError(
                 f"collector.total_frames: expected at least frames_per_batch = {frames_per_batch}, got {total_frames}"
             )
+        check_layers(env)
         self.env, self.model, self.learner = env, model, Learner(model, loss, optim)
         self.frames_per_batch, self.total_frames = frames_per_batch, total_frames
         self.frames = 0

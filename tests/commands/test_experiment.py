@@ -1,7 +1,11 @@
 """``splatrl-experiment`` from the outside."""
 
 import json
+import shlex
+import signal
+import subprocess
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -13,6 +17,7 @@ from splatrl.capture.folder import write_scene
 from splatrl.commands.experiment import TRAIN, experiment, main
 from splatrl.configuration import load_config
 from splatrl.experiments import Run, conduct, recapture
+from splatrl.training import load_checkpoint
 from tests.capture.rooms import ABOVE, tiny_capture
 from tests.commands.test_train import SETTINGS
 from tests.tiny import tiny_gaussians, tiny_overrides
@@ -51,6 +56,25 @@ def test_every_experiment_composes_and_states_its_budget(
         assert f"{name:<9} " in said
         assert (tmp_path / name / "report.md").is_file()
     assert (tmp_path / "report.md").is_file()
+
+
+def test_ctrl_c_keeps_what_was_trained_and_says_how_to_go_on(tmp_path: Path) -> None:
+    settings = [setting for setting in SETTINGS if not setting.startswith("collector.total_frames")]
+    quoted = ",".join(f"'{override}'" for override in [*tiny_overrides(tmp_path), *settings, "logger.video=false"])
+    words = ["name=grid", f"folder={tmp_path}/asked for", f"scene_overrides.backyard=[{quoted}]", "seeds=[3]", "jobs=1"]
+    words += ["~experiments.grid.arms.none", "~experiments.grid.arms.long", "frames=100000"]
+    program = [sys.executable, "-m", "splatrl.commands.experiment"]
+    process = subprocess.Popen([*program, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    last = tmp_path / "asked for" / "grid" / "backyard-distance-s3" / "checkpoints" / "last.pt"
+    while not last.exists() and process.poll() is None:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 130, output
+    (line,) = [line for line in output.splitlines() if line.startswith("stopped")]
+    again = line.removeprefix("stopped, and what was trained is kept; ").removesuffix(" goes on")
+    assert shlex.split(again) == ["splatrl-experiment", *words]
+    assert 0 < load_checkpoint(last)["ppo"]["frames"] < 100000
 
 
 def test_a_training_is_run_reported_and_not_run_again(

@@ -84,11 +84,11 @@ def test_episodes_of_another_level_do_not_count() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"levels": 0}, "levels: expected at least 1, got 0"),
+        ({"levels": 0}, "levels: expected a whole number of at least 1, got 0"),
         ({"threshold": 0.0}, r"threshold: expected a rate in \(0, 1\], got 0\.0"),
         ({"threshold": 1.1}, "threshold"),
         ({"threshold": math.nan}, "threshold"),
-        ({"window": 0}, "window: expected at least 1 episode, got 0"),
+        ({"window": 0}, r"curriculum\.window: expected a whole number of at least 1, got 0"),
     ],
 )
 def test_settings_without_sense_are_refused(change: dict[str, Any], message: str) -> None:

@@ -1,15 +1,24 @@
-"""An env under transforms is restored whole, also by TorchRL's own collector."""
+"""An env under transforms is restored whole, also by TorchRL's own collector, and pickled by its configuration."""
 
+import copy
+import pickle
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from tensordict.nn import TensorDictModule
 from torchrl.collectors import Collector
+from torchrl.envs import Compose, EnvBase, FrameSkipTransform, RewardScaling, TransformedEnv
 
+from splatrl import build
 from splatrl.build import make_env
+from splatrl.envs.gymnasium_env import GymnasiumVectorEnv
+from splatrl.envs.nesting import layers
 from splatrl.envs.stateful_env import StatefulEnv
-from tests.tiny import tiny_overrides
+from tests.envs.contract import assert_same, seeded_rollout
+from tests.tiny import tiny_env, tiny_overrides
 
 
 class FirstAction(torch.nn.Module):
@@ -19,8 +28,11 @@ class FirstAction(torch.nn.Module):
         return torch.zeros_like(step_count[..., 0])
 
 
+SHAKES = ["transforms/pose_noise=uniform", "memory=stack"]
+
+
 def shaky(folder: Path) -> StatefulEnv:
-    env = make_env([*tiny_overrides(folder), "transforms/pose_noise=uniform", "memory=stack"], batch_size=[3])
+    env = make_env([*tiny_overrides(folder), *SHAKES], batch_size=[3])
     assert isinstance(env, StatefulEnv)
     return env
 
@@ -39,15 +51,73 @@ def test_a_restored_env_goes_on_as_the_other_one(tmp_path: Path) -> None:
     assert not torch.equal(rollouts[0], shaky(tmp_path).rollout(9, break_when_any_done=False)["next", "pixels"])
 
 
-def test_a_collector_restores_the_transforms(tmp_path: Path) -> None:
-    envs = [shaky(tmp_path) for _ in range(2)]
+@pytest.mark.parametrize("shakes", [False, True])
+def test_a_collector_restores_the_env_and_its_transforms(shakes: bool, tmp_path: Path) -> None:
+    overrides = [*tiny_overrides(tmp_path), "curriculum.window=1", "curriculum.threshold=0.001"]
+    envs = [make_env([*overrides, *(SHAKES if shakes else [])], [3], seed) for seed in (0, 1)]
     policy = TensorDictModule(FirstAction(), in_keys=["step_count"], out_keys=["action"])
-    collectors = [Collector(env, policy, frames_per_batch=12, total_frames=48) for env in envs]
+    collectors = [Collector(env, policy, frames_per_batch=60, total_frames=240) for env in envs]
+    base = layers(envs[0])[0]
+    base.curriculum.progress[0] = 2
     next(iter(collectors[0]))
     collectors[1].load_state_dict(collectors[0].state_dict())
-    states = [collector.env.transform.state_dict() for collector in collectors]  # TorchRL keeps no other
-    assert states[0] and states[0].keys() == states[1].keys()
-    assert all(torch.equal(value, states[1][key]) for key, value in states[0].items())
+    assert layers(envs[1])[0].curriculum.level >= 2
+    starts = [env.reset() for env in envs]
+    assert_same(*starts)
+    assert not torch.equal(starts[0]["state"], make_env(overrides, [3]).reset()["state"])
+
+
+@pytest.mark.parametrize("pickled", [lambda env: pickle.loads(pickle.dumps(env)), copy.deepcopy])
+@pytest.mark.parametrize("kind", ["bare", "plain", "shaky", "wrapped"])
+def test_a_pickled_env_goes_on_as_the_other_one(
+    kind: str, pickled: Callable[[EnvBase], EnvBase], tmp_path: Path
+) -> None:
+    makers: dict[str, Callable[[], EnvBase]] = {
+        "bare": lambda: tiny_env((3,), first=1, window=1, threshold=0.01),
+        "plain": lambda: make_env([*tiny_overrides(tmp_path), "curriculum.window=1"], [3]),
+        "shaky": lambda: shaky(tmp_path),
+        "wrapped": lambda: TransformedEnv(shaky(tmp_path), Compose(RewardScaling(0.0, 2.0))),
+    }
+    env = makers[kind]()
+    torch.manual_seed(0)
+    env.rollout(30, break_when_any_done=False)
+    other = pickled(env)
+    assert type(other) is type(env) and layers(other)[0] is not layers(env)[0]
+    runs = []
+    for one in (env, other):
+        torch.manual_seed(1)
+        runs.append(one.rollout(30, break_when_any_done=False))
+    assert_same(*runs)
+    assert torch.equal(layers(other)[0].curriculum.progress, layers(env)[0].curriculum.progress)
+    assert_same(*(seeded_rollout(one, 5, 7) for one in (env, other)))
+
+
+def test_a_pickle_holds_paths_and_no_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pickled = pickle.dumps(shaky(tmp_path))
+    assert b"tiny.ply" in pickled and b"Gaussians" not in pickled
+    read: list[Any] = []
+    make = build.check_config
+    monkeypatch.setattr(build, "check_config", lambda cfg: (read.append(cfg), make(cfg)))
+    pickle.loads(pickled)
+    assert len(read) == 1
+
+
+def test_torchrls_frame_skip_is_refused_where_it_can_be_seen(tmp_path: Path) -> None:
+    theirs = FrameSkipTransform(3)
+    refused = pytest.raises(ValueError, match=r"FrameSkipTransform: expected splatrl\.envs\.transforms\.FrameSkip")
+    with refused:
+        shaky(tmp_path).append_transform(theirs)
+    with refused:
+        shaky(tmp_path).insert_transform(0, Compose(theirs))
+    with refused:
+        StatefulEnv(tiny_env((2,)), theirs)
+    with refused:
+        tiny_env((2,)).append_transform(theirs)
+    with refused:
+        GymnasiumVectorEnv(TransformedEnv(tiny_env((2,)), theirs))
+    node = ["allow_targets=[torchrl]", "+transforms.theirs._target_=torchrl.envs.FrameSkipTransform"]
+    with refused:
+        make_env([*tiny_overrides(tmp_path), *node, "transforms.order=[theirs]"])
 
 
 @pytest.mark.parametrize("size", [[2, 4], [], [0], [-1]])

@@ -1,0 +1,67 @@
+"""One action for several steps of the env."""
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs import Transform
+
+from splatrl.values import require_number
+
+
+class FrameSkip(Transform):
+    """Carries out each action several times: the policy sees the last step, and is paid for all of them.
+
+    A robot whose episode ends in between stops there. ``step_count`` and ``max_steps`` go on counting steps of the env.
+    Transforms between the env and this one act in every step, those outside once an action: camera noise belongs
+    inside, a stack of views outside.
+
+    It takes the place of TorchRL's ``FrameSkipTransform``, which repeats the step from the state before it: an env that
+    keeps its state in the TensorDict would make one step and be paid for several.
+
+    Args:
+        steps: steps of the env for each action.
+
+    Raises:
+        ValueError: for fewer steps than one.
+        RuntimeError: without an env.
+    """
+
+    def __init__(self, steps: int = 4):
+        super().__init__()
+        require_number("skip.steps", steps, 1, whole=True)
+        self.steps = steps
+        self._asked: TensorDictBase | None = None
+
+    @torch.compiler.disable
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Note the action before transforms nearer to the env change it, as they do again in each step."""
+        parent = self.parent
+        if parent is not None:
+            self._asked = tensordict.select(*parent.action_keys)
+        return tensordict
+
+    @torch.compiler.disable
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        parent, asked = self.parent, self._asked
+        if parent is None or asked is None:
+            raise RuntimeError("FrameSkip: expected an env, found none")
+        inputs = tensordict.exclude("next")
+        for _ in range(self.steps - 1):
+            last, done = next_tensordict, next_tensordict["done"]
+            inputs = inputs.clone(False).update(last.exclude("reward")).update(asked)
+            if "level" in inputs.keys():  # noqa: SIM118, a TensorDict is no dict
+                inputs["level"] = torch.where(done, -1, inputs["level"])  # an episode that has ended counts once
+            following = parent._step(inputs)
+            following["reward"] = last["reward"] + following["reward"]
+            values = {key: _rows(done, last[key], value) for key, value in following.items(True, True)}
+            next_tensordict = following.empty().update(values)
+        return next_tensordict
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Refuse data without an env."""
+        raise RuntimeError("FrameSkip: expected an env, found none")
+
+
+def _rows(mask: Tensor, chosen: Tensor, other: Tensor) -> Tensor:
+    """Rows of one tensor where a mask [*B, 1] is set, and of another elsewhere."""
+    return torch.where(mask.view(*mask.shape, *[1] * (other.ndim - mask.ndim)), chosen, other)
