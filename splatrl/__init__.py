@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from splatrl.bodies import Box, Capsule, Sphere
-    from splatrl.build import make_env
+    from splatrl.build import env_makers, make_env
     from splatrl.cameras import Cameras
     from splatrl.envs.robot import Robot
     from splatrl.envs.splat_env import SplatEnv
@@ -26,6 +26,7 @@ _HOMES = {
     "SplatEnv": "envs.splat_env",
     "World": "envs.world",
     "backyard": "scenes",
+    "env_makers": "build",
     "make_env": "build",
     "read_scene": "scenes",
 }
@@ -41,6 +42,7 @@ __all__ = [
     "SplatEnv",
     "World",
     "backyard",
+    "env_makers",
     "make_env",
     "read_scene",
 ]

@@ -1,0 +1,91 @@
+"""Workers begin in different states, and each knows its own curriculum."""
+
+import os
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torchrl.envs import EnvBase, ParallelEnv, SerialEnv
+
+from splatrl.build import env_makers, make_env, worker_seed
+from splatrl.envs.nesting import layers
+from tests.tiny import tiny_overrides
+
+ROOT = Path(__file__).parents[2]
+
+
+def begun(env: EnvBase) -> list[list[Any]]:
+    """Where the robots of each worker begin."""
+    return env.reset()["state"].tolist()
+
+
+def in_processes(makers: Any) -> ParallelEnv:
+    return ParallelEnv(2, makers, mp_start_method="fork")
+
+
+def test_workers_without_a_seed_begin_in_different_states(tmp_path: Path) -> None:
+    make = partial(make_env, tiny_overrides(tmp_path), (5,))
+    env = in_processes(make)
+    first, second = begun(env)
+    env.close()
+    assert first != second
+    assert begun(make()) == begun(make()) == begun(make_env(tiny_overrides(tmp_path), (5,), 0))  # the main process
+
+
+def test_a_worker_that_is_given_a_seed_keeps_it(tmp_path: Path) -> None:
+    make = partial(make_env, tiny_overrides(tmp_path), (5,), 3)
+    env = in_processes(make)
+    states = begun(env)
+    env.close()
+    assert states == [begun(make())] * 2
+
+
+def test_makers_give_the_same_workers_anywhere(tmp_path: Path) -> None:
+    makers = env_makers(2, tiny_overrides(tmp_path), (5,), seed=4)
+    parallel, serial = in_processes(makers), SerialEnv(2, makers)
+    states = begun(parallel)
+    parallel.close()
+    assert begun(serial) == states == [begun(make()) for make in makers]
+    assert states[0] != states[1]
+    assert states != [begun(make()) for make in env_makers(2, tiny_overrides(tmp_path), (5,), seed=5)]
+
+
+def test_seeds_of_workers_differ_and_fit() -> None:
+    seeds = [worker_seed(seed, *worker) for seed in range(20) for worker in ((), (0,), (1,), (2,), (1, 1), (1, 2))]
+    assert len(set(seeds)) == len(seeds) and all(0 <= seed < 2**63 for seed in seeds)
+    assert worker_seed(0, 1) == worker_seed(0, 1)
+
+
+@pytest.mark.parametrize(("workers", "seed", "key"), [(0, 0, "workers"), (2, -1, "seed"), (2, 0.5, "seed")])
+def test_what_makes_no_workers_is_refused(workers: int, seed: int, key: str) -> None:
+    with pytest.raises(ValueError, match=f"{key}: expected a whole number of at least"):
+        env_makers(workers, seed=seed)
+
+
+def test_each_worker_has_a_curriculum_of_its_own(tmp_path: Path) -> None:
+    env = SerialEnv(2, env_makers(2, [*tiny_overrides(tmp_path), "curriculum.window=1"], (1,)))
+    env.reset()
+    first, second = (layers(one)[0].curriculum for one in env._envs)
+    first.record(torch.zeros(1), torch.ones(1, dtype=torch.bool), torch.ones(1, dtype=torch.bool))
+    assert (first.level, second.level) == (1, 0)
+    assert env.reset()["level"].flatten().tolist() == [1, 0]
+    saved = env.state_dict()
+    other = SerialEnv(2, env_makers(2, [*tiny_overrides(tmp_path), "curriculum.window=1"], (1,), seed=9))
+    other.reset()
+    other.load_state_dict(saved)
+    assert [int(layers(one)[0].curriculum.level) for one in other._envs] == [1, 0]
+
+
+def test_the_snippets_of_the_page_run(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "clients.md").read_text()
+    snippets = [block.split("```")[0] for block in page.split("```python\n")[1:]]
+    assert snippets
+    for number, snippet in enumerate(snippets):
+        path = tmp_path / f"snippet_{number}.py"
+        path.write_text(snippet)
+        done = subprocess.run([sys.executable, str(path)], env=os.environ, cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
