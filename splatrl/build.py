@@ -137,10 +137,13 @@ def build_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
     starts = world.plan.states[spread(world.plan.start_rows, cfg.logger.num_test_episodes)]
     test_env = world.env(min(cfg.env.num_envs, len(starts)), seed=cfg.seed)
 
-    def test() -> float:
+    def test() -> dict[str, float]:
         test_env.set_seed(cfg.logger.test_seed)  # a test depends on the policy alone, not on the tests before it
         episodes = run_episodes(test_env, model.get_policy_operator(), starts, seed=cfg.logger.test_seed)
-        return episodes.success.double().mean().item()
+        result = {"success": episodes.success.double().mean().item()}
+        if world.task.goals_for_success is not None:
+            result["goals"] = episodes.goals.double().mean().item()
+        return result
 
     logger, checkpoint = cfg.logger, cfg.checkpoint
     return Trainer(

@@ -337,6 +337,21 @@ def test_a_task_without_goal_states_is_planned_trained_and_evaluated(
     assert "SPL" not in said and f"return {summary['mean_return']:.1f}" in said
 
 
+def test_a_snake_is_tested_by_its_apples(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = ["task.red_share=0.001", "task.reach=9.0", "env.num_envs=8", "logger.num_test_episodes=4"]
+    settings += ["task.motion.step=0.25", "task.motion.angle_step_deg=45.0", "task.apples=2", "logger.video=false"]
+    settings += ["collector.total_frames=128", "collector.frames_per_batch=128", "evaluation.starts=16"]
+    cfg = load_config([*tiny_overrides(tmp_path, "snake"), *settings])
+    world = build_world(cfg)
+    trainer = build_trainer(cfg, world, tmp_path)
+    trainer.fit()
+    (row,) = trainer.history
+    assert trainer.best == (row["test_success"], row["test_goals"]) and row["test_goals"] >= 2 * row["test_success"]
+    summary = evaluate_run(cfg, tmp_path, world)
+    assert summary["mean_goals"] > summary["success_rate"] and "spl" not in summary
+    assert f"{summary['mean_goals']:.2f} goals an episode" in capsys.readouterr().out
+
+
 def test_a_resumed_config_is_the_saved_one_with_single_keys_changed(tmp_path: Path) -> None:
     save_config(load_config(["loss.gamma=0.9"]), tmp_path)
     cfg = resumed_config(tmp_path, [f"resume={tmp_path}", "collector.total_frames=7"])

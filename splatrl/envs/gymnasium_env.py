@@ -14,7 +14,6 @@ from torchrl.data import Bounded, Categorical, TensorSpec
 from torchrl.envs import EnvBase
 
 from splatrl.envs.nesting import check_layers, layers
-from splatrl.envs.tasks.base import Outcome
 from splatrl.faults import Faulty
 
 Pixels = npt.NDArray[np.uint8]
@@ -32,7 +31,8 @@ class GymnasiumEnv(gymnasium.Env[Pixels, Action]):
     Observation: [H, W, 3] uint8, the ego view.
     Action: the task's, ``Discrete``; with continuous control a ``Box`` of float32 in [-1, 1], as Gymnasium's clients
         expect, mapped linearly onto the task's limits: ``drive`` stands still at (-1/3, 0), not at 0.
-    Info: ``outcome`` (int, an ``Outcome``), ``success`` (bool) and ``state`` (the task's state, an array).
+    Info: ``outcome`` (int, an ``Outcome``), ``goals`` (int, reached so far), ``success`` (bool) and ``state`` (the
+        task's state, an array).
     Reset: ``reset(seed=...)`` seeds the starts, ``reset(options={"state": ...})`` begins at that state of the task.
 
     Example:
@@ -90,9 +90,9 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
 
     Observation: [B, H, W, 3] uint8.
     Action: [B] int64, or [B, n] float32 in [-1, 1] with continuous control; see ``GymnasiumEnv``.
-    Info: ``outcome``, ``success`` and ``state`` that belong to the observation, [B, ...] each. For robots whose episode
-        ended, ``final_obs`` and ``final_info`` hold its last observation and info. Each has a mask, [B] bool, under
-        ``_<name>``.
+    Info: ``outcome``, ``goals``, ``success`` and ``state`` that belong to the observation, [B, ...] each. For robots
+        whose episode ended, ``final_obs`` and ``final_info`` hold its last observation and info. Each has a mask, [B]
+        bool, under ``_<name>``.
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
@@ -210,8 +210,8 @@ def _column(td: TensorDictBase, key: str) -> npt.NDArray[Any]:
 
 
 def _infos(td: TensorDictBase) -> Infos:
-    outcome = _column(td, "outcome")
-    return {"outcome": outcome, "success": outcome == Outcome.GOAL, "state": td["state"].cpu().numpy()}
+    columns = {key: _column(td, key) for key in ("outcome", "goals", "success")}
+    return {**columns, "state": td["state"].cpu().numpy()}
 
 
 def _one(infos: Infos) -> Infos:

@@ -19,7 +19,7 @@ from splatrl.envs.tasks.base import Outcome, Step, Task
 from splatrl.faults import Faulty
 
 RESERVED = {"pixels", "state", "step_count", "episode_return", "level", "outcome", "free_fraction", "camera_offset"}
-RESERVED |= {"action", "reward", "done", "terminated", "truncated", "appearance"}
+RESERVED |= {"action", "reward", "done", "terminated", "truncated", "appearance", "goals", "success"}
 """Keys of the env and its transforms, which a task's memory must not take."""
 
 
@@ -36,9 +36,10 @@ class SplatEnv(EnvBase):
 
     Observation: ``pixels`` [B, H, W, 3] uint8, and whatever else the drawing returns. For users, not for the policy:
         ``state`` (the motion's), ``step_count`` [B, 1] int64, ``episode_return`` [B, 1] float32, ``level`` [B, 1] int64
-        at which the episode began, ``outcome`` [B, 1] int64 (an ``Outcome``), ``free_fraction`` [B, 1] float32 (how
-        much of the last move was free; 1 when nothing was touched), and the task's memory, such as ``target`` [B, 3]
-        float32, where its object is, world, metres.
+        at which the episode began, ``outcome`` [B, 1] int64 (an ``Outcome``), ``goals`` [B, 1] int64 reached in the
+        episode so far, ``success`` [B, 1] bool (whether they are enough for the task), ``free_fraction`` [B, 1] float32
+        (how much of the last move was free; 1 when nothing was touched), and the task's memory, such as ``target``
+        [B, 3] float32, where its object is, world, metres.
     Action: the motion's.
     Reward: [B, 1] float32, the task's.
     Termination: the task's.
@@ -125,6 +126,7 @@ class SplatEnv(EnvBase):
             "step_count": count,
             "episode_return": number,
             "level": count.clone(),
+            "goals": count.clone(),
             **self.task.memory_spec,
         }
         if taken := set(self.task.memory_spec) & RESERVED:
@@ -134,6 +136,7 @@ class SplatEnv(EnvBase):
         shown: dict[str, TensorSpec] = {
             "pixels": Bounded(0, 255, shape=(robot.image_height, robot.image_width, 3), dtype=torch.uint8),
             "outcome": Categorical(len(Outcome), shape=(1,), dtype=torch.int64),
+            "success": Categorical(2, shape=(1,), dtype=torch.bool),
             "free_fraction": Bounded(0.0, 1.0, shape=(1,), dtype=torch.float32),
             **self.drawing.specs,
         }
@@ -176,6 +179,8 @@ class SplatEnv(EnvBase):
             "step_count": count,
             "episode_return": count.float(),
             "outcome": count.clone(),
+            "goals": count.clone(),
+            "success": count.bool(),
             "free_fraction": torch.ones_like(count, dtype=torch.float32),
             **{key: count.bool() for key in ("done", "terminated", "truncated")},
         }
@@ -205,9 +210,11 @@ class SplatEnv(EnvBase):
         )
         step_count = tensordict["step_count"] + 1
         truncated = (step_count >= task.max_steps) & ~terminated
+        goals = tensordict["goals"] + (outcome == Outcome.GOAL)
+        success = goals >= (task.goals_for_success or 1)
         outcome = torch.where(truncated, Outcome.TIMEOUT, outcome)
         level, done = tensordict["level"], terminated | truncated
-        self.curriculum.record(level.flatten(), done.flatten(), (outcome == Outcome.GOAL).flatten())
+        self.curriculum.record(level.flatten(), done.flatten(), success.flatten())
         values = {
             "pixels": view.pixels,
             **view.shown,
@@ -217,6 +224,8 @@ class SplatEnv(EnvBase):
             "episode_return": tensordict["episode_return"] + reward,
             "level": level.clone(),
             "outcome": outcome,
+            "goals": goals,
+            "success": success,
             "free_fraction": move.free_fraction.unsqueeze(1),
             "reward": reward,
             "done": done,

@@ -65,7 +65,8 @@ def evaluate(
     with tqdm(total=len(repeated) + len(starts), unit="episode", desc="evaluate", dynamic_ncols=True) as bar:
         sampled = run_episodes(env, policy, repeated, True, settings.seed, bar.update)
         argmax = run_episodes(env, policy, starts, False, settings.seed, bar.update)
-    summary: dict[str, Any] = summarise(sampled, argmax, None if plan.field is None else plan.distance[rows])
+    ends = plan.field is not None and world.task.goals_for_success is None
+    summary: dict[str, Any] = summarise(sampled, argmax, plan.distance[rows] if ends else None)
     summary |= {
         "frames": checkpoint["ppo"]["frames"],
         "wall_seconds": checkpoint["seconds"],
@@ -90,6 +91,8 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     """The results of an evaluation, in words."""
     rates = [f"success {summary['success_rate']:.3f} (argmax {summary['success_rate_argmax']:.3f})"]
     rates.append(f"SPL {summary['spl']:.3f}" if "spl" in summary else f"return {summary['mean_return']:.1f}")
+    if summary["mean_goals"] > summary["success_rate"]:  # in tasks that go on after a goal
+        rates.append(f"{summary['mean_goals']:.2f} goals an episode")
     rates.append(f"collisions {summary['collision_rate']:.3f}")
     where = f"over {summary['evaluated_starts']:,} of {summary['start_poses']:,} start poses"
     level = f"curriculum level {summary['level']}"

@@ -17,16 +17,18 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> d
     Args:
         sampled: episodes with actions sampled from the policy, repetitions of a start in a row; the headline.
         argmax: episodes with the policy's most likely actions, one from each start.
-        shortest: [N] int64, steps of the shortest path from each start; None if the task has no goal states.
+        shortest: [N] int64, steps of the shortest path from each start; None if there are none, or if episodes do not
+            end at a goal.
 
     Returns:
-        Rates in [0, 1], mean returns and mean lengths; if there are shortest paths, also SPL and their mean length.
-        Keys of the second set end in ``_argmax``.
+        Rates in [0, 1], mean numbers of goals, mean returns and mean lengths; if there are shortest paths, also SPL and
+        their mean length. Keys of the second set end in ``_argmax``.
     """
     summary: dict[str, float] = {}
     for suffix, episodes in (("", sampled), ("_argmax", argmax)):
         summary |= {
-            f"success_rate{suffix}": episodes.rate(Outcome.GOAL),
+            f"success_rate{suffix}": episodes.success.double().mean().item(),
+            f"mean_goals{suffix}": episodes.goals.double().mean().item(),
             f"collision_rate{suffix}": episodes.rate(Outcome.COLLISION),
             f"out_of_bounds_rate{suffix}": episodes.rate(Outcome.OUT_OF_BOUNDS),
             f"timeout_rate{suffix}": episodes.rate(Outcome.TIMEOUT),

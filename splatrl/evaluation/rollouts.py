@@ -22,17 +22,16 @@ class Episodes:
         outcome: [N] int64, each an ``Outcome``.
         length: [N] int64, steps.
         episode_return: [N] float32.
+        goals: [N] int64, reached in the episode.
+        success: [N] bool, whether they were enough for the task.
     """
 
     start: Tensor
     outcome: Tensor
     length: Tensor
     episode_return: Tensor
-
-    @property
-    def success(self) -> Tensor:
-        """Which episodes reached the goal: [N] bool."""
-        return self.outcome == Outcome.GOAL
+    goals: Tensor
+    success: Tensor
 
     def rate(self, outcome: Outcome) -> float:
         """Share of the episodes that ended with an outcome."""
@@ -88,7 +87,14 @@ def run_episodes(
         progress: called with the number of episodes that just ended.
     """
     count, rows = len(starts), env.numel()
-    result = Episodes(starts, *(torch.zeros(count, dtype=t) for t in (torch.int64, torch.int64, torch.float32)))
+    kept = {
+        "outcome": torch.int64,
+        "step_count": torch.int64,
+        "episode_return": torch.float32,
+        "goals": torch.int64,
+        "success": torch.bool,
+    }
+    columns = {key: torch.zeros(count, dtype=dtype) for key, dtype in kept.items()}
     episode = torch.arange(rows)  # the episode of each robot; from count on the robot is idle
     waiting = rows
     with acting(sampled, seed, env.device):
@@ -98,9 +104,8 @@ def run_episodes(
             td = env.step(policy(td))
             after = td["next"]
             ended = (after["done"].squeeze(1).cpu() & (episode < count)).nonzero().squeeze(1)
-            for key, into in (("outcome", result.outcome), ("step_count", result.length)):
-                into[episode[ended]] = after[key].squeeze(1)[ended].cpu()
-            result.episode_return[episode[ended]] = after["episode_return"].squeeze(1)[ended].cpu()
+            for key, column in columns.items():
+                column[episode[ended]] = after[key].squeeze(1)[ended].cpu()
             progress(len(ended))
             done = after["done"].squeeze(1).cpu().nonzero().squeeze(1)
             episode[done] = torch.arange(waiting, waiting + len(done))
@@ -111,4 +116,4 @@ def run_episodes(
                 td["state"] = td["state"].index_put((done.to(env.device),), fresh)
                 td["_reset"] = after["done"].clone()
                 td = env.reset(td, set_state=True)
-    return result
+    return Episodes(starts, *columns.values())

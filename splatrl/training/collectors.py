@@ -18,7 +18,7 @@ SEEN = ("pixels", STATE, "is_init")
 """Keys of an observation that the model reads, where present."""
 CHOSEN = ("action", "action_log_prob", "state_value")
 """Keys that the model writes."""
-ENDS = ("reward", "done", "terminated", "truncated", "outcome", "episode_return", "step_count")
+ENDS = ("reward", "done", "terminated", "truncated", "outcome", "goals", "success", "episode_return", "step_count")
 """Keys of a step's result that learning and reports read."""
 
 

@@ -80,8 +80,8 @@ class PPO:
         """Collect one batch and learn from it.
 
         Returns:
-            Frames so far; the number, success rate, collision rate, mean return and mean length of the episodes that
-            ended (NaN if none did); and the losses.
+            Frames so far; the number, success rate, mean number of goals, collision rate, mean return and mean length
+            of the episodes that ended (NaN if none did); and the losses.
         """
         self.learner.anneal(1.0 - self.frames / self.total_frames)
         batch = self.collect()
@@ -144,7 +144,8 @@ def _episodes(batch: TensorDictBase) -> dict[str, float]:
     outcome = ended["outcome"]
     return {
         "episodes": len(ended),
-        "success": (outcome == Outcome.GOAL).float().mean().item(),
+        "success": ended["success"].float().mean().item(),
+        "goals": ended["goals"].float().mean().item(),
         "collision": (outcome == Outcome.COLLISION).float().mean().item(),
         "return": ended["episode_return"].mean().item(),
         "length": ended["step_count"].float().mean().item(),

@@ -36,7 +36,9 @@ class Trainer:
     Args:
         ppo: the learner.
         folder: the run folder.
-        test: returns the success rate of the current policy; it must not touch PyTorch's generator.
+        test: tests the current policy without touching PyTorch's generator. It returns the success rate, and whatever
+            else tells which of two policies that succeed as often is better, most important first. The best checkpoint
+            is the best in this order, and the later one of equals.
         test_interval: frames between tests.
         checkpoint_interval: frames between checkpoints.
         backend: csv, or a TorchRL logger (tensorboard, wandb) in addition to it.
@@ -51,7 +53,7 @@ class Trainer:
         self,
         ppo: PPO,
         folder: Path,
-        test: Callable[[], float],
+        test: Callable[[], Mapping[str, float]],
         test_interval: int,
         checkpoint_interval: int,
         backend: str = "csv",
@@ -69,7 +71,7 @@ class Trainer:
             None if backend == "csv" else get_logger(backend, str(folder), checked_name("logger.exp_name", exp_name))
         )
         self.history: list[dict[str, float]] = []
-        self.best = -math.inf
+        self.best: tuple[float, ...] = ()
         self.seconds = 0.0
         (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
 
@@ -128,7 +130,7 @@ class Trainer:
                 row = self.ppo.iterate()
                 row["level"] = int(self.ppo.env.curriculum.level)
                 if self.ppo.finished or _crossed(before, self.ppo.frames, self.test_interval):
-                    row["test_success"] = self.test()
+                    row |= {f"test_{name}": value for name, value in self.test().items()}
                 self.seconds = row["seconds"] = time.monotonic() - began
                 self._note(row)
                 if self.ppo.finished or _crossed(before, self.ppo.frames, self.checkpoint_interval):
@@ -144,8 +146,9 @@ class Trainer:
         if self.logger is not None:
             for key, value in row.items():
                 self.logger.log_scalar(key, value, step=self.ppo.frames)
-        if "test_success" in row and row["test_success"] >= self.best:
-            self.best = row["test_success"]
+        tested = tuple(value for name, value in row.items() if name.startswith("test_"))
+        if tested and tested >= self.best:
+            self.best = tested
             save_checkpoint(self.folder / "checkpoints" / "best.pt", self.state_dict())
 
     def _recent(self, key: str, rows: int = 5) -> float:
@@ -186,7 +189,7 @@ class Trainer:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from a ``state_dict()``."""
         self.ppo.load_state_dict(state["ppo"])
-        self.history, self.best, self.seconds = list(state["history"]), state["best"], state["seconds"]
+        self.history, self.best, self.seconds = list(state["history"]), tuple(state["best"]), state["seconds"]
 
 
 @contextmanager

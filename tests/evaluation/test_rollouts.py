@@ -74,8 +74,8 @@ def test_evaluating_tells_no_curriculum() -> None:
 def test_spl_weighs_success_by_the_shortest_over_the_taken_path() -> None:
     outcome = torch.tensor([Outcome.GOAL, Outcome.GOAL, Outcome.TIMEOUT, Outcome.COLLISION])
     length = torch.tensor([4, 8, 20, 1])
-    episodes = Episodes(torch.zeros(4, 3), outcome, length, torch.zeros(4))
+    reached = outcome == Outcome.GOAL
+    episodes = Episodes(torch.zeros(4, 3), outcome, length, torch.zeros(4), reached.long(), reached)
     assert episodes.spl(torch.tensor([4, 2, 5, 3])) == pytest.approx((1 + 2 / 8) / 4)
     assert episodes.spl(torch.tensor([5, 2, 5, 3])) == pytest.approx((1 + 2 / 8) / 4)  # never above 1 each
-    assert episodes.success.tolist() == [True, True, False, False]
     assert episodes.rate(Outcome.TIMEOUT) == 0.25

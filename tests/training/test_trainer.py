@@ -16,7 +16,8 @@ from tests.training.test_ppo import learner, parameters
 def trainer(folder: Path, tests: list[float], frames: int = 64 * 6) -> Trainer:
     """A trainer of six batches with a test after every second one, whose results are given."""
     ppo = learner(tiny_env([4], max_steps=10), total_frames=frames)
-    return Trainer(ppo, folder, iter(tests).__next__, test_interval=128, checkpoint_interval=192)
+    results = ({"success": success} for success in tests)
+    return Trainer(ppo, folder, results.__next__, test_interval=128, checkpoint_interval=192)
 
 
 def test_the_best_checkpoint_is_the_one_that_tested_best(tmp_path: Path) -> None:
@@ -24,7 +25,16 @@ def test_the_best_checkpoint_is_the_one_that_tested_best(tmp_path: Path) -> None
     loop.fit()
     best, last = (load_checkpoint(tmp_path / "checkpoints" / f"{name}.pt") for name in ("best", "last"))
     assert (best["ppo"]["frames"], last["ppo"]["frames"]) == (256, 384)
-    assert best["best"] == last["best"] == 0.9
+    assert best["best"] == last["best"] == (0.9,)
+
+
+def test_of_equal_success_the_one_with_more_goals_is_kept(tmp_path: Path) -> None:
+    ppo = learner(tiny_env([4], max_steps=10), total_frames=64 * 6)
+    results = iter([{"success": 0.5, "goals": 9.0}, {"success": 1.0, "goals": 4.0}, {"success": 1.0, "goals": 3.0}])
+    loop = Trainer(ppo, tmp_path, results.__next__, test_interval=128, checkpoint_interval=192)
+    loop.fit()
+    assert load_checkpoint(tmp_path / "checkpoints" / "best.pt")["ppo"]["frames"] == 256
+    assert loop.best == (1.0, 4.0) and loop.history[3]["test_goals"] == 4.0
 
 
 def test_of_equal_tests_the_later_is_kept(tmp_path: Path) -> None:
@@ -51,7 +61,7 @@ def test_going_on_keeps_history_best_and_weights(tmp_path: Path) -> None:
     assert again.seconds == first.seconds
     again.fit()
     assert [row["frames"] for row in again.history] == [64, 128, 192, 256, 320, 384]
-    assert again.best == 0.4
+    assert again.best == (0.4,)
     assert again.seconds > first.seconds
 
 

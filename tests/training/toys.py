@@ -28,6 +28,8 @@ class Toy(EnvBase):
         column = {
             "step_count": torch.int64,
             "outcome": torch.int64,
+            "goals": torch.int64,
+            "success": torch.bool,
             "cue": torch.float32,
             "episode_return": torch.float32,
         }
@@ -51,6 +53,8 @@ class Toy(EnvBase):
                 step < self.steps, Outcome.RUNNING, torch.where(reward > 0, Outcome.GOAL, Outcome.TIMEOUT)
             ),
             "episode_return": reward,
+            "goals": (reward > 0).long(),
+            "success": reward > 0,
         }
         return TensorDict({**values, "cue": cue, "step_count": step}, self.batch_size)
 

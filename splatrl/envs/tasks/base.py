@@ -87,10 +87,13 @@ class Task(Protocol):
     Attributes:
         motion: how the robots move.
         max_steps: an episode is truncated after this many steps.
+        goals_for_success: None for a task whose episodes end at their goal, and so succeed; a number for one whose
+            episodes go on, and succeed with at least so many goals. Curricula and tests go by it.
     """
 
     motion: PlannedMotion
     max_steps: int
+    goals_for_success: int | None
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:
@@ -152,6 +155,7 @@ class TaskModule(torch.nn.Module):
     """
 
     motion: PlannedMotion
+    goals_for_success: int | None = None
 
     def __init__(self, motion: PlannedMotion, max_steps: int):
         super().__init__()

@@ -1,10 +1,15 @@
 """The snake task: one apple after another."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from splatrl.envs.tasks.apple import Apple
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, Verdict
+from splatrl.motions import ForwardMotion
+from splatrl.values import require_number
 
 
 class Snake(Apple):
@@ -14,6 +19,7 @@ class Snake(Apple):
     Reward: [B, 1] float32; −0.2 a step, or instead +50 at an apple, −10 for touching something or the bounds.
     Termination: never. A blocked robot stays where it was and goes on; ``outcome`` says what happened in that step.
     Truncation: after ``max_steps`` steps.
+    Success: with at least ``apples`` in an episode; ``goals`` [B, 1] int64 counts them.
     State: that of ``Apple``; ``target`` [B, 3] float32 moves on in the step that reaches it, and is drawn at the new
         place from the next step on.
 
@@ -25,7 +31,21 @@ class Snake(Apple):
         >>> env = splatrl.make_env(["task=snake"], batch_size=[4])
         >>> bool(env.rollout(20)["next", "terminated"].any())
         False
+
+    Args:
+        motion: how the robots move.
+        place: a place from which all others can be reached, at the height of the apples, world, metres.
+        apples: apples that make an episode a success.
+        settings: those of ``Apple``.
+
+    Raises:
+        ValueError: for fewer apples than one, or what ``Apple`` refuses.
     """
+
+    def __init__(self, motion: ForwardMotion, place: Sequence[float], apples: int = 1, **settings: Any):
+        super().__init__(motion, place, **settings)
+        require_number("task.apples", apples, 1, whole=True)
+        self.goals_for_success = apples
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
         """Place the first apple anywhere; see ``Task.begin``."""

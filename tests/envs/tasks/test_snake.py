@@ -4,10 +4,12 @@ from itertools import pairwise
 
 import pytest
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from splatrl.envs import SplatEnv
 from splatrl.envs.tasks import Outcome, Snake, Step
+from splatrl.evaluation import run_episodes, summarise
 from splatrl.motions import Move
 from tests.envs.contract import base_env
 from tests.envs.rooms import PLACE, apple_plan, coarse_forward, painted_env
@@ -128,3 +130,63 @@ def test_walking_without_end_never_terminates() -> None:
     assert not batch["next", "terminated"].any() and batch["next", "truncated"].sum() == 20
     assert batch["next", "outcome"].max() == Outcome.TIMEOUT and (batch["next", "outcome"] == Outcome.GOAL).any()
     assert base_env(env).checker.collides(coarse_forward().body_to_world(batch["state"].flatten(0, 1))).sum() == 0
+
+
+def eats(env: SplatEnv, apples: int) -> TensorDictBase:
+    """A step of three robots: the first eats an apple, which counts with those that it has eaten."""
+    states = [SEEN, [-1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]]
+    td = env.reset(placed(states, [list(PLACE)] * 3), set_state=True)
+    td["goals"] = torch.tensor([[apples - 1], [0], [apples]])
+    return env.step(td.set("action", torch.tensor([FORWARD, LEFT, LEFT])))["next"]
+
+
+@pytest.mark.parametrize("enough", [1, 3])
+def test_apples_are_counted_and_enough_of_them_are_a_success(enough: int) -> None:
+    after = eats(painted_env(Snake(coarse_forward(), PLACE, apples=enough), 3), enough)
+    assert column(after, "goals") == [enough, 0, enough] and column(after, "success") == [True, False, True]
+    short = eats(painted_env(Snake(coarse_forward(), PLACE, apples=enough + 1), 3), enough)
+    assert column(short, "goals") == [enough, 0, enough] and not short["success"].any()
+
+
+def test_an_episode_counts_its_own_apples() -> None:
+    env = painted_env(snake(max_steps=20), 16)
+    torch.manual_seed(0)
+    batch = env.rollout(60, break_when_any_done=False)
+    eaten = (batch["next", "reward"] == 50.0).long()
+    begins = batch["step_count"] == 0
+    expected = torch.zeros(16, 1, dtype=torch.int64)
+    for step in range(60):
+        expected = torch.where(begins[:, step], 0, expected) + eaten[:, step]
+        assert torch.equal(batch["next", "goals"][:, step], expected)
+    assert torch.equal(batch["next", "success"], batch["next", "goals"] >= 1) and expected.max() > 0
+
+
+def test_the_curriculum_goes_by_the_apples() -> None:
+    env = painted_env(snake(max_steps=1), 3, first=1, window=1, threshold=0.3)
+    td = env.reset(placed([SEEN, [-1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]], [list(PLACE)] * 3), set_state=True)
+    td["level"] = torch.zeros_like(td["level"])
+    env.step(td.set("action", torch.tensor([FORWARD, LEFT, LEFT])))
+    assert env.curriculum.level == 1
+
+
+class Straight:
+    """Walks on."""
+
+    def __call__(self, td: TensorDictBase) -> TensorDictBase:
+        return td.set("action", torch.full(td.batch_size, FORWARD))
+
+
+def test_an_evaluation_tells_apples_an_episode() -> None:
+    env = painted_env(snake(max_steps=5), 2)
+    starts = torch.tensor([SEEN, [-1.0, -1.0, 0.0], SEEN])
+    episodes = run_episodes(env, Straight(), starts, seed=0)
+    summary = summarise(episodes, episodes, None)
+    assert summary["mean_goals"] == episodes.goals.double().mean() and "spl" not in summary
+    assert summary["success_rate"] == (episodes.goals > 0).double().mean()
+    assert (episodes.outcome == Outcome.TIMEOUT).all()
+
+
+@pytest.mark.parametrize("apples", [0, 1.5])
+def test_a_number_of_apples_that_makes_no_sense_is_refused(apples: float) -> None:
+    with pytest.raises(ValueError, match=r"task\.apples: expected a whole number of at least 1"):
+        Snake(coarse_forward(), PLACE, apples=apples)  # type: ignore[arg-type]
