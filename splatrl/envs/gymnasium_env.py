@@ -1,5 +1,6 @@
 """Gymnasium's view of an env: one robot as ``gymnasium.Env``, a batch as ``gymnasium.vector.VectorEnv``."""
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import gymnasium
@@ -22,7 +23,6 @@ Actions = npt.NDArray[np.int64] | npt.NDArray[np.float32]
 Infos = dict[str, Any]
 
 _METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
-_VECTOR_METADATA: dict[str, Any] = {**_METADATA, "autoreset_mode": AutoresetMode.SAME_STEP}
 
 
 class GymnasiumEnv(gymnasium.Env[Pixels, Action]):
@@ -86,42 +86,57 @@ class GymnasiumEnv(gymnasium.Env[Pixels, Action]):
 
 
 class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
-    """A batch of robots; a robot whose episode ends begins the next in the same step.
+    """A batch of robots.
+
+    A robot whose episode ends begins the next in the same step, or in the next one, in which its action is ignored and
+    its reward is 0, as ``autoreset_mode`` says.
 
     Observation: [B, H, W, 3] uint8.
     Action: [B] int64, or [B, n] float32 in [-1, 1] with continuous control; see ``GymnasiumEnv``.
-    Info: ``outcome``, ``goals``, ``success`` and ``state`` that belong to the observation, [B, ...] each. For robots
-        whose episode ended, ``final_obs`` and ``final_info`` hold its last observation and info. Each has a mask, [B]
-        bool, under ``_<name>``.
+    Info: ``outcome``, ``goals``, ``success`` and ``state`` that belong to the observation, [B, ...] each. With a reset
+        in the same step, ``final_obs`` and ``final_info`` hold the last observation and info of robots whose episode
+        ended. Each has a mask, [B] bool, under ``_<name>``.
+    Reset: one seed serves the whole batch. With a list, each robot's start depends on its own seed alone, and all that
+        is drawn later on all of them; robots with None go on with the generator.
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
+        autoreset_mode: same or next step; some wrappers of Gymnasium's ask for the next.
 
     Raises:
-        ValueError: for an env that is not of batch size [B], or an action that is neither discrete nor bounded.
+        ValueError: for an env that is not of batch size [B], an action that is neither discrete nor bounded, another
+            mode, or another number of seeds.
     """
 
-    metadata = _VECTOR_METADATA
-
-    def __init__(self, env: EnvBase):
+    def __init__(self, env: EnvBase, autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP):
         if env.ndim != 1:
             raise ValueError(f"env: expected batch size [B], got {list(env.batch_size)}")
+        modes = {mode.value: mode for mode in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP)}
+        named = getattr(autoreset_mode, "value", autoreset_mode)
+        if named not in modes:
+            raise ValueError(f"autoreset_mode: expected {' or '.join(modes)}, got {named}")
+        self.autoreset_mode = modes[named]
+        self.metadata = {**_METADATA, "autoreset_mode": self.autoreset_mode}
         self.env, self.num_envs, self.render_mode = env, env.numel(), "rgb_array"
         self.single_observation_space, self.single_action_space = _spaces(env)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._present: TensorDictBase | None = None
+        self._over = np.zeros(self.num_envs, dtype=bool)  # whose episode ended, and who begin in the next step
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Pixels, Infos]:
-        """Restart all episodes; one seed serves the whole batch."""
-        if isinstance(seed, list):
-            raise ValueError(f"seed: expected one number for the whole batch, got {seed}")
-        super().reset(seed=seed)
-        self._present = _begin(self.env, seed, options)
-        everywhere = np.ones(self.num_envs, dtype=bool)
-        return _pixels(self._present), _masked(_infos(self._present), everywhere)
+        """Restart all episodes."""
+        several = isinstance(seed, (Sequence, np.ndarray))
+        seeds = [None if one is None else int(one) for one in seed] if several else None  # type: ignore[union-attr]
+        if seeds is not None and len(seeds) != self.num_envs:
+            raise ValueError(f"seed: expected one number, or {self.num_envs} of them, got {seeds}")
+        together = seed if seeds is None else _together(seeds)
+        super().reset(seed=together)  # type: ignore[arg-type]
+        self._present = _begin(self.env, together, options, seeds)  # type: ignore[arg-type]
+        self._over[:] = False
+        return _pixels(self._present), self._told()
 
     def step(
         self, actions: Actions
@@ -130,18 +145,46 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
         if self._present is None:
             raise gymnasium.error.ResetNeeded("step: expected reset first")
         acted = _act(self.env, self._present, self.action_space, actions)
-        step, self._present = self.env.step_and_maybe_reset(acted)
+        return (self._step_over if self._over.any() else self._step)(acted)
+
+    def _step(self, acted: TensorDictBase) -> tuple[Any, ...]:
+        """A step in which all robots act."""
+        same = self.autoreset_mode == AutoresetMode.SAME_STEP
+        step, self._present = self.env.step_and_maybe_reset(acted) if same else self._stepped(acted)
         _raise_faults(self.env)
         after = step["next"]
-        infos = _masked(_infos(self._present), np.ones(self.num_envs, dtype=bool))
-        ended = _column(after, "done")
-        if ended.any():
+        infos, ended = self._told(), _column(after, "done")
+        if same and ended.any():
             last = np.full(self.num_envs, None, dtype=object)
             for row in ended.nonzero()[0]:
                 last[row] = _pixels(after)[row]
             infos |= _masked({"final_obs": last, "final_info": _masked(_infos(after), ended)}, ended)
+        if not same:
+            self._over = ended
         reward = _column(after, "reward").astype(np.float64)
         return _pixels(self._present), reward, _column(after, "terminated"), _column(after, "truncated"), infos
+
+    def _step_over(self, acted: TensorDictBase) -> tuple[Any, ...]:
+        """A step in which some robots begin an episode, and the others act."""
+        over, mask = self._over, torch.as_tensor(self._over, device=self.env.device).unsqueeze(1)
+        acted["level"] = torch.where(mask, -1, acted["level"])  # an episode that has ended counts once
+        step, present = self._stepped(acted)
+        _raise_faults(self.env)
+        self._present = self.env.reset(present.set("_reset", mask), set_state=False)
+        after = step["next"]
+        terminated, truncated = (_column(after, key) & ~over for key in ("terminated", "truncated"))
+        self._over = terminated | truncated
+        reward = np.where(over, 0.0, _column(after, "reward").astype(np.float64))
+        return _pixels(self._present), reward, terminated, truncated, self._told()
+
+    def _stepped(self, acted: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
+        step = self.env.step(acted)
+        return step, self.env.step_mdp(step)
+
+    def _told(self) -> Infos:
+        """The infos of what is shown now."""
+        assert self._present is not None
+        return _masked(_infos(self._present), np.ones(self.num_envs, dtype=bool))
 
     def render(self) -> tuple[Pixels, ...]:
         """The current views, [H, W, 3] uint8 each."""
@@ -165,14 +208,22 @@ def _action_space(spec: TensorSpec) -> gymnasium.Space[Any]:
     raise ValueError(f"env: expected a discrete or a bounded float32 action, got {type(spec).__name__} {spec.dtype}")
 
 
-def _begin(env: EnvBase, seed: int | None, options: dict[str, Any] | None) -> TensorDictBase:
+def _together(seeds: list[int | None]) -> int | None:
+    """A seed of the batch that depends on those of all robots; None if one has none."""
+    known = [seed for seed in seeds if seed is not None]
+    return int(np.random.SeedSequence(known).generate_state(1)[0]) if len(known) == len(seeds) else None
+
+
+def _begin(
+    env: EnvBase, seed: int | None, options: dict[str, Any] | None, seeds: list[int | None] | None = None
+) -> TensorDictBase:
     unknown = set(options or ()) - {"state"}
     if unknown:
         raise ValueError(f"options: expected 'state' or nothing, got {sorted(unknown)}")
     if seed is not None:
-        env.set_seed(seed)
+        env.set_seed(int(seed))
     if not options:
-        return env.reset()
+        return env.reset() if seeds is None else env.reset(seeds=seeds)
     expected = env.observation_spec["state"]
     state = torch.as_tensor(options["state"], dtype=expected.dtype, device=env.device)
     placed = state.reshape(expected.shape) if state.numel() == expected.shape.numel() else None

@@ -45,7 +45,8 @@ class SplatEnv(EnvBase):
     Termination: the task's.
     Truncation: after ``task.max_steps`` steps; never together with termination.
     Reset: start states from the curriculum, or with ``reset(td, set_state=True)`` those in ``td["state"]``, with the
-        memory that ``td`` holds.
+        memory that ``td`` holds. ``reset(seeds=[...])``, a number or None for each robot, draws the start of a robot
+        with a number from a generator of its own.
     Input: ``camera_offset`` [B, 6] float32, if present, moves the camera and not the robot (``Robot.cameras``).
     Pickles: hold its parts and state, or in place of the parts ``made_by``, which makes the env of a curriculum, a seed
         and a device (``World``).
@@ -154,7 +155,14 @@ class SplatEnv(EnvBase):
         return Composite(specs, shape=size).to(self.device)
 
     @torch.compiler.disable
-    def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **_: Any) -> TensorDictBase:
+    def _reset(
+        self,
+        tensordict: TensorDictBase | None = None,
+        *,
+        set_state: bool = False,
+        seeds: Sequence[int | None] | None = None,
+        **_: Any,
+    ) -> TensorDictBase:
         given = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
         mask = given.get("_reset", None)
         only = None if mask is None else mask.flatten()
@@ -162,7 +170,7 @@ class SplatEnv(EnvBase):
             state = self._checked_state(given["state"], only)
             level = torch.full((self.numel(), 1), -1, device=self.device)  # given states belong to no level
         else:
-            state = self.curriculum.sample(self.numel(), self.generator)
+            state = self._starts(seeds)
             level = self.curriculum.level.expand(self.numel(), 1).clone()
         memory = {**self.task.begin(state, self.anywhere)}
         if set_state:
@@ -185,6 +193,14 @@ class SplatEnv(EnvBase):
             **{key: count.bool() for key in ("done", "terminated", "truncated")},
         }
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
+
+    def _starts(self, seeds: Sequence[int | None] | None) -> Tensor:
+        """A start of the current level for each robot; see the class about ``seeds``."""
+        state = self.curriculum.sample(self.numel(), self.generator)
+        for row, seed in enumerate(seeds or ()):
+            if seed is not None:
+                state[row] = self.curriculum.sample(1, torch.Generator(self.device).manual_seed(seed))[0]
+        return state
 
     def _checked_state(self, state: Tensor, only: Tensor | None) -> Tensor:
         """Given states, if they are inside the spec: a wrong one would otherwise wrap around or end up far away."""

@@ -1,4 +1,4 @@
-"""Gymnasium's interface: its own checker, its wrappers, and a client that learns."""
+"""Gymnasium's interface: its own checker and its wrappers."""
 
 import math
 import warnings
@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
-from stable_baselines3 import PPO
-from stable_baselines3.common.monitor import Monitor
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics
 from tensordict import TensorDict
 from torchrl.data import Unbounded
 from torchrl.envs import EnvBase
@@ -21,6 +20,7 @@ from torchrl.envs.transforms import RewardScaling, TransformedEnv
 from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
 from splatrl.envs.tasks import Outcome
 from tests.envs.rooms import coarse_apple, drive_env, painted_env
+from tests.envs.transforms.views import transformed
 from tests.tiny import tiny_env
 
 FORWARD_X, BACK_X, LEFT_Y, RIGHT_Y, SPIN, SPIN_BACK = range(6)
@@ -124,7 +124,16 @@ def unbounded_env() -> EnvBase:
         (lambda env: GymnasiumEnv(unbounded_env()), ValueError, "env: expected a discrete or a bounded float32 action"),
         (lambda env: GymnasiumEnv(tiny_env([2])), ValueError, r"env: expected batch size \[1\], got \[2\]"),
         (lambda env: GymnasiumEnv(tiny_env([1]), "human"), ValueError, "render_mode: expected 'rgb_array' or None"),
-        (lambda env: GymnasiumVectorEnv(tiny_env([2])).reset(seed=[1, 2]), ValueError, "seed: expected one number"),
+        (
+            lambda env: GymnasiumVectorEnv(tiny_env([2])).reset(seed=[1, 2, 3]),
+            ValueError,
+            r"seed: expected one number, or 2 of them, got \[1, 2, 3\]",
+        ),
+        (
+            lambda env: GymnasiumVectorEnv(tiny_env([2]), AutoresetMode.DISABLED),
+            ValueError,
+            "autoreset_mode: expected SameStep or NextStep, got Disabled",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_refused(call: Any, error: type[Exception], message: str) -> None:
@@ -195,6 +204,124 @@ def test_gymnasiums_wrappers_count_the_episodes() -> None:
             assert np.array_equal(info["_episode"], ended)
             lengths += info["episode"]["l"][ended].tolist()
     assert len(lengths) > 10 and max(lengths) == 6 and sum(lengths) <= 40 * 3
+
+
+def test_each_robot_of_a_list_of_seeds_has_a_start_of_its_own() -> None:
+    env = vector(tiny_env([4]))
+    _, first = env.reset(seed=[5, 6, 5, 9])
+    alone = [make_tiny().reset(seed=seed)[1]["state"] for seed in (5, 6, 5, 9)]
+    assert np.array_equal(first["state"], np.stack(alone))
+    assert not np.array_equal(first["state"][0], first["state"][1])
+    _, other = env.reset(seed=[6, 5, 1, 2])
+    assert np.array_equal(other["state"][:2], first["state"][[1, 0]])
+    runs = []
+    for seeds in ([5, 6, 5, 9], np.array([5, 6, 5, 9]), (5, 6, 5, 8)):
+        env.reset(seed=seeds)
+        env.action_space.seed(0)
+        runs.append(np.stack([env.step(env.action_space.sample())[4]["state"] for _ in range(30)]))
+    assert np.array_equal(runs[0], runs[1]) and not np.array_equal(runs[0], runs[2])
+
+
+def test_a_robot_without_a_seed_goes_on_with_the_generator() -> None:
+    env, same = vector(), vector()
+    for one in (env, same):
+        one.reset(seed=1)
+    expected = same.reset()[1]["state"]
+    state = env.reset(seed=[None, 7, None])[1]["state"]
+    assert np.array_equal(state[[0, 2]], expected[[0, 2]])
+    assert np.array_equal(state[1], make_tiny().reset(seed=7)[1]["state"])
+
+
+def test_a_list_of_seeds_leaves_the_curriculum_counting() -> None:
+    env = tiny_env([2], first=1, window=1000)
+    batch = vector(env)
+    batch.reset(seed=[1, 2])
+    for _ in range(30):
+        batch.step(np.array([FORWARD_X, FORWARD_X]))
+    assert env.curriculum.progress[1] > 2
+
+
+def next_step(env: EnvBase | None = None, **settings: Any) -> GymnasiumVectorEnv:
+    return GymnasiumVectorEnv(env or tiny_env([3], **settings), AutoresetMode.NEXT_STEP)
+
+
+def test_robots_whose_episode_ends_begin_the_next_in_the_next_step() -> None:
+    env = next_step()
+    assert env.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+    env.reset(seed=1, options={"state": [[1, 5, 0], [0, 0, 0], [1, 3, 0]]})
+    seen, reward, terminated, truncated, info = env.step(np.array([FORWARD_X, SPIN, FORWARD_X]))
+    assert terminated.tolist() == [True, False, True] and not truncated.any() and "final_obs" not in info
+    assert reward.tolist() == pytest.approx([50.0, -0.2, -10.0])
+    assert info["state"].tolist() == [[2, 5, 0], [0, 0, 1], [1, 3, 0]]
+    assert info["outcome"].tolist() == [Outcome.GOAL, Outcome.RUNNING, Outcome.COLLISION]
+    single = make_tiny()
+    assert np.array_equal(seen[0], single.reset(options={"state": [2, 5, 0]})[0])
+    seen, reward, terminated, truncated, info = env.step(np.array([FORWARD_X, SPIN, FORWARD_X]))
+    assert reward.tolist() == pytest.approx([0.0, -0.2, 0.0]) and not (terminated | truncated).any()
+    assert info["outcome"].tolist() == [Outcome.RUNNING] * 3 and info["state"][1].tolist() == [0, 0, 2]
+    for row in range(3):
+        shown, _ = single.reset(options={"state": info["state"][row]})
+        assert np.array_equal(seen[row], shown)
+    begun = info["state"][[0, 2]]
+    _, reward, _, _, info = env.step(np.array([SPIN, SPIN, SPIN]))
+    assert np.array_equal(info["state"][[0, 2]], (begun + np.array([0, 0, 1])) % [5, 7, 8]) and (reward != 0).all()
+
+
+def test_an_episode_that_ended_counts_once_for_the_curriculum() -> None:
+    counted = []
+    for mode in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
+        env = tiny_env([1], first=1, window=1000)
+        batch = GymnasiumVectorEnv(env, mode)
+        batch.reset(seed=0)
+        ends = 0
+        for _ in range(40):
+            _, _, terminated, truncated, _ = batch.step(np.array([FORWARD_X]))
+            ends += int((terminated | truncated).sum())
+        counted.append((int(env.curriculum.progress[1]), ends))
+    assert all(progress == ends > 3 for progress, ends in counted)
+
+
+def test_a_reset_forgets_which_episodes_had_ended() -> None:
+    env = next_step()
+    env.reset(options={"state": [[1, 5, 0]] * 3})
+    env.step(np.array([FORWARD_X] * 3))
+    env.reset(options={"state": [[0, 0, 0]] * 3})
+    _, reward, _, _, info = env.step(np.array([SPIN] * 3))
+    assert reward.tolist() == pytest.approx([-0.2] * 3) and info["state"].tolist() == [[0, 0, 1]] * 3
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
+def test_statistics_are_right_in_each_mode(mode: AutoresetMode) -> None:
+    env = RecordEpisodeStatistics(GymnasiumVectorEnv(tiny_env([3], max_steps=6), mode))
+    env.reset(seed=0)
+    lengths: list[int] = []
+    for _ in range(30):
+        *_, info = env.step(np.full(3, SPIN))
+        lengths += info["episode"]["l"][info["_episode"]].tolist() if "episode" in info else []
+    assert len(lengths) > 10 and max(lengths) == 6 and set(lengths) <= set(range(1, 7))
+
+
+def test_wrappers_that_ask_for_the_next_step_take_it() -> None:
+    with pytest.raises(ValueError, match="NEXT_STEP"):
+        NormalizeObservation(vector())
+    env = NormalizeObservation(next_step(max_steps=4))
+    env.reset(seed=0)
+    for _ in range(12):
+        seen, *_ = env.step(np.full(3, SPIN))
+    assert seen.shape == (3, 12, 16, 3) and np.isfinite(seen).all() and abs(float(seen.mean())) < 1
+
+
+def test_the_next_step_works_under_transforms() -> None:
+    env = next_step(transformed((3,), 0, ("PoseNoise",), sprite=False))
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    ended = np.zeros(3, dtype=bool)
+    for _ in range(30):
+        _, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        assert (reward[ended] == 0).all() and not (terminated | truncated)[ended].any()
+        assert (info["outcome"][ended] == Outcome.RUNNING).all()
+        ended = terminated | truncated
+    assert info["state"].shape == (3, 3)
 
 
 def test_transforms_show_through() -> None:
@@ -269,21 +396,3 @@ def test_a_goal_that_a_transform_grants_is_what_a_client_is_told() -> None:
     assert reward.tolist() == pytest.approx([-0.2, 50.0]) and terminated.tolist() == [False, True]
     assert info["final_info"]["success"].tolist() == [False, True] and (info["final_obs"][1][..., 1] == 0).all()
     assert info["outcome"].tolist() == [Outcome.RUNNING] * 2 and seen.shape == (2, 12, 16, 3)
-
-
-def test_stable_baselines_drives_with_it() -> None:
-    env = make_driving()
-    model = PPO("MlpPolicy", env, n_steps=32, batch_size=32, n_epochs=1, seed=0, device="cpu").learn(64)
-    observation, _ = env.reset(seed=0)
-    action, _ = model.predict(observation)
-    assert env.action_space.contains(action) and model.num_timesteps == 64
-
-
-def test_stable_baselines_learns_with_it() -> None:
-    torch.manual_seed(0)
-    env = Monitor(make_tiny(max_steps=12, first=1))
-    model = PPO("MlpPolicy", env, 1e-3, n_steps=128, batch_size=64, gamma=0.9, ent_coef=0.01, seed=0, device="cpu")
-    model.learn(2560)
-    success = np.array(env.get_episode_rewards()) > 0
-    assert sum(env.get_episode_lengths()) <= 2560
-    assert success[-150:].mean() > 0.5  # random actions reach 0.37 ± 0.04

@@ -1,0 +1,130 @@
+"""A batch of robots as a ``VecEnv`` of Stable-Baselines3, which the extra ``sb3`` installs."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import Wrapper
+from torchrl.envs import EnvBase
+
+from splatrl.envs.gymnasium_env import Actions, GymnasiumVectorEnv, Infos, Pixels
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError as error:
+    raise ImportError("stable_baselines3 is missing: pip install 'splatrl[sb3]'") from error
+
+Indices = int | Iterable[int] | None
+
+
+class StableBaselinesVecEnv(VecEnv):
+    """A batch of robots for the algorithms of Stable-Baselines3, all stepped by one call.
+
+    Observation and action are those of ``GymnasiumVectorEnv``. A robot whose episode ends begins the next in the same
+    step; its info then holds ``terminal_observation``, ``TimeLimit.truncated`` and ``is_success``, and ``outcome``,
+    ``goals``, ``success`` and ``state`` as they were at the end. ``VecMonitor`` around it counts returns and lengths.
+    ``seed(s)`` gives the robots the seeds s, s + 1, … for the next reset.
+
+    Example:
+        >>> import splatrl
+        >>> from stable_baselines3 import PPO
+        >>> env = StableBaselinesVecEnv(splatrl.make_env(batch_size=[8]))
+        >>> model = PPO("CnnPolicy", env, n_steps=32, batch_size=64).learn(256)
+
+    Args:
+        env: a ``SplatEnv``, bare or under transforms.
+
+    Raises:
+        ImportError: without Stable-Baselines3.
+        ValueError: for an env that is not of batch size [B], or an action that is neither discrete nor bounded.
+    """
+
+    def __init__(self, env: EnvBase):
+        self.vector = GymnasiumVectorEnv(env)
+        self._actions: Actions | None = None
+        spaces = self.vector.single_observation_space, self.vector.single_action_space
+        super().__init__(self.vector.num_envs, *spaces)
+
+    def reset(self) -> Pixels:
+        """Begin all episodes anew: [B, H, W, 3] uint8."""
+        seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
+        observations, infos = self.vector.reset(seed=seeds, options=_together(self._options))
+        self.reset_infos = [_row(infos, row) for row in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        return observations
+
+    def step_async(self, actions: Actions) -> None:
+        """Note the actions of the next ``step_wait``."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Pixels, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[Infos]]:
+        """Take one action with each robot."""
+        assert self._actions is not None, "expected step_async first"
+        observations, rewards, terminated, truncated, infos = self.vector.step(self._actions)
+        done = terminated | truncated
+        told = []
+        for row in range(self.num_envs):
+            if done[row]:
+                info = _row(infos["final_info"], row)
+                info["terminal_observation"] = infos["final_obs"][row]
+                info["TimeLimit.truncated"] = bool(truncated[row])
+                info["is_success"] = info["success"]
+            else:
+                info = _row(infos, row)
+            told.append(info)
+        return observations, rewards.astype(np.float32), done, told
+
+    def close(self) -> None:
+        """Close the env."""
+        self.vector.close()
+
+    def get_images(self) -> Sequence[Pixels]:
+        """The current views, [H, W, 3] uint8 each."""
+        return self.vector.render()
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """An attribute, which all robots share, once for each of these robots."""
+        return [getattr(self.vector, attr_name)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Set an attribute of all robots.
+
+        Raises:
+            ValueError: for some of them, as they share it.
+        """
+        if len(list(self._get_indices(indices))) != self.num_envs:
+            raise ValueError(f"indices: expected all robots, which share {attr_name}, got {indices}")
+        setattr(self.vector, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Refuse to call a method of single robots, which are stepped together.
+
+        Raises:
+            NotImplementedError: always.
+        """
+        raise NotImplementedError(f"{method_name}: expected a call of .vector, since robots have no env of their own")
+
+    def env_is_wrapped(self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: Indices = None) -> list[bool]:
+        """Whether robots have a wrapper of their own, which they never have."""
+        return [False] * len(list(self._get_indices(indices)))
+
+
+def _together(options: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
+    """One option of the batch from those of its robots: either all or none have a ``state``."""
+    if not any(options):
+        return None
+    keys = {key for option in options for key in option}
+    for key in keys:
+        if not all(key in option for option in options):
+            raise ValueError(f"options: expected {key!r} for all robots or for none")
+    return {key: np.stack([np.asarray(option[key]) for option in options]) for key in keys}
+
+
+def _row(infos: Infos, row: int) -> Infos:
+    """The info of one robot, with scalars as Python numbers."""
+    values = {key: infos[key][row] for key in ("outcome", "goals", "success", "state")}
+    return {key: value.item() if value.ndim == 0 else value for key, value in values.items()}

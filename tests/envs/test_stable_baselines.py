@@ -1,0 +1,137 @@
+"""Stable-Baselines3 learns with one robot, and with a batch of them."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip("stable_baselines3", reason="needs the extra sb3: pip install 'splatrl[sb3]'")
+
+from stable_baselines3 import PPO
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecFrameStack, VecMonitor
+
+from splatrl.build import env_makers
+from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
+from splatrl.envs.stable_baselines import StableBaselinesVecEnv
+from splatrl.envs.tasks import Outcome
+from tests.envs.rooms import drive_env
+from tests.tiny import tiny_env, tiny_overrides
+
+FORWARD_X, BACK_X, LEFT_Y, RIGHT_Y, SPIN, SPIN_BACK = range(6)
+
+
+def batch(count: int = 3, **settings: int) -> StableBaselinesVecEnv:
+    return StableBaselinesVecEnv(tiny_env([count], **settings))
+
+
+def test_a_batch_shows_what_the_vector_env_shows() -> None:
+    env, other = batch(), GymnasiumVectorEnv(tiny_env([3]))
+    assert env.observation_space == other.single_observation_space and env.action_space == other.single_action_space
+    assert env.seed(4) == [4, 5, 6]
+    assert np.array_equal(env.reset(), other.reset(seed=[4, 5, 6])[0])
+    for action in (FORWARD_X, SPIN, LEFT_Y, FORWARD_X):
+        actions = np.full(3, action)
+        seen, reward, done, infos = env.step(actions)
+        expected, paid, terminated, truncated, told = other.step(actions)
+        assert np.array_equal(seen, expected) and reward.tolist() == pytest.approx(paid.tolist())
+        assert np.array_equal(done, terminated | truncated) and reward.dtype == np.float32
+        for row in np.flatnonzero(~done):
+            assert infos[row]["state"].tolist() == told["state"][row].tolist()
+
+
+def test_an_episode_ends_with_its_last_view_and_its_outcome() -> None:
+    env = batch(3, max_steps=1)
+    env.set_options([{"state": state} for state in ([1, 5, 0], [0, 0, 0], [1, 3, 0])])
+    env.reset()
+    seen, reward, done, infos = env.step(np.array([FORWARD_X, SPIN, FORWARD_X]))
+    assert done.all() and reward.tolist() == pytest.approx([50.0, -0.2, -10.0])
+    assert [info["outcome"] for info in infos] == [Outcome.GOAL, Outcome.TIMEOUT, Outcome.COLLISION]
+    assert [info["TimeLimit.truncated"] for info in infos] == [False, True, False]
+    assert [info["is_success"] for info in infos] == [True, False, False]
+    single = GymnasiumEnv(tiny_env([1]))
+    for row, state in enumerate(([2, 5, 0], [0, 0, 1], [1, 3, 0])):
+        last, _ = single.reset(options={"state": state})
+        assert np.array_equal(infos[row]["terminal_observation"], last)
+        assert infos[row]["state"].tolist() == state
+    assert not np.array_equal(seen[0], infos[0]["terminal_observation"])
+
+
+def test_what_robots_share_is_told_for_each() -> None:
+    env = batch()
+    assert env.get_attr("render_mode") == ["rgb_array"] * 3 and env.get_attr("num_envs", [1]) == [3]
+    assert env.env_is_wrapped(Monitor) == [False] * 3
+    env.set_attr("colour", "red")
+    assert env.get_attr("colour", 0) == ["red"]
+    env.reset()
+    assert len(env.get_images()) == 3 and env.render().ndim == 3
+    with pytest.raises(ValueError, match="indices: expected all robots, which share colour, got 1"):
+        env.set_attr("colour", "blue", 1)
+    with pytest.raises(NotImplementedError, match=r"turn: expected a call of \.vector"):
+        env.env_method("turn")
+    with pytest.raises(ValueError, match="options: expected 'state' for all robots or for none"):
+        env.set_options([{"state": [0, 0, 0]}, {}, {}])
+        env.reset()
+    env.close()
+
+
+def test_its_own_wrappers_go_around_it() -> None:
+    env = VecMonitor(VecFrameStack(batch(4, max_steps=6), 2))
+    assert env.reset().shape == (4, 12, 16, 6)
+    lengths = []
+    for _ in range(20):
+        *_, infos = env.step(np.full(4, SPIN))
+        lengths += [info["episode"]["l"] for info in infos if "episode" in info]
+    assert len(lengths) >= 12 and max(lengths) == 6
+
+
+def test_a_batch_learns() -> None:
+    torch.manual_seed(0)
+    env = VecMonitor(batch(16, max_steps=12, first=1))
+    model = PPO("MlpPolicy", env, 1e-3, n_steps=16, batch_size=64, gamma=0.9, ent_coef=0.01, seed=0, device="cpu")
+    model.learn(2048)
+    mean, _ = evaluate_policy(model, env, n_eval_episodes=64, deterministic=False)
+    assert mean > 28  # a policy that has not learned reaches 14 ± 4
+
+
+def test_a_batch_with_wheels_learns_too() -> None:
+    model = PPO("MlpPolicy", StableBaselinesVecEnv(drive_env([4])), n_steps=8, batch_size=32, n_epochs=1, device="cpu")
+    assert model.learn(64).num_timesteps == 64
+
+
+def test_processes_take_single_robots(tmp_path: Path) -> None:
+    makers = env_makers(2, tiny_overrides(tmp_path), (1,))
+    processes = SubprocVecEnv([lambda make=make: GymnasiumEnv(make()) for make in makers], start_method="fork")
+    here = DummyVecEnv([lambda make=make: GymnasiumEnv(make()) for make in makers])
+    assert np.array_equal(processes.reset(), here.reset())
+    for action in (SPIN, FORWARD_X, SPIN):
+        assert np.array_equal(processes.step(np.full(2, action))[0], here.step(np.full(2, action))[0])
+    processes.close()
+
+
+def test_without_it_one_line_says_what_to_install() -> None:
+    program = "import sys; sys.modules['stable_baselines3'] = None\nimport splatrl.envs.stable_baselines"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert "ImportError: stable_baselines3 is missing: pip install 'splatrl[sb3]'" in done.stderr
+
+
+def test_stable_baselines_drives_with_it() -> None:
+    env = GymnasiumEnv(drive_env())
+    model = PPO("MlpPolicy", env, n_steps=32, batch_size=32, n_epochs=1, seed=0, device="cpu").learn(64)
+    observation, _ = env.reset(seed=0)
+    action, _ = model.predict(observation)
+    assert env.action_space.contains(action) and model.num_timesteps == 64
+
+
+def test_stable_baselines_learns_with_it() -> None:
+    torch.manual_seed(0)
+    env = Monitor(GymnasiumEnv(tiny_env([1], max_steps=12, first=1)))
+    model = PPO("MlpPolicy", env, 1e-3, n_steps=128, batch_size=64, gamma=0.9, ent_coef=0.01, seed=0, device="cpu")
+    model.learn(2560)
+    success = np.array(env.get_episode_rewards()) > 0
+    assert sum(env.get_episode_lengths()) <= 2560
+    assert success[-150:].mean() > 0.5  # random actions reach 0.37 ± 0.04
