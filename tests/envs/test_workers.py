@@ -1,6 +1,5 @@
 """Workers begin in different states, and each knows its own curriculum."""
 
-import os
 import subprocess
 import sys
 from functools import partial
@@ -15,7 +14,8 @@ from splatrl.build import env_makers, make_env, worker_seed
 from splatrl.envs.nesting import layers
 from tests.tiny import tiny_overrides
 
-ROOT = Path(__file__).parents[2]
+PAGE = (Path(__file__).parents[2] / "docs" / "clients.md").read_text()
+SNIPPETS = [block.split("```")[0] for block in PAGE.split("```python\n")[1:]]
 
 
 def begun(env: EnvBase) -> list[list[Any]]:
@@ -80,12 +80,11 @@ def test_each_worker_has_a_curriculum_of_its_own(tmp_path: Path) -> None:
     assert [int(layers(one)[0].curriculum.level) for one in other._envs] == [1, 0]
 
 
-def test_the_snippets_of_the_page_run(tmp_path: Path) -> None:
-    page = (ROOT / "docs" / "clients.md").read_text()
-    snippets = [block.split("```")[0] for block in page.split("```python\n")[1:]]
-    assert snippets
-    for number, snippet in enumerate(snippets):
-        path = tmp_path / f"snippet_{number}.py"
-        path.write_text(snippet)
-        done = subprocess.run([sys.executable, str(path)], env=os.environ, cwd=tmp_path, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
+@pytest.mark.parametrize("snippet", SNIPPETS, ids=range(len(SNIPPETS)))
+def test_a_snippet_of_the_page_runs(snippet: str, tmp_path: Path) -> None:
+    if "__main__" not in snippet:
+        exec(compile(snippet, "clients.md", "exec"), {})
+        return
+    (tmp_path / "snippet.py").write_text(snippet)  # its workers import it
+    done = subprocess.run([sys.executable, "snippet.py"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
