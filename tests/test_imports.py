@@ -31,6 +31,7 @@ ORDER = [
     {"envs"},
     {"training"},
     {"evaluation"},
+    {"export"},
     {"capture"},
     {"scene_overrides", "targets"},
     {"configuration"},

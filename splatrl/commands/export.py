@@ -1,0 +1,48 @@
+"""``splatrl-export``: write the policy of a run as an ONNX file, with a script that runs it without splatrl."""
+
+import sys
+from pathlib import Path
+
+import hydra
+import torch
+from omegaconf import DictConfig
+
+from splatrl.configuration import check_config, command_line, conf_dir, run_config
+from splatrl.export import export_policy
+from splatrl.export.onnx_file import POLICY, RUNNER
+from splatrl.runs import load_policy
+from splatrl.values import require_number
+
+
+@hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="export")
+def run(cfg: DictConfig) -> None:
+    """Export the policy of the run folder ``cfg.run``."""
+    try:
+        export(cfg)
+    except (ImportError, OSError, ValueError) as error:
+        sys.exit(f"splatrl-export: {error}")
+
+
+def export(cfg: DictConfig) -> None:
+    """Export the policy that a config names, and print what was written."""
+    check_config(cfg)
+    require_number("frames", cfg.frames, 1, 10**7, whole=True)
+    folder = Path(cfg.run)
+    own = run_config(folder, cfg.allow_targets)
+    torch.set_num_threads(own.threads)
+    trained = load_policy(folder, cfg.checkpoint, "cpu", own)
+    output = Path(cfg.output or folder / "export")
+    facts = {"task": own.task._target_, "scene": trained.world.scene.name, "run": folder.absolute().name}
+    found = export_policy(trained.model, trained.world, output, cfg.frames, facts)
+    print(f"{output / POLICY}: within {found:.1e} of PyTorch on {cfg.frames:,} views")
+    print(f"{output / RUNNER}: runs it on a video or a camera")
+
+
+def main() -> None:
+    """Entry point of the command."""
+    sys.argv[1:] = command_line("export", sys.argv[1:])
+    run()
+
+
+if __name__ == "__main__":
+    main()

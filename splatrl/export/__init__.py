@@ -1,0 +1,6 @@
+"""Export: a trained policy as one ONNX file that needs neither PyTorch nor splatrl."""
+
+from splatrl.export.onnx_file import export_policy
+from splatrl.export.policy import StandalonePolicy
+
+__all__ = ["StandalonePolicy", "export_policy"]

@@ -1,0 +1,194 @@
+"""Writes a policy as an ONNX file, once onnxruntime does with it what PyTorch does."""
+
+import json
+import logging
+import shutil
+import warnings
+from collections.abc import Mapping
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import ProbabilisticTensorDictSequential
+from torchrl.envs import EnvBase
+from torchrl.modules import ActorValueOperator
+
+from splatrl.envs.robot import Robot
+from splatrl.envs.world import World
+from splatrl.evaluation.rollouts import acting
+from splatrl.export.policy import NEXT, StandalonePolicy
+from splatrl.files import replacing
+from splatrl.motions import Motion
+
+PARITY = 1e-5
+"""Largest difference from the policy in PyTorch with which a file is written: of a probability, or of an action."""
+POLICY, RUNNER = "policy.onnx", "run_policy.py"
+ROBOTS = 8
+_MISSING = "an ONNX file needs onnx, onnxscript and onnxruntime: pip install 'splatrl[export]'"
+
+
+def export_policy(
+    model: ActorValueOperator, world: World, folder: Path, frames: int = 1000, facts: Mapping[str, str] | None = None
+) -> float:
+    """Write ``policy.onnx`` into a folder, and ``run_policy.py`` beside it, which runs it on a camera or a video.
+
+    The file states in its metadata what the policy sees and what its actions mean; see ``metadata``. It is written only
+    if onnxruntime, fed with the views of episodes of the policy, gives what PyTorch gives.
+
+    Args:
+        model: actor and critic.
+        world: the world that it was trained in.
+        folder: folder to write to; it is made if there is none.
+        frames: least number of views on which the two are compared.
+        facts: more metadata.
+
+    Returns:
+        The largest difference found.
+
+    Raises:
+        ImportError: without the extra ``export``.
+        ValueError: for a policy that cannot be exported, or a difference above ``PARITY``.
+    """
+    env = world.env(ROBOTS)
+    policy = StandalonePolicy(model, env)
+    content = onnx_bytes(policy, metadata(policy, world.robot, world.task.motion) | dict(facts or {}))
+    found = largest_difference(content, policy, model, env, frames)
+    if not found <= PARITY:  # NaN is not
+        raise ValueError(f"{POLICY}: expected what PyTorch gives within {PARITY}, got a difference of {found:.1e}")
+    folder.mkdir(parents=True, exist_ok=True)
+    with replacing(folder / RUNNER) as stream, Path(__file__).with_name(RUNNER).open("rb") as source:
+        shutil.copyfileobj(source, stream)
+    with replacing(folder / POLICY) as stream:
+        stream.write(content)
+    return found
+
+
+def metadata(policy: StandalonePolicy, robot: Robot, motion: Motion) -> dict[str, str]:
+    """What stands in an ONNX file about a policy: texts, of which lists are JSON.
+
+    ``fov_deg`` is the horizontal field of view; ``actions`` are the names of discrete actions, ``low`` and ``high`` the
+    limits of continuous ones; ``step`` is the longest way of an action in metres, ``angle_step`` its largest turn in
+    radians; ``left_out`` are transforms of the simulated camera, which a real one does not need.
+    """
+    height, width, _ = policy.image_shape
+    facts: dict[str, Any] = {
+        "image_width": width,
+        "image_height": height,
+        "fov_deg": robot.fov_deg,
+        "pitch_deg": robot.pitch_deg,
+        "height": robot.height,
+        "actions": list(motion.action_names),
+        "step": motion.step,
+        "angle_step": motion.angle_step,
+        "left_out": policy.left_out,
+    }
+    if not policy.discrete:
+        space = motion.action_spec.space
+        facts |= {"low": space.low.tolist(), "high": space.high.tolist()}
+    preprocessing = (
+        f"pixels: RGB, uint8, [batch, {height}, {width}, 3], {robot.fov_deg:g} degrees across; crop the camera's image "
+        f"about its centre to that field of view and shape, and shrink it by averaging areas; all else is in the file"
+    )
+    return {"preprocessing": preprocessing} | {
+        key: value if isinstance(value, str) else json.dumps(value) for key, value in facts.items()
+    }
+
+
+def onnx_bytes(policy: StandalonePolicy, facts: Mapping[str, str]) -> bytes:
+    """The content of an ONNX file: the policy for any number of robots, with metadata.
+
+    Raises:
+        ImportError: without the extra ``export``.
+    """
+    try:
+        import onnx
+        import onnxscript  # noqa: F401, PyTorch's exporter needs it
+    except ImportError as error:
+        raise ImportError(_MISSING) from error
+    example = policy.example(2)
+    batch = torch.export.Dim("batch")
+    axes = tuple({0: batch} for _ in example)
+    shapes = (axes[0],) if len(axes) == 1 else (axes[0], axes[1], axes[2:])
+    with _quietly():
+        program = torch.onnx.export(
+            policy,
+            example,
+            input_names=policy.inputs,
+            output_names=policy.outputs,
+            dynamic_shapes=shapes,
+            dynamo=True,
+            verbose=False,
+        )
+    assert program is not None
+    proto = program.model_proto
+    onnx.helper.set_model_props(proto, dict(facts))
+    onnx.checker.check_model(proto, full_check=True)
+    return proto.SerializeToString(deterministic=True)
+
+
+class _quietly(warnings.catch_warnings):
+    """A block in which PyTorch's exporter does not talk about what is not ours: torchvision, its own old names."""
+
+    def __enter__(self) -> None:
+        super().__enter__()
+        warnings.simplefilter("ignore")
+        self._level = logging.getLogger("torch.onnx").level
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+
+    def __exit__(self, *error: Any) -> None:
+        logging.getLogger("torch.onnx").setLevel(self._level)
+        super().__exit__(*error)
+
+
+def largest_difference(
+    content: bytes, policy: StandalonePolicy, model: ActorValueOperator, env: EnvBase, frames: int
+) -> float:
+    """How far onnxruntime is from PyTorch, in probabilities, or in continuous actions.
+
+    PyTorch acts in the env, which stacks views and carries states for it; onnxruntime is shown the same views one by
+    one, and keeps what it remembers itself.
+
+    Args:
+        content: of an ONNX file.
+        policy: what it was made of.
+        model: actor and critic.
+        env: the env in which the model acts.
+        frames: least number of views.
+
+    Raises:
+        ImportError: without the extra ``export``.
+    """
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise ImportError(_MISSING) from error
+    steps = -(-frames // env.numel())
+    operator, head = model.get_policy_operator(), deepcopy(model.get_policy_head()).cpu()
+    with acting(sampled=True, seed=0, device=env.device):
+        env.set_seed(0)
+        batch = env.rollout(steps, operator, break_when_any_done=False).cpu()
+    session = onnxruntime.InferenceSession(content)
+    given = dict(zip(policy.inputs, (each.numpy() for each in policy.example(env.numel())), strict=True))
+    worst = 0.0
+    for step in range(steps):
+        given["pixels"] = batch["pixels"][:, step, ..., -3:].contiguous().numpy()
+        if policy.states and step:
+            given["begin"] = batch["next", "done"][:, step - 1, 0].numpy()
+        answer = dict(zip(policy.outputs, session.run(None, given), strict=True))
+        given |= {state.name: answer[NEXT + state.name] for state in policy.states}
+        for name, expected in _expected(batch[:, step], head).items():
+            worst = max(worst, float(np.abs(answer[name] - expected).max(initial=0.0)))
+            if not np.isfinite(answer[name]).all():
+                return float("nan")
+    return worst
+
+
+def _expected(acted: TensorDictBase, head: ProbabilisticTensorDictSequential) -> dict[str, Any]:
+    """What PyTorch made of a step's views, under the names of the outputs."""
+    if "logits" in acted.keys():  # noqa: SIM118, a TensorDict is no dict
+        return {"probabilities": acted["logits"].softmax(-1).numpy()}
+    chosen = head.module[1].get_dist(acted).deterministic_sample
+    return {"loc": acted["loc"].numpy(), "scale": acted["scale"].numpy(), "action": chosen.numpy()}

@@ -1,0 +1,42 @@
+"""Runs policy.onnx, beside this file, on a video or a camera: python run_policy.py walk.mp4 --fov 69
+
+Prints the policy's action for each frame. Needs numpy, onnxruntime and opencv-python, and no splatrl.
+"""
+
+import argparse
+import json
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnxruntime
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("source", help="a video, or the number of a camera")
+parser.add_argument("--fov", type=float, help="of the camera, degrees across; the policy's own where it is not given")
+options = parser.parse_args()
+session = onnxruntime.InferenceSession(str(Path(__file__).with_name("policy.onnx")))
+facts = session.get_modelmeta().custom_metadata_map
+width, height, own = int(facts["image_width"]), int(facts["image_height"]), float(facts["fov_deg"])
+wide = math.tan(math.radians(own) / 2) / math.tan(math.radians(options.fov or own) / 2)  # as a share of the camera's
+kinds = {"tensor(uint8)": np.uint8, "tensor(float)": np.float32, "tensor(bool)": np.bool_}
+given: dict[str, np.ndarray] = {
+    each.name: np.zeros([1, *each.shape[1:]], kinds[each.type]) for each in session.get_inputs()
+}
+begin, names = np.ones(1, np.bool_), json.loads(facts["actions"])
+camera = cv2.VideoCapture(int(options.source) if options.source.isdigit() else options.source)
+for number in range(10**9):
+    found, image = camera.read()
+    if not found:
+        break
+    scale = min(image.shape[1] * min(wide, 1.0) / width, image.shape[0] / height)  # of the camera's pixels in one
+    rows, columns = max(round(scale * height), 1), max(round(scale * width), 1)
+    top, left = (image.shape[0] - rows) // 2, (image.shape[1] - columns) // 2
+    view = cv2.resize(image[top : top + rows, left : left + columns], (width, height), interpolation=cv2.INTER_AREA)
+    given["pixels"] = view[None, :, :, ::-1].copy()  # OpenCV's blue comes first
+    given |= {"begin": begin & (number == 0)} if "begin" in given else {}
+    answer = {each.name: value for each, value in zip(session.get_outputs(), session.run(None, given), strict=True)}
+    given |= {name.removeprefix("next_"): value for name, value in answer.items() if name.startswith("next_")}
+    action = answer["action"][0]
+    print(number, names[action] if names else action, *answer.get("probabilities", [""])[0:1], flush=True)

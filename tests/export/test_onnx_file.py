@@ -1,0 +1,118 @@
+"""A policy as an ONNX file: onnxruntime does what PyTorch does, and the file says what it is for."""
+
+import json
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torchrl.envs import RewardScaling, Transform
+from torchrl.modules import ActorValueOperator
+
+from splatrl.build import build_model, build_world
+from splatrl.configuration import load_config
+from splatrl.envs.world import World
+from splatrl.export import StandalonePolicy, export_policy
+from splatrl.export.onnx_file import largest_difference, metadata, onnx_bytes
+from tests.tiny import tiny_overrides
+
+onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra export")
+pytest.importorskip("onnxscript", reason="needs the extra export")
+
+SHAKEN = ["transforms/pose_noise=unsteady", "transforms/appearance=varied"]
+KINDS: dict[str, list[str]] = {
+    "plain": ["task=grid"],
+    "gru": ["task=grid", "memory=gru"],
+    "stack": ["task=grid", "memory=stack", *SHAKEN],
+    "both": ["task=grid", "memory=stack", "network.memory=24"],
+    "drive": ["task=drive", "memory=stack", "task.motion.spacing=0.25"],
+}
+
+
+def trained(folder: Path, *overrides: str) -> tuple[World, ActorValueOperator]:
+    """A world, and a policy of random weights that are large enough for its actions to differ."""
+    task = overrides[0].partition("=")[2]
+    cfg = load_config([*tiny_overrides(folder, task), *overrides])
+    world = build_world(cfg)
+    torch.manual_seed(0)
+    model = build_model(cfg, world.env(1))
+    with torch.no_grad():
+        for parameter in model.get_policy_head().parameters():
+            parameter.add_(torch.randn_like(parameter) * 0.3)
+    return world, model
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_onnxruntime_does_what_pytorch_does(kind: str, tmp_path: Path) -> None:
+    world, model = trained(tmp_path, *KINDS[kind])
+    found = export_policy(model, world, tmp_path / "out", frames=1000, facts={"scene": "room"})
+    assert found <= 1e-5
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"policy.onnx", "run_policy.py"}
+    session = onnxruntime.InferenceSession(tmp_path / "out" / "policy.onnx")
+    remembered = {"gru": ["recurrent_state"], "both": ["frames", "recurrent_state"]}.get(kind, ["frames"])
+    remembered = [] if kind == "plain" else remembered
+    assert [each.name for each in session.get_inputs()] == ["pixels", *(["begin"] if remembered else []), *remembered]
+    about = ["loc", "scale"] if kind == "drive" else ["probabilities"]
+    outputs = [each.name for each in session.get_outputs()]
+    assert outputs == ["action", *about, *(f"next_{name}" for name in remembered)]
+    assert session.get_inputs()[0].shape[1:] == [12, 16, 3]
+    facts = session.get_modelmeta().custom_metadata_map
+    assert (facts["image_width"], facts["image_height"], facts["scene"]) == ("16", "12", "room")
+    assert float(facts["fov_deg"]) == 90.0 and "90 degrees across" in facts["preprocessing"]
+    assert json.loads(facts["actions"]) == list(world.task.motion.action_names)
+    assert json.loads(facts["left_out"]) == (["PoseNoise", "Appearance"] if kind == "stack" else [])
+    assert ("low" in facts) == (kind == "drive")
+
+
+def test_actions_depend_on_what_is_seen_and_remembered(tmp_path: Path) -> None:
+    world, model = trained(tmp_path, *KINDS["both"])
+    policy = StandalonePolicy(model, world.env(1))
+    session = onnxruntime.InferenceSession(onnx_bytes(policy, {}))
+    given = {name: value.numpy() for name, value in zip(policy.inputs, policy.example(2), strict=True)}
+    given["pixels"] = np.random.default_rng(0).integers(0, 256, given["pixels"].shape, np.uint8)
+
+    def acted(**changes: np.ndarray) -> np.ndarray:
+        return session.run(["probabilities"], given | changes)[0]
+
+    first = acted()
+    assert np.abs(acted(pixels=given["pixels"][::-1].copy()) - first).max() > 1e-3
+    for name in ("frames", "recurrent_state"):
+        other = np.full_like(given[name], 60)
+        assert np.array_equal(acted(**{name: other}), first), "nothing is remembered from before the beginning"
+        later = np.zeros(2, bool)
+        assert np.abs(acted(begin=later, **{name: other}) - acted(begin=later)).max() > 1e-3
+
+
+def test_a_policy_that_differs_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world, model = trained(tmp_path, *KINDS["gru"])
+    other = trained(tmp_path, *KINDS["gru"])[1]
+    with torch.no_grad():
+        next(other.get_policy_head().parameters()).mul_(1.001)
+    env = world.env(8)
+    policy = StandalonePolicy(other, env)
+    content = onnx_bytes(policy, {})
+    assert 1e-5 < largest_difference(content, policy, model, env, 40) < 0.1
+    monkeypatch.setattr("splatrl.export.onnx_file.onnx_bytes", lambda policy, facts: content)
+    with pytest.raises(ValueError, match=r"policy\.onnx: expected what PyTorch gives within 1e-05"):
+        export_policy(model, world, tmp_path / "out", frames=40)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_transform_that_only_simulates_nothing_cannot_be_left_out(tmp_path: Path) -> None:
+    world, model = trained(tmp_path, *KINDS["plain"])
+
+    def transforms() -> list[Transform]:
+        return [RewardScaling(0.0, 0.5)]
+
+    scaled = replace(world, make_transforms=partial(transforms))
+    with pytest.raises(ValueError, match=r"transforms: expected some of Appearance, PoseNoise, FrameStack.*RewardScal"):
+        export_policy(model, scaled, tmp_path / "out")
+
+
+def test_the_same_policy_gives_the_same_bytes(tmp_path: Path) -> None:
+    world, model = trained(tmp_path, *KINDS["gru"])
+    policy = StandalonePolicy(model, world.env(1))
+    facts = metadata(policy, world.robot, world.task.motion)
+    assert onnx_bytes(policy, facts) == onnx_bytes(policy, facts)
