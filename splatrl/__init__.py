@@ -1,10 +1,13 @@
 """splatrl: reinforcement learning for robots that see a captured Gaussian splatting scene.
 
-Names are imported when they are first used, so ``import splatrl`` is quick and imports neither TorchRL nor Hydra.
+Names are imported when they are first used, so ``import splatrl`` is quick and imports neither TorchRL nor Hydra. It
+registers the tasks with Gymnasium: ``gymnasium.make("splatrl/Grid-v0")``.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+from splatrl.gymnasium_ids import register_ids
 
 if TYPE_CHECKING:
     from splatrl.bodies import Box, Capsule, Sphere
@@ -46,6 +49,8 @@ __all__ = [
     "make_env",
     "read_scene",
 ]
+
+register_ids()
 
 
 def __getattr__(name: str) -> Any:

@@ -37,6 +37,7 @@ ORDER = [
     {"configuration"},
     {"made_with"},
     {"build"},
+    {"gymnasium_ids"},
     {"runs"},
     {"experiments"},
     {"commands"},

@@ -1,0 +1,83 @@
+"""The tasks under Gymnasium's names: after ``import splatrl`` there is ``gymnasium.make("splatrl/Grid-v0")``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import gymnasium
+
+if TYPE_CHECKING:
+    from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
+
+TASKS = ("grid", "fps", "apple", "sim2real", "snake", "drive", "circle", "polar_plane", "hemisphere", "poster")
+"""Tasks in conf/task, each with an id."""
+
+
+def gymnasium_id(task: str) -> str:
+    """Gymnasium's id of a task: ``polar_plane`` is ``splatrl/PolarPlane-v0``."""
+    return f"splatrl/{''.join(word.capitalize() for word in task.split('_'))}-v0"
+
+
+def register_ids() -> None:
+    """Register the tasks with Gymnasium; what they need is imported when the first env is made."""
+    for task in TASKS:
+        gymnasium.register(
+            gymnasium_id(task),
+            entry_point="splatrl.gymnasium_ids:make_one",
+            vector_entry_point="splatrl.gymnasium_ids:make_batch",
+            kwargs={"task": task},
+        )
+
+
+def make_one(
+    task: str,
+    scene: str = "backyard",
+    overrides: Sequence[str] = (),
+    seed: int = 0,
+    render_mode: Literal["rgb_array"] | None = None,
+) -> GymnasiumEnv:
+    """Make one robot, for ``gymnasium.make``.
+
+    Args:
+        task: name of a task.
+        scene: name of a scene, a splat file, or a scene's folder.
+        overrides: settings in Hydra's grammar, as on the command line: ``["robot.height=0.4"]``.
+        seed: seed of the starts until ``reset(seed=...)`` gives another.
+        render_mode: what ``render`` returns: the current view, or nothing.
+
+    Raises:
+        ValueError: for settings that are refused.
+    """
+    from splatrl.build import make_env
+    from splatrl.envs.gymnasium_env import GymnasiumEnv
+
+    return GymnasiumEnv(make_env(_overrides(task, scene, overrides), [1], seed), render_mode)
+
+
+def make_batch(
+    num_envs: int, task: str, scene: str = "backyard", overrides: Sequence[str] = (), seed: int = 0, **options: Any
+) -> GymnasiumVectorEnv:
+    """Make a batch of robots in one scene, for ``gymnasium.make_vec``.
+
+    Args:
+        num_envs: number of robots.
+        task: see ``make_one``.
+        scene: see ``make_one``.
+        overrides: see ``make_one``.
+        seed: see ``make_one``.
+        options: what else ``GymnasiumVectorEnv`` takes.
+
+    Raises:
+        ValueError: for settings that are refused.
+    """
+    from splatrl.build import make_env
+    from splatrl.envs.gymnasium_env import GymnasiumVectorEnv
+
+    return GymnasiumVectorEnv(make_env(_overrides(task, scene, overrides), [num_envs], seed), **options)
+
+
+def _overrides(task: str, scene: str, overrides: Sequence[str]) -> list[str]:
+    from splatrl.configuration import quoted
+
+    return [f"task={quoted(task)}", f"scene={quoted(scene)}", *overrides]

@@ -1,0 +1,79 @@
+"""Gymnasium knows the tasks by name."""
+
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import splatrl
+from splatrl.configuration import options
+from splatrl.envs import GymnasiumEnv, GymnasiumVectorEnv
+from splatrl.gymnasium_ids import TASKS, gymnasium_id
+from tests.tiny import tiny_overrides
+
+
+def room(folder: Path, task: str = "grid") -> dict[str, Any]:
+    """The tiny room, as the arguments of ``gymnasium.make``."""
+    given = [each for each in tiny_overrides(folder, task) if not each.startswith(("task=", "scene"))]
+    return {"scene": str(folder / "tiny.ply"), "overrides": given}
+
+
+def test_every_task_has_an_id() -> None:
+    assert sorted(TASKS) == sorted(options("task"))
+    assert gymnasium_id("polar_plane") == "splatrl/PolarPlane-v0"
+    registered = [name for name in gymnasium.registry if name.startswith("splatrl/")]
+    assert registered == [gymnasium_id(task) for task in TASKS]
+
+
+@pytest.mark.parametrize("task", ["grid", "drive", "circle"])
+def test_gymnasiums_checker_has_nothing_to_say(task: str, tmp_path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make(gymnasium_id(task), render_mode="rgb_array", **room(tmp_path, task))
+        assert isinstance(env.unwrapped, GymnasiumEnv)
+        check_env(env.unwrapped)
+        observation, _ = env.reset(seed=0)
+        assert np.array_equal(env.render(), observation)
+
+
+def test_a_named_env_is_the_one_that_the_library_makes(tmp_path: Path) -> None:
+    env = gymnasium.make("splatrl/Grid-v0", seed=3, **room(tmp_path))
+    assert env.unwrapped.render_mode is None
+    seen, info = env.reset()
+    expected, told = GymnasiumEnv(splatrl.make_env(tiny_overrides(tmp_path), [1], seed=3)).reset()
+    assert np.array_equal(seen, expected) and np.array_equal(info["state"], told["state"])
+
+
+def test_a_batch_is_one_env_that_steps_all_robots(tmp_path: Path) -> None:
+    envs = gymnasium.make_vec("splatrl/Grid-v0", num_envs=3, **room(tmp_path))
+    assert isinstance(envs, GymnasiumVectorEnv)
+    seen, _ = envs.reset(seed=0)
+    assert seen.shape == (3, 12, 16, 3)
+    _, reward, *_ = envs.step(np.array([4, 4, 5]))
+    assert reward.shape == (3,)
+    slow = gymnasium.make_vec("splatrl/Grid-v0", num_envs=2, vectorization_mode="sync", **room(tmp_path))
+    assert slow.reset(seed=0)[0].shape == (2, 12, 16, 3)
+
+
+def test_gymnasium_can_import_by_itself() -> None:
+    asks = "import gymnasium; print(gymnasium.make('splatrl:splatrl/Circle-v0').spec.id)"
+    done = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["splatrl/Circle-v0"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"scene": "nowhere.ply"}, "scene: expected backyard.*or a path that exists, got nowhere.ply"),
+        ({"overrides": ["seed=-1"]}, "seed: expected a whole number"),
+    ],
+)
+def test_what_is_wrong_is_said(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        gymnasium.make("splatrl/Grid-v0", **arguments)
