@@ -19,6 +19,7 @@ from splatrl.collision import NativeChecker
 from splatrl.collision.base import Checker
 from splatrl.configuration import check_config, load_config
 from splatrl.curriculum import plan
+from splatrl.datasets import Demonstrations, read_demonstrations
 from splatrl.device import AUTO, KINDS, chosen_device
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks import Task
@@ -26,7 +27,7 @@ from splatrl.envs.world import World
 from splatrl.evaluation.rollouts import run_episodes, spread
 from splatrl.made_with import made_with
 from splatrl.scenes.scene import Bounds
-from splatrl.training import PPO, Trainer, memory_transforms
+from splatrl.training import PPO, Cloner, Trainer, memory_transforms
 from splatrl.values import require_number
 
 
@@ -146,6 +147,7 @@ def build_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
         return result
 
     logger, checkpoint = cfg.logger, cfg.checkpoint
+    shown = None if cfg.demos is None else read_demonstrations(Path(cfg.demos).expanduser())
     return Trainer(
         ppo,
         folder,
@@ -155,7 +157,39 @@ def build_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
         logger.backend,
         logger.exp_name,
         made_with(cfg, world.scene.digest),
+        None if shown is None else partial(_clone, cfg, ppo, shown),
     )
+
+
+def _clone(cfg: DictConfig, ppo: PPO, demonstrations: Demonstrations) -> dict[str, float]:
+    """Let a policy imitate demonstrations, whose frames count as used; returns the loss.
+
+    Raises:
+        ValueError: for demonstrations with other actions or images than the policy's, or more frames than there are.
+    """
+    frames, env = demonstrations.frames, ppo.env
+    (height, width, channels), spec = env.observation_spec["pixels"].shape[1:], env.action_spec
+    names, found = env.task.motion.action_names, (frames["pixels"].shape[1:3], frames["action"].shape[1:])
+    if demonstrations.action_names != tuple(names) or found != ((height, width), spec.shape[1:]):
+        raise ValueError(
+            f"demos={cfg.demos}: expected images of {width} × {height} and the task's actions {', '.join(names)}, "
+            f"got {found[0][1]} × {found[0][0]} and {', '.join(demonstrations.action_names) or list(found[1])}"
+        )
+    if len(frames) + ppo.frames_per_batch > ppo.total_frames:
+        raise ValueError(
+            f"collector.total_frames: expected at least a batch more than the {len(frames):,} frames of "
+            f"demos={cfg.demos}, got {ppo.total_frames:,}"
+        )
+    scale = ppo.learner.loss.reward_scale
+    shown = {
+        "pixels": demonstrations.stacked(channels // 3),
+        "action": frames["action"],
+        "value_target": demonstrations.returns(ppo.learner.loss.gamma) * scale,
+        "frame": frames["frame"],
+    }
+    loss = Cloner(ppo.model, instantiate(cfg.cloning)).fit(shown)
+    ppo.frames += len(frames)
+    return {"loss_cloning": loss}
 
 
 def _cuda_graph(choice: bool | str) -> bool | None:

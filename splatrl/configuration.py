@@ -73,7 +73,7 @@ NULLABLE = ("starts.farthest", "renderer.threads")
 CHOICES = {"evaluation.checkpoint": ("last", "best")}
 """Keys that are read only when the training is over, and what they may be."""
 
-PATHS = ("scene.path", "collision.occupancy.cloud")
+PATHS = ("scene.path", "collision.occupancy.cloud", "demos")
 """Keys that hold a path, which is made absolute in a run folder."""
 
 

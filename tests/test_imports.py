@@ -31,6 +31,7 @@ ORDER = [
     {"envs"},
     {"training"},
     {"evaluation"},
+    {"datasets"},
     {"export"},
     {"capture"},
     {"scene_overrides", "targets"},

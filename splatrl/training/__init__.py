@@ -1,6 +1,7 @@
 """Learning: networks, PPO, checkpoints and the training loop."""
 
 from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
+from splatrl.training.cloning import Cloner, CloningSettings
 from splatrl.training.memory import memory_transforms
 from splatrl.training.networks import actor_critic
 from splatrl.training.ppo import PPO
@@ -9,6 +10,8 @@ from splatrl.training.trainer import Trainer
 
 __all__ = [
     "PPO",
+    "Cloner",
+    "CloningSettings",
     "LossSettings",
     "OptimSettings",
     "Trainer",

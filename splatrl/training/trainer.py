@@ -44,6 +44,8 @@ class Trainer:
         backend: csv, or a TorchRL logger (tensorboard, wandb) in addition to it.
         exp_name: name of the run for that logger.
         made_with: plain values on which the training depends, kept in checkpoints.
+        prepare: called before the first batch of a training, to begin with a policy that knows something; it counts the
+            frames that it used in ``ppo.frames``, and returns the first row of the history.
 
     Raises:
         ValueError: for any other backend, or a name that is no name of a file.
@@ -59,12 +61,13 @@ class Trainer:
         backend: str = "csv",
         exp_name: str = "splatrl",
         made_with: Mapping[str, Any] | None = None,
+        prepare: Callable[[], dict[str, float]] | None = None,
     ):
         if backend not in BACKENDS:
             raise ValueError(f"logger.backend: expected one of {', '.join(BACKENDS)}, got {backend}")
         require_number("logger.test_interval", test_interval, 1, whole=True)
         require_number("checkpoint.interval", checkpoint_interval, 1, whole=True)
-        self.ppo, self.folder, self.test = ppo, folder, test
+        self.ppo, self.folder, self.test, self.prepare = ppo, folder, test, prepare
         self.made_with = dict(made_with or {})
         self.test_interval, self.checkpoint_interval = test_interval, checkpoint_interval
         self.logger = (
@@ -119,10 +122,13 @@ class Trainer:
     def fit(self) -> None:
         """Train until the frames are used up, with a progress bar."""
         batch = self.ppo.frames_per_batch
-        total = self.ppo.total_frames // batch * batch
         began = time.monotonic() - self.seconds
         if self.ppo.frames == 0:
             self.save()  # so that a run without a checkpoint is one that has not begun
+            if self.prepare is not None:
+                self._prepare(self.prepare, began)
+                self.save()
+        total = self.ppo.frames + (self.ppo.total_frames - self.ppo.frames) // batch * batch
         bars = {"total": total, "initial": self.ppo.frames, "unit": "frame", "desc": "train", "dynamic_ncols": True}
         with _interrupts() as interrupted, tqdm(**bars) as bar:
             while not self.ppo.finished:
@@ -141,6 +147,13 @@ class Trainer:
                     self.save()
                     raise KeyboardInterrupt
 
+    def _prepare(self, prepare: Callable[[], dict[str, float]], began: float) -> None:
+        """Begin with what ``prepare`` teaches, and test it."""
+        row = prepare()
+        row |= {"frames": self.ppo.frames, "level": int(self.ppo.env.curriculum.level), "test_success": self.test()}
+        self.seconds = row["seconds"] = time.monotonic() - began
+        self._note(row)
+
     def _note(self, row: dict[str, float]) -> None:
         self.history.append(row)
         if self.logger is not None:
@@ -152,7 +165,7 @@ class Trainer:
             save_checkpoint(self.folder / "checkpoints" / "best.pt", self.state_dict())
 
     def _recent(self, key: str, rows: int = 5) -> float:
-        values = [row[key] for row in self.history[-rows:] if not math.isnan(row[key])]
+        values = [row[key] for row in self.history[-rows:] if not math.isnan(row.get(key, math.nan))]
         return sum(values) / len(values) if values else math.nan
 
     def save(self) -> None:

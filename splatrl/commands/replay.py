@@ -1,0 +1,44 @@
+"""``splatrl-replay``: take the actions of demonstrations again, and see whether the same comes out."""
+
+import sys
+from pathlib import Path
+
+import hydra
+import torch
+from omegaconf import DictConfig
+from tqdm import tqdm
+
+from splatrl.build import build_world
+from splatrl.configuration import check_config, command_line, conf_dir, run_config
+from splatrl.datasets import read_demonstrations, replay
+
+
+@hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="replay")
+def run(cfg: DictConfig) -> None:
+    """Replay the folder ``cfg.demos``; ends with an error where anything but views differs."""
+    try:
+        check_config(cfg)
+        folder = Path(cfg.demos).expanduser()
+        demonstrations = read_demonstrations(folder)
+        own = run_config(folder, cfg.allow_targets)
+        own.device = "cpu"
+        torch.set_num_threads(own.threads)
+        with tqdm(total=len(demonstrations), unit="frame", desc="replay", dynamic_ncols=True) as bar:
+            different, views = replay(build_world(own), demonstrations, bar.update)
+    except (OSError, ValueError) as error:
+        sys.exit(f"splatrl-replay: {error}")
+    what = f"{folder}: {len(demonstrations.starts):,} episodes, {len(demonstrations):,} frames"
+    if different:
+        sys.exit("\n".join([f"splatrl-replay: {what} do not come out as written", *different]))
+    print(f"{what}: states, actions, rewards and outcomes are equal, byte for byte")
+    print(f"views are equal in {views:,} of {len(demonstrations):,} frames")
+
+
+def main() -> None:
+    """Entry point of the command."""
+    sys.argv[1:] = command_line("replay", sys.argv[1:])
+    run()
+
+
+if __name__ == "__main__":
+    main()

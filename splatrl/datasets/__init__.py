@@ -1,0 +1,8 @@
+"""Demonstrations: episodes to learn from, recorded, kept in a folder, and replayed."""
+
+from splatrl.datasets.demonstrations import Demonstrations
+from splatrl.datasets.folder import read_demonstrations, write_demonstrations
+from splatrl.datasets.recorder import planner_episodes
+from splatrl.datasets.replay import replay
+
+__all__ = ["Demonstrations", "planner_episodes", "read_demonstrations", "replay", "write_demonstrations"]

@@ -1,0 +1,130 @@
+"""The folder of demonstrations: tensordict's memory-mapped files, and what they are.
+
+``memmap/`` is what ``TensorDict.load_memmap`` reads, so TorchRL's replay buffers take it as it is. Here it is read
+without tensordict, whose reader would unpickle what a stranger put there.
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from splatrl.datasets.demonstrations import AFTER, Demonstrations
+from splatrl.documents import read_json
+from splatrl.evaluation.report import write_json
+from splatrl.files import checked_name
+
+FACTS, MEMMAP = "demonstrations.json", "memmap"
+VERSION = 1
+MAX_HEADER = 2**20
+"""Bytes of a JSON file of the folder."""
+DTYPES = {str(kind): kind for kind in (torch.uint8, torch.int64, torch.float32, torch.float64, torch.bool)}
+NEEDED = {"episode", "frame", "pixels", "action", "state", "next"}
+
+
+def write_demonstrations(folder: Path, demonstrations: Demonstrations, facts: Mapping[str, Any] | None = None) -> None:
+    """Write demonstrations into an existing folder.
+
+    Args:
+        folder: to write to; make it with ``new_folder``, so that it appears whole or not at all.
+        demonstrations: what to write.
+        facts: what else to say about them: plain values.
+    """
+    TensorDict(demonstrations.frames.to_dict(), [len(demonstrations)]).memmap(folder / MEMMAP)
+    own = {
+        "version": VERSION,
+        "episodes": len(demonstrations.starts),
+        "frames": len(demonstrations),
+        "fps": demonstrations.fps,
+        "action_names": list(demonstrations.action_names),
+    }
+    write_json(folder / FACTS, own | dict(facts or {}))
+
+
+def read_demonstrations(folder: Path) -> Demonstrations:
+    """Read a folder of demonstrations, which may come from a stranger: as data, mapped into memory.
+
+    Raises:
+        FileNotFoundError: for a folder that holds none.
+        ValueError: for files that are damaged, or not whole episodes in order; names the file.
+    """
+    path = folder / FACTS
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder}: expected a folder of demonstrations with {FACTS}, found none")
+    facts = read_json(path, MAX_HEADER)
+    if not isinstance(facts, dict) or facts.get("version") != VERSION:
+        raise ValueError(f"{path}: expected demonstrations of version {VERSION}, got something else")
+    names, fps = facts.get("action_names"), facts.get("fps")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"{path}: expected action_names, a list of names, got {names!r:.80}")
+    if not isinstance(fps, int) or isinstance(fps, bool) or not 1 <= fps <= 1000:
+        raise ValueError(f"{path}: expected fps, a whole number from 1 to 1000, got {fps!r:.80}")
+    here = folder / MEMMAP
+    values = _tensors(here, NEEDED)
+    values["next"] = _tensors(here / "next", set(AFTER))
+    shapes = {len(each) for each in [*values["next"].values(), *(v for k, v in values.items() if k != "next")]}
+    if len(shapes) != 1 or not min(shapes):
+        raise ValueError(f"{here}: expected frames, as many of each key, got {sorted(shapes)}")
+    _check_kinds(here, values)
+    result = Demonstrations(TensorDict(values, [shapes.pop()]), tuple(names), fps)
+    try:
+        result.check()
+    except ValueError as error:
+        raise ValueError(f"{here}: {error}") from error
+    return result
+
+
+def _tensors(folder: Path, needed: set[str]) -> dict[str, Any]:
+    """The tensors of one level of a memory-mapped TensorDict, by name.
+
+    Raises:
+        ValueError: for a header that says anything but plain tensors of the sizes of their files.
+    """
+    path = folder / "meta.json"
+    header = read_json(path, MAX_HEADER)
+    entries = (
+        {key: value for key, value in header.items() if isinstance(value, dict)} if isinstance(header, dict) else {}
+    )
+    if missing := needed - entries.keys():
+        raise ValueError(f"{path}: expected {', '.join(sorted(missing))}, found none")
+    return {
+        key: _tensor(folder, checked_name(f"{path}: a key", key), entry, path)
+        for key, entry in entries.items()
+        if key != "next"
+    }
+
+
+def _tensor(folder: Path, key: str, entry: Mapping[str, Any], header: Path) -> Tensor:
+    shape, dtype, path = entry.get("shape"), DTYPES.get(str(entry.get("dtype"))), folder / f"{key}.memmap"
+    whole = isinstance(shape, list) and 1 <= len(shape) <= 8
+    if not whole or not all(type(side) is int and side >= 1 for side in shape or ()) or dtype is None:
+        raise ValueError(f"{header}: expected a shape and one of {', '.join(DTYPES)} for {key}, got {entry!r:.120}")
+    assert shape is not None
+    if not path.is_file():
+        raise ValueError(f"{path}: expected a file, found none")
+    count, size = math.prod(shape), path.stat().st_size
+    if count * dtype.itemsize != size:
+        raise ValueError(f"{path}: expected {count * dtype.itemsize:,} bytes, as its header says, got {size:,}")
+    return torch.from_file(str(path), shared=False, size=count, dtype=dtype).reshape(shape)
+
+
+def _check_kinds(folder: Path, values: Mapping[str, Any]) -> None:
+    """Refuse tensors of other shapes and dtypes than frames have."""
+    after = values["next"]
+    flags = (after[name] for name in ("done", "terminated", "truncated"))
+    right = (
+        values["pixels"].ndim == 4
+        and values["pixels"].shape[-1] == 3
+        and values["pixels"].dtype == torch.uint8
+        and all(values[name].ndim == 1 and values[name].dtype == torch.int64 for name in ("episode", "frame"))
+        and all(flag.shape[1:] == (1,) and flag.dtype == torch.bool for flag in flags)
+        and (after["reward"].shape[1:], after["reward"].dtype) == ((1,), torch.float32)
+        and (after["outcome"].shape[1:], after["outcome"].dtype) == ((1,), torch.int64)
+        and (after["state"].shape, after["state"].dtype) == (values["state"].shape, values["state"].dtype)
+    )
+    if not right:
+        raise ValueError(f"{folder}: expected the shapes and dtypes of frames (pixels: [N, H, W, 3] uint8), got others")

@@ -1,0 +1,81 @@
+"""Records demonstrations: the planner walks shortest paths to the goal."""
+
+from collections.abc import Callable
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from splatrl.curriculum import Plan
+from splatrl.datasets.demonstrations import AFTER, Demonstrations, joined
+from splatrl.envs.tasks.base import Outcome
+from splatrl.envs.world import World
+from splatrl.values import require_number
+
+ROBOTS = 32
+TRIES = 4
+"""Starts that are tried for each episode wanted: off a lattice, a path along an obstacle may end at it."""
+
+
+def planner_episodes(
+    world: World, episodes: int, seed: int = 0, progress: Callable[[int], object] = lambda frames: None
+) -> Demonstrations:
+    """Record episodes in which the robot follows a shortest path to the goal.
+
+    Starts are drawn from the whole start set, without repetition as long as there are others. Where several actions
+    begin a shortest path, one of them is drawn. Only episodes that reach the goal are kept.
+
+    Args:
+        world: scene and task; its camera noise and appearance apply, and what it stacks is kept as single views.
+        episodes: number of episodes.
+        seed: of starts and choices.
+        progress: called with the number of frames of each episode that was kept.
+
+    Raises:
+        ValueError: for a task without goal states, or one whose goal the planner does not reach.
+    """
+    require_number("episodes", episodes, 1, 10**6, whole=True)
+    plan = world.plan
+    if plan.field is None:
+        raise ValueError(f"by=planner: expected a task with goal states, got {type(world.task).__name__}")
+    generator = torch.Generator().manual_seed(seed)
+    kept: list[TensorDictBase] = []
+    waiting: list[Tensor] = []
+    for _ in range(TRIES * (1 + episodes // ROBOTS)):
+        while sum(map(len, waiting)) < ROBOTS:
+            waiting.append(plan.starts[torch.randperm(len(plan.starts), generator=generator)])
+        starts, rest = torch.cat(waiting).split([ROBOTS, sum(map(len, waiting)) - ROBOTS])
+        waiting = [rest]
+        for episode in _walked(world, plan, starts, seed + len(kept), generator):
+            if int(episode["next", "outcome"][-1]) == Outcome.GOAL and len(kept) < episodes:
+                kept.append(episode)
+                progress(len(episode))
+        if len(kept) == episodes:
+            return Demonstrations(joined(kept), tuple(world.task.motion.action_names))
+    raise ValueError(f"by=planner: expected to reach the goal {episodes} times, got there {len(kept)} times")
+
+
+@torch.no_grad()
+def _walked(world: World, plan: Plan, starts: Tensor, seed: int, generator: torch.Generator) -> list[TensorDictBase]:
+    """One episode from each start along shortest paths, or to where no path goes on: frames [T] each, on the CPU."""
+    env = world.env(len(starts), seed=seed)
+    now = env.reset(TensorDict({"state": starts}, [len(starts)], device=env.device), set_state=True)
+    keys = ["pixels", "action", "state", *world.task.memory_spec]
+    steps: list[TensorDictBase] = []
+    length = torch.zeros(len(starts), dtype=torch.int64)  # of the episodes that have ended
+    running = torch.ones(len(starts), dtype=torch.bool)
+    while running.any() and len(steps) < world.task.max_steps:
+        best = plan.optimal(now["state"].to(plan.states.device)).cpu().float()
+        chosen = torch.multinomial(best + 1e-9, 1, generator=generator).squeeze(1)
+        now["action"] = plan.actions.cpu()[chosen].to(env.device)
+        step = env.step(now)
+        seen = step.select(*keys).cpu()
+        seen["pixels"] = seen["pixels"][..., -3:].clone()
+        seen["next"] = step["next"].select(*AFTER).cpu()
+        steps.append(seen)
+        ended = running & seen["next", "done"].squeeze(1)
+        length[ended] = len(steps)
+        running &= ~ended
+        now = env.step_mdp(step)
+    whole = torch.stack(steps, 1)
+    return [whole[row, :count] for row, count in enumerate(length.tolist()) if count]

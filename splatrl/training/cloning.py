@@ -1,0 +1,126 @@
+"""Behaviour cloning (Pomerleau 1989): a policy learns to act as demonstrations do, before it learns from reward."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+from torch.distributions import Distribution
+from torch.nn.functional import mse_loss, smooth_l1_loss
+from torch.nn.utils.rnn import pad_sequence
+from torchrl.modules import ActorValueOperator, set_recurrent_mode
+
+from splatrl.training.distributions import Choice
+from splatrl.training.heads import distribution
+from splatrl.training.memory import STATE
+from splatrl.values import require_number
+
+
+@dataclass(frozen=True)
+class CloningSettings:
+    """Settings of behaviour cloning.
+
+    Attributes:
+        epochs: passes over the demonstrations.
+        mini_batch_size: frames in a gradient step.
+        lr: learning rate of Adam.
+        critic_coeff: weight of the critic's loss, which learns the demonstrations' discounted returns.
+
+    Raises:
+        ValueError: names the value that is out of range.
+    """
+
+    epochs: int
+    mini_batch_size: int
+    lr: float
+    critic_coeff: float
+
+    def __post_init__(self) -> None:
+        for name in ("epochs", "mini_batch_size"):
+            require_number(f"cloning.{name}", getattr(self, name), 1, whole=True)
+        for name in ("lr", "critic_coeff"):
+            require_number(f"cloning.{name}", getattr(self, name), 0.0)
+
+
+class Cloner:
+    """Adam on the cross entropy of shown actions, or for continuous ones on the squared distance of the policy's mode.
+
+    The distance is in halves of an action's range. A policy with memory learns from whole episodes.
+
+    Args:
+        model: actor and critic over a shared trunk.
+        settings: see ``CloningSettings``.
+    """
+
+    def __init__(self, model: ActorValueOperator, settings: CloningSettings):
+        self.settings, self.parameters = settings, list(model.parameters())
+        self.optimizer = torch.optim.Adam(self.parameters, lr=settings.lr)
+        pool, trunk, *memory = model.module[0].module
+        self._pool, self._trunk, self._memory = pool.module, trunk.module, memory
+        self._policy, self._value = model.get_policy_head(), model.get_value_head().module
+        self._device = self.parameters[0].device
+
+    def fit(self, shown: Mapping[str, Tensor]) -> float:
+        """Learn from demonstrations; returns the mean loss of the actions in the last pass.
+
+        Args:
+            shown: N frames of whole episodes, in order: ``pixels`` [N, H, W, C] uint8, as the policy sees them;
+                ``action`` [N, ...]; ``value_target`` [N] float32; ``frame`` [N] int64, 0 where episodes begin.
+        """
+        loss = 0.0
+        for _ in range(self.settings.epochs):
+            losses = [self._step(frames) * len(frames["action"]) for frames in self._minibatches(shown)]
+            loss = float(torch.stack(losses).sum()) / len(shown["action"])
+        return loss
+
+    def _minibatches(self, shown: Mapping[str, Tensor]) -> Iterator[dict[str, Tensor]]:
+        """Every frame once, in random order; with memory every episode once, one or more at a time."""
+        size, begins = self.settings.mini_batch_size, (shown["frame"] == 0).nonzero().squeeze(1)
+        rows: list[Tensor] = list(torch.arange(len(shown["frame"])).tensor_split(begins[1:]))
+        if self._memory:
+            order, chosen = torch.randperm(len(rows)).tolist(), list[Tensor]()
+            for number in order:
+                chosen.append(rows[number])
+                if sum(map(len, chosen)) >= size or number == order[-1]:
+                    yield self._some(shown, torch.cat(chosen))
+                    chosen = []
+            return
+        for some in torch.randperm(len(shown["frame"])).split(size):
+            yield self._some(shown, some)
+
+    def _some(self, shown: Mapping[str, Tensor], rows: Tensor) -> dict[str, Tensor]:
+        return {key: value[rows].to(self._device) for key, value in shown.items()}
+
+    def _step(self, frames: dict[str, Tensor]) -> Tensor:
+        hidden = self._hidden(self._trunk(self._pool(frames["pixels"])), frames["frame"])
+        loss = imitation(distribution(self._policy, hidden), frames["action"])
+        critic = smooth_l1_loss(self._value(hidden).squeeze(-1), frames["value_target"])
+        self.optimizer.zero_grad()
+        (loss + self.settings.critic_coeff * critic).backward()
+        nn.utils.clip_grad_norm_(self.parameters, 1.0)
+        self.optimizer.step()
+        return loss.detach()
+
+    def _hidden(self, hidden: Tensor, frame: Tensor) -> Tensor:
+        """What the heads read: through the memory, episode by episode, if there is one."""
+        for module in self._memory:
+            begins = (frame == 0).nonzero().squeeze(1).cpu()
+            episodes = hidden.tensor_split(begins[1:])
+            padded = pad_sequence(list(episodes), batch_first=True)
+            is_init = torch.zeros(*padded.shape[:2], 1, dtype=torch.bool, device=hidden.device)
+            is_init[:, 0] = True
+            size = module.gru.hidden_size
+            known = {"features": padded, STATE: padded.new_zeros(*padded.shape[:2], 1, size), "is_init": is_init}
+            with set_recurrent_mode(True):
+                thought = module(TensorDict(known, padded.shape[:2]))["hidden"]
+            hidden = torch.cat([row[: len(each)] for row, each in zip(thought, episodes, strict=True)])
+        return hidden
+
+
+def imitation(policy: Distribution, action: Tensor) -> Tensor:
+    """How far a policy is from shown actions: [] float32; see ``Cloner``."""
+    if isinstance(policy, Choice):
+        return -policy.log_prob(action).mean()
+    reach = (policy.high - policy.low) / 2.0  # type: ignore[attr-defined]
+    return mse_loss(policy.deterministic_sample / reach, action / reach)  # type: ignore[attr-defined]

@@ -1,0 +1,150 @@
+"""``splatrl-record``, ``splatrl-replay`` and ``splatrl-train demos=`` from the outside."""
+
+import csv
+import json
+import shutil
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+import torch
+
+from splatrl.build import build_trainer, build_world
+from splatrl.commands import record, replay
+from splatrl.configuration import load_config
+from splatrl.datasets import read_demonstrations
+from splatrl.training import load_checkpoint
+from tests.commands.test_train import SETTINGS, command, finish
+from tests.tiny import tiny_overrides
+
+EPISODES = 12
+
+
+def call(module: ModuleType, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
+    monkeypatch.setattr(sys, "argv", ["splatrl", *arguments])
+    module.main()
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    return tiny_overrides(tmp_path_factory.mktemp("scene"))
+
+
+@pytest.fixture(scope="module")
+def demos(scene: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made") / "new" / "demos"
+    with pytest.MonkeyPatch.context() as patch:
+        call(record, patch, *scene, "by=planner", f"episodes={EPISODES}", f"out={folder}")
+    return folder
+
+
+def test_what_is_recorded_is_replayed(
+    demos: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = len(read_demonstrations(demos))
+    assert sorted(path.name for path in demos.iterdir()) == ["config.yaml", "demonstrations.json", "memmap"]
+    assert json.loads((demos / "demonstrations.json").read_text())["by"] == "planner"
+    call(replay, monkeypatch, f"demos={demos}")
+    told = capsys.readouterr().out
+    assert (
+        f"{demos}: {EPISODES} episodes, {frames} frames: states, actions, rewards and outcomes are equal, byte for byte"
+        in told
+    )
+    assert f"views are equal in {frames} of {frames} frames" in told
+
+
+def test_a_replay_that_differs_ends_with_an_error(demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    changed = tmp_path / "changed"
+    shutil.copytree(demos, changed)
+    path = changed / "memmap" / "next" / "state.memmap"
+    content = np.fromfile(path, np.int64)
+    content[0] += 1
+    content.tofile(path)
+    with pytest.raises(SystemExit, match=r"frames do not come out as written\nnext\.state: other bytes in 1 frames"):
+        call(replay, monkeypatch, f"demos={changed}")
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments", "message"),
+    [
+        (record, ["by=me", "out={new}"], "splatrl-record: by: expected planner, got me"),
+        (record, ["episodes=0", "out={new}"], "splatrl-record: episodes: expected a whole number"),
+        (record, ["out={demos}"], "splatrl-record: out: expected a new folder, but .* is there"),
+        (record, [], "splatrl-record: expected a value for out"),
+        (record, ["out={new}", "episode=3"], "episode: no such key, did you mean episodes"),
+        (replay, ["demos={new}"], "splatrl-replay: .*: expected a folder of demonstrations"),
+        (replay, [], "splatrl-replay: expected a value for demos"),
+    ],
+)
+def test_what_is_wrong_is_said_in_a_line(
+    module: ModuleType,
+    arguments: list[str],
+    message: str,
+    demos: Path,
+    scene: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given = [each.format(new=tmp_path / "new", demos=demos) for each in arguments]
+    with pytest.raises(SystemExit, match=message):
+        call(module, monkeypatch, *(scene if module is record else []), *given)
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_training_begins_with_what_was_shown_and_counts_its_frames(
+    demos: Path, scene: list[str], tmp_path: Path
+) -> None:
+    frames = len(read_demonstrations(demos))
+    folder = tmp_path / "run"
+    quick = ["evaluation.starts=8", "logger.video=false", f"hydra.run.dir={folder}"]
+    finish(command("train", *scene, *SETTINGS, f"demos={demos}", *quick))
+    with (folder / "progress.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    batches = (1280 - frames) // 128
+    assert [int(row["frames"]) for row in rows] == [frames + 128 * number for number in range(batches + 1)]
+    assert float(rows[0]["loss_cloning"]) < 1.79 and rows[0]["test_success"] and not rows[0]["success"]
+    assert rows[1]["success"] and not rows[1]["loss_cloning"]
+
+
+def test_a_training_killed_while_it_imitates_begins_anew_with_the_same_bytes(
+    demos: Path, scene: list[str], tmp_path: Path
+) -> None:
+    cfg = load_config([*scene, *SETTINGS, f"demos={demos}", "cloning.epochs=2", "collector.total_frames=512"])
+    world = build_world(cfg)
+    build_trainer(cfg, world, tmp_path / "whole").fit()
+    killed = build_trainer(cfg, world, tmp_path / "killed")
+    prepare = killed.prepare
+    assert prepare is not None
+
+    def die() -> dict[str, float]:
+        prepare()
+        raise KeyboardInterrupt
+
+    killed.prepare = die
+    with pytest.raises(KeyboardInterrupt):
+        killed.fit()
+    torch.manual_seed(99)
+    again = build_trainer(cfg, world, tmp_path / "killed")
+    again.resume()
+    again.fit()
+    one, other = (load_checkpoint(tmp_path / name / "checkpoints" / "last.pt")["ppo"] for name in ("whole", "killed"))
+    assert one["frames"] == other["frames"] > 0
+    assert all(torch.equal(value, other["model"][key]) for key, value in one["model"].items())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("robot.image_width=24", "demos=.*: expected images of 24 × 12 .* got 16 × 12"),
+        ("collector.total_frames=128", "collector.total_frames: expected at least a batch more than the"),
+        ("demos=nowhere", "nowhere: expected a folder of demonstrations"),
+    ],
+)
+def test_demonstrations_that_do_not_fit_are_refused(
+    change: str, message: str, demos: Path, scene: list[str], tmp_path: Path
+) -> None:
+    cfg = load_config([*scene, *SETTINGS, *([] if "demos=" in change else [f"demos={demos}"]), change])
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        build_trainer(cfg, build_world(cfg), tmp_path / "run").fit()

@@ -1,0 +1,196 @@
+"""Demonstrations: recorded on shortest paths, kept as data, and replayed byte for byte."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.data import LazyMemmapStorage, SliceSampler, TensorDictReplayBuffer
+
+from splatrl.build import build_world
+from splatrl.configuration import load_config
+from splatrl.datasets import (
+    Demonstrations,
+    planner_episodes,
+    read_demonstrations,
+    replay,
+    write_demonstrations,
+)
+from splatrl.envs.tasks import Outcome
+from splatrl.envs.world import World
+from tests.tiny import tiny_overrides
+
+EPISODES = 40
+SHAKEN = ["transforms/pose_noise=unsteady", "memory=stack"]
+
+
+def make_world(folder: Path, task: str = "grid", *more: str) -> World:
+    return build_world(load_config([*tiny_overrides(folder, task), *more]))
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> World:
+    return make_world(tmp_path_factory.mktemp("world"))
+
+
+@pytest.fixture(scope="module")
+def shown(world: World) -> Demonstrations:
+    return planner_episodes(world, EPISODES, seed=3)
+
+
+@pytest.fixture(scope="module")
+def folder(shown: Demonstrations, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("demos")
+    write_demonstrations(path, shown, {"by": "planner"})
+    return path
+
+
+def test_the_planner_walks_shortest_paths_to_the_goal(world: World, shown: Demonstrations) -> None:
+    shown.check()
+    assert len(shown.starts) == EPISODES and int(shown.lengths.sum()) == len(shown)
+    begun = shown.frames["state"][shown.starts]
+    assert torch.equal(world.plan.cost_to_go(begun).long(), shown.lengths)
+    ends = shown.starts + shown.lengths - 1
+    assert (shown.frames["next", "outcome"][ends] == Outcome.GOAL).all()
+    assert not shown.frames["next", "done"][:-1][shown.frames["frame"][1:] > 0].any()
+    assert len(torch.unique(begun, dim=0)) == EPISODES, "no start comes twice while there are others"
+    best = world.plan.optimal(shown.frames["state"])
+    assert best.gather(1, shown.frames["action"].unsqueeze(1)).all()
+    assert shown.frames["pixels"].shape == (len(shown), 12, 16, 3)
+
+
+def test_the_same_seed_gives_the_same_bytes(world: World, shown: Demonstrations) -> None:
+    again, other = (planner_episodes(world, EPISODES, seed=seed) for seed in (3, 4))
+    assert (again.frames == shown.frames).all()
+    assert not torch.equal(other.frames["state"][:5], shown.frames["state"][:5])
+
+
+def test_what_is_written_is_read_by_us_by_tensordict_and_by_torchrl(shown: Demonstrations, folder: Path) -> None:
+    found = read_demonstrations(folder)
+    assert (found.frames == shown.frames).all() and found.action_names == shown.action_names
+    frames = TensorDict.load_memmap(folder / "memmap")
+    assert (frames == shown.frames).all()
+    sampler = SliceSampler(num_slices=4, traj_key="episode", strict_length=False)
+    buffer = TensorDictReplayBuffer(storage=LazyMemmapStorage(len(frames)), sampler=sampler, batch_size=16)
+    buffer.extend(frames)
+    assert buffer.sample()["pixels"].shape[1:] == (12, 16, 3)
+
+
+def test_a_replay_gives_the_same_bytes(world: World, folder: Path) -> None:
+    found = read_demonstrations(folder)
+    counted: list[int] = []
+    different, views = replay(world, found, counted.append)
+    assert different == [] and views == len(found) == sum(counted)
+
+
+@pytest.mark.parametrize(
+    ("key", "line"),
+    [
+        ("action", "state: other bytes in"),
+        (("next", "reward"), "next.reward: other bytes in 1 frames"),
+        (("next", "state"), "next.state: other bytes in 1 frames"),
+        ("pixels", ""),
+    ],
+)
+def test_a_replay_finds_what_was_changed(
+    world: World, shown: Demonstrations, key: str | tuple[str, str], line: str
+) -> None:
+    frames = shown.frames.clone()
+    row = int(shown.lengths.argmax())
+    at = int(shown.starts[row])
+    changed = frames[key][at]
+    frames[key][at] = (changed + 2) % 6 if key == "action" else changed + 1
+    different, views = replay(world, Demonstrations(frames, shown.action_names))
+    if line:
+        assert any(found.startswith(line) for found in different)
+    else:
+        assert different == [] and views == len(frames) - 1
+
+
+@pytest.mark.parametrize(("task", "more"), [("drive", []), ("fps", []), ("apple", []), ("grid", SHAKEN)])
+def test_other_tasks_are_recorded_and_replayed(task: str, more: list[str], tmp_path: Path) -> None:
+    coarse = ["task.motion.spacing=0.5"] if task != "grid" else []
+    turns = ["task.motion.angle_step_deg=45.0", "task.motion.step=0.25"] if task in ("fps", "apple") else []
+    world = make_world(tmp_path, task, *coarse, *turns, "task.max_steps=40", *more)
+    shown = planner_episodes(world, 5)
+    shown.check()
+    assert shown.frames["pixels"].shape[1:] == (12, 16, 3)
+    write_demonstrations(tmp_path, shown)
+    different, views = replay(world, read_demonstrations(tmp_path))
+    assert different == [] and (views == len(shown)) == (not more), "an unsteady hand shakes anew"
+
+
+def test_a_stack_is_what_the_env_stacks(tmp_path: Path) -> None:
+    world = make_world(tmp_path, "grid", "memory=stack")
+    shown = planner_episodes(world, 6)
+    stacked = shown.stacked(4)
+    env = world.env(1)
+    for start, length in zip(shown.starts.tolist(), shown.lengths.tolist(), strict=True):
+        now = env.reset(TensorDict({"state": shown.frames["state"][start : start + 1]}, [1]), set_state=True)
+        for row in range(start, start + length):
+            assert torch.equal(now["pixels"][0], stacked[row])
+            now = env.step_mdp(env.step(now.set("action", shown.frames["action"][row : row + 1])))
+
+
+def test_returns_are_discounted_to_the_end_of_each_episode(shown: Demonstrations) -> None:
+    returns, reward = shown.returns(0.5), shown.frames["next", "reward"].squeeze(1)
+    start, length = int(shown.starts[1]), int(shown.lengths[1])
+    expected = sum(float(reward[start + step]) * 0.5**step for step in range(length))
+    assert float(returns[start]) == pytest.approx(expected)
+    assert torch.equal(returns[shown.starts + shown.lengths - 1], reward[shown.starts + shown.lengths - 1])
+
+
+def test_a_task_without_goal_states_has_no_planner(world: World) -> None:
+    aimless = replace(world, plan=replace(world.plan, field=None))
+    with pytest.raises(ValueError, match="by=planner: expected a task with goal states, got Grid"):
+        planner_episodes(aimless, 1)
+
+
+def edit(name: str, change: Callable[[dict], object]) -> Callable[[Path], None]:
+    """A change of a JSON file of a folder."""
+
+    def done(folder: Path) -> None:
+        content = json.loads((folder / name).read_text())
+        change(content)
+        (folder / name).write_text(json.dumps(content))
+
+    return done
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda folder: (folder / "demonstrations.json").unlink(), "expected a folder of demonstrations"),
+        (edit("demonstrations.json", lambda facts: facts.update(version=2)), "expected demonstrations of version 1"),
+        (edit("demonstrations.json", lambda facts: facts.update(action_names=3)), "expected action_names"),
+        (edit("demonstrations.json", lambda facts: facts.update(fps=0)), "expected fps"),
+        (edit("memmap/meta.json", lambda meta: meta.pop("action")), "expected action, found none"),
+        (edit("memmap/meta.json", lambda meta: meta["pixels"].update(shape=[2**40, 3])), "pixels.memmap: expected"),
+        (edit("memmap/meta.json", lambda meta: meta["pixels"].update(shape=[-1])), "expected a shape"),
+        (edit("memmap/meta.json", lambda meta: meta["action"].update(dtype="torch.load")), "expected a shape"),
+        (edit("memmap/meta.json", lambda meta: meta.update({"../x": meta["action"]})), "expected a name"),
+        (edit("memmap/next/meta.json", lambda meta: meta.pop("done")), "expected done, found none"),
+        (lambda folder: (folder / "memmap" / "action.memmap").write_bytes(b"12345678"), "action.memmap: expected"),
+        (lambda folder: (folder / "memmap" / "state.memmap").unlink(), "state.memmap: expected a file"),
+        (lambda folder: zeroed(folder / "memmap" / "frame.memmap"), "expected whole episodes"),
+        (lambda folder: zeroed(folder / "memmap" / "next" / "done.memmap"), "expected whole episodes"),
+        (edit("memmap/meta.json", lambda meta: meta["pixels"]["shape"].insert(1, 1)), "expected the shapes and dtypes"),
+    ],
+)
+def test_a_damaged_folder_is_refused(
+    folder: Path, damage: Callable[[Path], None], message: str, tmp_path: Path
+) -> None:
+    other = tmp_path / "demos"
+    shutil.copytree(folder, other)
+    damage(other)
+    with pytest.raises((ValueError, FileNotFoundError), match=message) as raised:
+        read_demonstrations(other)
+    assert str(other) in str(raised.value)
+
+
+def zeroed(path: Path) -> None:
+    path.write_bytes(bytes(path.stat().st_size))

@@ -1,0 +1,89 @@
+"""Behaviour cloning: policies learn to act as they are shown, with and without memory."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from splatrl.build import build_model, build_world
+from splatrl.configuration import load_config
+from splatrl.datasets import planner_episodes
+from splatrl.evaluation import run_episodes
+from splatrl.training import Cloner, CloningSettings
+from splatrl.training.cloning import imitation
+from splatrl.training.distributions import Choice, Squashed
+from tests.tiny import tiny_overrides
+
+SETTINGS = CloningSettings(epochs=30, mini_batch_size=64, lr=1e-3, critic_coeff=0.5)
+
+
+@pytest.mark.parametrize("memory", ["none", "gru", "stack"])
+def test_a_cloned_policy_goes_where_it_was_shown_to_go(memory: str, tmp_path: Path) -> None:
+    cfg = load_config([*tiny_overrides(tmp_path), f"memory={memory}"])
+    world = build_world(cfg)
+    shown = planner_episodes(world, 100)
+    torch.manual_seed(0)
+    model = build_model(cfg, world.env(1))
+    env, starts = world.env(30), world.plan.starts[::8]
+    before = run_episodes(env, model.get_policy_operator(), starts).success.double().mean()
+    frames = {
+        "pixels": shown.stacked(4 if memory == "stack" else 1),
+        "action": shown.frames["action"],
+        "value_target": shown.returns(0.9) / 50.0,
+        "frame": shown.frames["frame"],
+    }
+    first = Cloner(model, CloningSettings(1, 64, 0.0, 0.5)).fit(frames)
+    last = Cloner(model, SETTINGS).fit(frames)
+    after = run_episodes(env, model.get_policy_operator(), starts).success.double().mean()
+    assert first == pytest.approx(1.79, abs=0.05) and last < 0.8
+    assert before < 0.3 and after > 0.5
+    begun = shown.frames[shown.starts]
+    seen = world.env(len(begun)).reset(begun.select("state"), set_state=True)
+    model.get_value_operator()(seen)
+    told = frames["value_target"][shown.starts]
+    assert torch.corrcoef(torch.stack([seen["state_value"].squeeze(1).detach(), told]))[0, 1] > 0.6
+
+
+def test_with_memory_episodes_are_apart(tmp_path: Path) -> None:
+    cfg = load_config([*tiny_overrides(tmp_path), "memory=gru"])
+    env = build_world(cfg).env(1)
+    torch.manual_seed(0)
+    cloner = Cloner(build_model(cfg, env), SETTINGS)
+    features = torch.randn(7, 128)
+    frame = torch.tensor([0, 1, 2, 0, 0, 1, 2])
+    together = cloner._hidden(features, frame)
+    apart = [cloner._hidden(features[rows], frame[rows]) for rows in (slice(0, 3), slice(3, 4), slice(4, 7))]
+    torch.testing.assert_close(together, torch.cat(apart))
+
+
+def test_every_frame_is_learned_from_once_in_a_pass(tmp_path: Path) -> None:
+    for memory in ("none", "gru"):
+        cfg = load_config([*tiny_overrides(tmp_path), f"memory={memory}"])
+        cloner = Cloner(build_model(cfg, build_world(cfg).env(1)), CloningSettings(1, 4, 1e-3, 0.5))
+        frame = torch.tensor([0, 1, 2, 0, 0, 1, 2, 3, 4, 0])
+        shown = {"frame": frame, "action": torch.arange(10)}
+        batches = list(cloner._minibatches(shown))
+        assert torch.cat([some["action"] for some in batches]).sort().values.tolist() == list(range(10))
+        assert memory == "none" or all(some["frame"][0] == 0 for some in batches)
+
+
+def test_the_distance_of_actions() -> None:
+    logits = torch.tensor([[2.0, 0.0], [0.0, 3.0]])
+    expected = -logits.log_softmax(1)[torch.arange(2), torch.tensor([0, 0])].mean()
+    assert imitation(Choice(logits), torch.tensor([0, 0])) == pytest.approx(float(expected))
+
+    def squashed(loc: float) -> Tensor:
+        low, high = torch.tensor([0.0, -2.0]), torch.tensor([1.0, 2.0])
+        policy = Squashed(torch.full((1, 2), loc), torch.ones(1, 2), low, high)
+        return imitation(policy, torch.tensor([[1.0, 0.0]]))
+
+    assert squashed(0.0) == pytest.approx(0.5), "half a range from one action, none from the other"
+    assert squashed(20.0) == pytest.approx(0.5, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", ["epochs", "mini_batch_size", "lr", "critic_coeff"])
+def test_settings_out_of_range_are_named(name: str) -> None:
+    values = {"epochs": 1, "mini_batch_size": 1, "lr": 1e-3, "critic_coeff": 0.5}
+    with pytest.raises(ValueError, match=f"cloning.{name}: expected"):
+        CloningSettings(**(values | {name: -1}))
