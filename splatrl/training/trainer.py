@@ -136,7 +136,7 @@ class Trainer:
                 row = self.ppo.iterate()
                 row["level"] = int(self.ppo.env.curriculum.level)
                 if self.ppo.finished or _crossed(before, self.ppo.frames, self.test_interval):
-                    row |= {f"test_{name}": value for name, value in self.test().items()}
+                    row |= self._tested()
                 self.seconds = row["seconds"] = time.monotonic() - began
                 self._note(row)
                 if self.ppo.finished or _crossed(before, self.ppo.frames, self.checkpoint_interval):
@@ -150,9 +150,12 @@ class Trainer:
     def _prepare(self, prepare: Callable[[], dict[str, float]], began: float) -> None:
         """Begin with what ``prepare`` teaches, and test it."""
         row = prepare()
-        row |= {"frames": self.ppo.frames, "level": int(self.ppo.env.curriculum.level), "test_success": self.test()}
+        row |= {"frames": self.ppo.frames, "level": int(self.ppo.env.curriculum.level)} | self._tested()
         self.seconds = row["seconds"] = time.monotonic() - began
         self._note(row)
+
+    def _tested(self) -> dict[str, float]:
+        return {f"test_{name}": value for name, value in self.test().items()}
 
     def _note(self, row: dict[str, float]) -> None:
         self.history.append(row)
