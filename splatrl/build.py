@@ -17,7 +17,7 @@ from torchrl.modules import ActorValueOperator
 from splatrl.bodies import Body
 from splatrl.collision import NativeChecker
 from splatrl.collision.base import Checker
-from splatrl.configuration import check_config, load_config
+from splatrl.configuration import check_config, load_config, with_absolute_paths
 from splatrl.curriculum import plan
 from splatrl.datasets import Demonstrations, read_demonstrations
 from splatrl.device import AUTO, KINDS, chosen_device
@@ -40,7 +40,7 @@ def build_world(cfg: DictConfig) -> World:
         ValueError: for a value that is missing, or that one of them refuses.
     """
     check_config(cfg)
-    given, device = cfg, chosen_device(cfg.device)
+    given, device = with_absolute_paths(cfg), chosen_device(cfg.device)
     cfg = cfg.copy()
     cfg.device = str(device)  # the value of ${device} in nodes
     scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)

@@ -230,13 +230,18 @@ def _check_key(key: str, known: DictConfig) -> None:
 
 def save_config(cfg: DictConfig, folder: Path) -> None:
     """Write ``config.yaml`` into a run folder: everything needed to resume and evaluate, from any working folder."""
+    with replacing(folder / "config.yaml") as stream:
+        stream.write(OmegaConf.to_yaml(with_absolute_paths(cfg)).encode())
+
+
+def with_absolute_paths(cfg: DictConfig) -> DictConfig:
+    """A config that means the same files from any working folder."""
     cfg = cfg.copy()
     for key in PATHS:
         path = OmegaConf.select(cfg, key)
         if path is not None:
             OmegaConf.update(cfg, key, str(Path(path).expanduser().absolute()))
-    with replacing(folder / "config.yaml") as stream:
-        stream.write(OmegaConf.to_yaml(cfg).encode())
+    return cfg
 
 
 def run_config(folder: Path, allow_targets: Sequence[str] = ()) -> DictConfig:

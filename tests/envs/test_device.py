@@ -43,6 +43,7 @@ WORLDS = {
     "shaken sim2real": ["sim2real", *SHAKEN],
     "remembering fps": ["fps", "memory=gru"],
     "stacking grid": ["grid", "memory=stack"],
+    "skipping grid": ["grid", "transforms/pose_noise=unsteady", "transforms/skip=four"],
 }
 
 

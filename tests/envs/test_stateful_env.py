@@ -93,7 +93,10 @@ def test_a_pickled_env_goes_on_as_the_other_one(
 
 
 def test_a_pickle_holds_paths_and_no_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pickled = pickle.dumps(shaky(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    overrides = [one for one in tiny_overrides(tmp_path) if not one.startswith("scene.path")]
+    pickled = pickle.dumps(make_env([*overrides, "scene.path=tiny.ply", *SHAKES], [3]))
+    monkeypatch.chdir("/")
     assert b"tiny.ply" in pickled and b"Gaussians" not in pickled
     read: list[Any] = []
     make = build.check_config
