@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from splatrl.build import build_world
 from splatrl.configuration import check_config, command_line, conf_dir, save_config
-from splatrl.datasets import planner_episodes, write_demonstrations
+from splatrl.datasets import planner_episodes, write_demonstrations, write_lerobot
 from splatrl.files import new_folder
 
 BY = ("planner",)
@@ -21,7 +21,7 @@ def run(cfg: DictConfig) -> None:
     """Record what a config describes into the folder ``cfg.out``."""
     try:
         record(cfg)
-    except (OSError, ValueError) as error:
+    except (ImportError, OSError, ValueError) as error:
         sys.exit(f"splatrl-record: {error}")
 
 
@@ -30,19 +30,25 @@ def record(cfg: DictConfig) -> None:
     check_config(cfg)
     if cfg.by not in BY:
         raise ValueError(f"by: expected {' or '.join(BY)}, got {cfg.by}")
-    out = Path(cfg.out).expanduser()
-    if out.exists():
-        raise ValueError(f"out: expected a new folder, but {out} is there")
+    folders = {key: Path(cfg[key]).expanduser() for key in ("out", "lerobot") if cfg[key] is not None}
+    for key, path in folders.items():
+        if path.exists():
+            raise ValueError(f"{key}: expected a new folder, but {path} is there")
+        path.parent.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(cfg.threads)
     cfg.device = "cpu"  # so that a replay gives the same bytes anywhere
     world = build_world(cfg)
     with tqdm(unit="frame", desc="record", dynamic_ncols=True) as bar:
         found = planner_episodes(world, cfg.episodes, cfg.seed, bar.update)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with new_folder(out) as folder:
+    with new_folder(folders["out"]) as folder:
         save_config(cfg, folder)
         write_demonstrations(folder, found, {"by": cfg.by, "seed": cfg.seed, "scene": world.scene.digest})
-    print(f"{out}: {len(found.starts):,} episodes, {len(found):,} frames")
+    if cfg.lerobot is not None:
+        task = f"{type(world.task).__name__} in {world.scene.name}"
+        with new_folder(folders["lerobot"]) as folder:
+            write_lerobot(folder, found, task)
+        print(f"{folders['lerobot']}: the same as a LeRobotDataset v3.0")
+    print(f"{folders['out']}: {len(found.starts):,} episodes, {len(found):,} frames")
 
 
 def main() -> None:

@@ -2,7 +2,15 @@
 
 from splatrl.datasets.demonstrations import Demonstrations
 from splatrl.datasets.folder import read_demonstrations, write_demonstrations
+from splatrl.datasets.lerobot import write_lerobot
 from splatrl.datasets.recorder import planner_episodes
 from splatrl.datasets.replay import replay
 
-__all__ = ["Demonstrations", "planner_episodes", "read_demonstrations", "replay", "write_demonstrations"]
+__all__ = [
+    "Demonstrations",
+    "planner_episodes",
+    "read_demonstrations",
+    "replay",
+    "write_demonstrations",
+    "write_lerobot",
+]

@@ -1,9 +1,10 @@
 """Videos of episodes: what the robot sees, beside a map of where it is."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
+from types import MappingProxyType
 
 import av
 import torch
@@ -127,13 +128,22 @@ def _caption(page: Image.Image, facts: list[tuple[str, str]], outcome: Outcome) 
     pen.text((left, top + 30), words, fill="white", font=font(16), anchor="lm")
 
 
-def encode(frames: Iterator[Image.Image], path: Path, fps: int) -> None:
-    """Write images of one size, of even sides, to an mp4: H.264, or MPEG-4 where PyAV lacks that."""
+def encode(
+    frames: Iterator[Image.Image], path: Path, fps: int, options: Mapping[str, str] = MappingProxyType({})
+) -> None:
+    """Write images of one size, of even sides, to an mp4: H.264, or MPEG-4 where PyAV lacks that.
+
+    Args:
+        frames: at least one image.
+        path: the video file.
+        fps: images per second.
+        options: more of the encoder's options.
+    """
     x264 = "libx264" in av.codecs_available
     with replacing(path) as file, av.open(file, "w", format="mp4") as container:
         stream = container.add_stream("libx264" if x264 else "mpeg4", rate=fps)
         stream.pix_fmt = "yuv420p"
-        stream.options = dict(X264) if x264 else {"qscale": "3"}
+        stream.options = {**(X264 if x264 else {"qscale": "3"}), **options}
         first = next(frames)
         stream.width, stream.height = first.size
         for image in chain([first], frames):

@@ -55,6 +55,17 @@ def test_what_is_recorded_is_replayed(
     assert f"views are equal in {frames} of {frames} frames" in told
 
 
+def test_the_same_is_written_for_lerobot(scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pyarrow", reason="needs the extra lerobot")
+    folders = [f"out={tmp_path / 'demos'}", f"lerobot={tmp_path / 'lerobot'}"]
+    call(record, monkeypatch, *scene, "episodes=3", *folders)
+    facts = json.loads((tmp_path / "lerobot" / "meta" / "info.json").read_text())
+    assert facts["total_frames"] == len(read_demonstrations(tmp_path / "demos"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["demos", "lerobot"]
+    with pytest.raises(SystemExit, match="lerobot: expected a new folder, but"):
+        call(record, monkeypatch, *scene, "episodes=3", f"out={tmp_path / 'other'}", folders[1])
+
+
 def test_a_replay_that_differs_ends_with_an_error(demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     changed = tmp_path / "changed"
     shutil.copytree(demos, changed)

@@ -1,0 +1,128 @@
+"""LeRobot's layout of demonstrations: what is in its tables, its video and its JSON."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from splatrl.build import build_world
+from splatrl.configuration import load_config
+from splatrl.datasets import Demonstrations, planner_episodes, write_lerobot
+from splatrl.images import open_video
+from tests.tiny import tiny_overrides
+
+parquet = pytest.importorskip("pyarrow.parquet", reason="needs the extra lerobot")
+
+KEY = "observation.images.front"
+
+
+@pytest.fixture(scope="module", params=["grid", "drive"])
+def shown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Demonstrations:
+    coarse = ["task.motion.spacing=0.5"] if request.param == "drive" else []
+    overrides = [*tiny_overrides(tmp_path_factory.mktemp("room"), request.param), *coarse]
+    return planner_episodes(build_world(load_config(overrides)), 9)
+
+
+@pytest.fixture(scope="module")
+def folder(shown: Demonstrations, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("lerobot")
+    write_lerobot(path, shown, "Grid in room")
+    return path
+
+
+def info(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "meta" / "info.json").read_text())
+
+
+def table(folder: Path, pattern: str) -> Any:
+    """The table at a place that ``info.json`` names, or another pattern of LeRobot's."""
+    return parquet.read_table(folder / pattern.format(chunk_index=0, file_index=0))
+
+
+def test_tables_hold_the_bytes_of_states_and_actions(shown: Demonstrations, folder: Path) -> None:
+    found = table(folder, info(folder)["data_path"])
+    for key, expected in (
+        ("action", shown.frames["action"]),
+        ("observation.state", shown.frames["state"]),
+        ("next.reward", shown.frames["next", "reward"].squeeze(1)),
+        ("next.done", shown.frames["next", "done"].squeeze(1)),
+        ("episode_index", shown.frames["episode"]),
+        ("frame_index", shown.frames["frame"]),
+    ):
+        values = np.array(found[key].to_pylist(), expected.numpy().dtype)
+        assert values.tobytes() == expected.contiguous().numpy().tobytes(), key
+    assert found["index"].to_pylist() == list(range(len(shown)))
+    assert np.allclose(found["timestamp"].to_numpy(), shown.frames["frame"] / 10)
+    success = np.array(found["next.success"].to_pylist())
+    assert success.sum() == 9 and np.array_equal(success, found["next.done"].to_numpy())
+
+
+def test_features_say_what_the_columns_are(shown: Demonstrations, folder: Path) -> None:
+    facts = info(folder)
+    assert (facts["codebase_version"], facts["total_episodes"], facts["total_frames"]) == ("v3.0", 9, len(shown))
+    found = table(folder, facts["data_path"])
+    assert {KEY, *found.column_names} == facts["features"].keys() == {*json_keys(folder)}
+    for key in found.column_names:
+        feature = facts["features"][key]
+        first = np.atleast_1d(found[key][0].as_py())
+        assert feature["shape"] == list(first.shape)
+        kind = found.schema.field(key).type
+        named = str(getattr(kind, "value_type", kind)).replace("float", "float32").replace("double", "float64")
+        assert feature["dtype"] == named
+
+
+def json_keys(folder: Path) -> list[str]:
+    return list(json.loads((folder / "meta" / "stats.json").read_text()))
+
+
+def test_each_episode_is_found_in_tables_and_video(shown: Demonstrations, folder: Path) -> None:
+    facts = info(folder)
+    episodes = table(folder, "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet").to_pylist()
+    path = folder / facts["video_path"].format(video_key=KEY, chunk_index=0, file_index=0)
+    with open_video(path) as video:
+        stream = video.streams.video[0]
+        assert stream.average_rate == facts["fps"] == 10
+        images = list(video.decode(stream))
+    views = [(float(image.pts * stream.time_base), image.to_ndarray(format="rgb24")) for image in images]
+    assert len(views) == len(shown)
+    for number, episode in enumerate(episodes):
+        begin, end = episode["dataset_from_index"], episode["dataset_to_index"]
+        assert episode["episode_index"] == number and episode["length"] == end - begin == int(shown.lengths[number])
+        assert episode["tasks"] == ["Grid in room"] and begin == int(shown.starts[number])
+        assert episode[f"videos/{KEY}/to_timestamp"] == pytest.approx(end / 10)
+        for row in range(begin, end):
+            at = episode[f"videos/{KEY}/from_timestamp"] + float(shown.frames["frame"][row]) / 10
+            time, view = min(views, key=lambda each: abs(each[0] - at))
+            assert time == pytest.approx(at, abs=1e-4)
+            error = np.square(view - shown.frames["pixels"][row].numpy().astype(float)).mean()
+            assert -10 * np.log10(error / 255**2) > 25, "the loss of the codec"
+
+
+def test_statistics_are_those_of_the_frames(shown: Demonstrations, folder: Path) -> None:
+    found = json.loads((folder / "meta" / "stats.json").read_text())
+    state, pixels = shown.frames["state"].double(), shown.frames["pixels"].double() / 255
+    for name, value in (("mean", state.mean(0)), ("std", state.std(0, correction=0)), ("max", state.amax(0))):
+        assert found["observation.state"][name] == pytest.approx(value.tolist())
+    flat = pixels.reshape(-1, 3)
+    for name, value in (("mean", flat.mean(0)), ("std", flat.std(0, correction=0)), ("min", flat.amin(0))):
+        assert np.array(found[KEY][name]).shape == (3, 1, 1)
+        assert np.ravel(found[KEY][name]) == pytest.approx(value.numpy(), abs=1e-9)
+    assert all(each["count"] == [len(shown)] for each in found.values())
+
+
+def test_tasks_are_indexed_by_their_words(folder: Path) -> None:
+    found = parquet.read_table(folder / "meta" / "tasks.parquet")
+    assert found["task_index"].to_pylist() == [0]
+    (index,) = json.loads(found.schema.metadata[b"pandas"])["index_columns"]
+    assert found[index].to_pylist() == ["Grid in room"]
+
+
+def test_images_with_odd_sides_are_refused(shown: Demonstrations, tmp_path: Path) -> None:
+    frames = shown.frames.clone()
+    frames["pixels"] = torch.zeros(len(frames), 11, 16, 3, dtype=torch.uint8)
+    with pytest.raises(ValueError, match="expected even numbers, got 16 and 11"):
+        write_lerobot(tmp_path, Demonstrations(frames, shown.action_names), "x")
+    assert not list(tmp_path.iterdir())
