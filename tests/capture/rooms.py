@@ -9,11 +9,15 @@ from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.capture.base import Reconstruction
 from splatrl.capture.world import Placed
 from splatrl.renderers import NativeRenderer
+from splatrl.scenes.gaussians import Gaussians
 from tests.tiny import tiny_gaussians
 
 WIDTH, HEIGHT = 96, 64
 CAMERAS = 24
 ABOVE = 0.5
+FLOATER = (0.9, 0.0, 0.5)
+"""On the cameras' path, and nothing is there."""
+HAZE = (0.7, 1.2, 0.5)
 
 
 def tiny_capture(folder: Path, exposure: float = 1.0) -> Placed:
@@ -47,3 +51,28 @@ def hidden(eye: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
     along = torch.linspace(0.02, 0.9, 60).double()[:, None, None]
     places = eye + along * (points - eye)
     return (places[..., :2].abs() < 0.3).all(2).any(0)
+
+
+def with_cloud(middle: tuple[float, float, float], reach: int, scale: float, opacity: float) -> Gaussians:
+    """The room and black Gaussians around a place in mid-air, 5 cm apart, so many to each side."""
+    steps = 0.05 * torch.cartesian_prod(*[torch.arange(-reach, reach + 1.0)] * 3)
+    count = len(steps)
+    cloud = Gaussians(
+        means=torch.tensor(middle) + steps,
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        scales=torch.full((count, 3), scale),
+        opacities=torch.full((count,), opacity),
+        sh=torch.zeros(count, 1, 3),
+        batch_size=[count],
+    )
+    return torch.cat([tiny_gaussians(), cloud])
+
+
+def with_floater() -> Gaussians:
+    """The room with a dense blob in mid-air."""
+    return with_cloud(FLOATER, 1, 0.05, 0.95)
+
+
+def with_haze() -> Gaussians:
+    """The room with a cloud before a wall that no image shows: many faint Gaussians, dense together."""
+    return with_cloud(HAZE, 2, 0.004, 0.75)

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
 from splatrl.capture.area import dense_voxels, survey_area
@@ -14,39 +13,10 @@ from splatrl.capture.base import CaptureError
 from splatrl.capture.check import check, colour_corrected, psnr, ssim
 from splatrl.capture.floaters import hazy_voxels, seen_through, without_floaters
 from splatrl.collision.occupancy import Occupancy
-from splatrl.scenes.gaussians import Gaussians
-from tests.capture.rooms import CAMERAS, tiny_capture
+from tests.capture.rooms import CAMERAS, FLOATER, HAZE, tiny_capture, with_floater, with_haze
 from tests.tiny import tiny_gaussians
 
 HELD_OUT = range(3, CAMERAS, 8)
-FLOATER = (0.9, 0.0, 0.5)
-"""On the cameras' path, and nothing is there."""
-HAZE = (0.7, 1.2, 0.5)
-
-
-def with_cloud(middle: tuple[float, float, float], reach: int, scale: float, opacity: float) -> Gaussians:
-    """The room and black Gaussians around a place in mid-air, 5 cm apart, so many to each side."""
-    steps = 0.05 * torch.cartesian_prod(*[torch.arange(-reach, reach + 1.0)] * 3)
-    count = len(steps)
-    cloud = Gaussians(
-        means=torch.tensor(middle) + steps,
-        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
-        scales=torch.full((count, 3), scale),
-        opacities=torch.full((count,), opacity),
-        sh=torch.zeros(count, 1, 3),
-        batch_size=[count],
-    )
-    return torch.cat([tiny_gaussians(), cloud])
-
-
-def with_floater() -> Gaussians:
-    """The room with a dense blob in mid-air."""
-    return with_cloud(FLOATER, 1, 0.05, 0.95)
-
-
-def with_haze() -> Gaussians:
-    """The room with a cloud before a wall that no image shows: many faint Gaussians, dense together."""
-    return with_cloud(HAZE, 2, 0.004, 0.75)
 
 
 def test_a_perfect_fit_scores_high_and_its_path_is_free(tmp_path: Path) -> None:

@@ -18,11 +18,11 @@ from splatrl.capture.suggestions import suggest
 from splatrl.configuration import load_config
 from splatrl.scenes import read_scene
 from splatrl.scenes.description import read_description
-from tests.capture.rooms import ABOVE, CAMERAS, tiny_capture
+from tests.capture.rooms import ABOVE, CAMERAS, HAZE, tiny_capture, with_haze
 from tests.tiny import tiny_gaussians
 
 HELD_OUT = range(3, CAMERAS, 8)
-FILES = {"splat.ply", "free.ply", "scene.yaml", "report.html", "held_out.png", "map.png", "goals.png", "cameras.png"}
+FILES = {"splat.ply", "scene.yaml", "report.html", "held_out.png", "map.png", "goals.png", "cameras.png"}
 SMALL = [
     "device=cpu",
     "robot.image_width=16",
@@ -49,6 +49,18 @@ def test_a_policy_trains_in_a_written_folder_and_nothing_else_is_said(tmp_path: 
     assert len(world.plan.start_rows) > 50, "most free poses lead to the goal"
     build_trainer(cfg, world, tmp_path / "run").fit()
     assert (tmp_path / "run" / "checkpoints" / "last.pt").is_file()
+
+
+def test_haze_is_named_in_the_folder_and_is_not_solid_to_robots(tmp_path: Path) -> None:
+    folder = tmp_path / "hazy"
+    write_scene(folder, with_haze(), tiny_capture(tmp_path / "images"), HELD_OUT)
+    assert {file.name for file in folder.iterdir()} == FILES | {"free.ply"}
+    assert read_description(folder)["free"] == "free.ply"
+    place = torch.tensor([HAZE])
+    assert not build_world(load_config([f"scene={folder}/", *SMALL])).occupancy.contains(place).any()
+    stated = (folder / "scene.yaml").read_text().replace('free: "free.ply"', "free: null")
+    (folder / "scene.yaml").write_text(stated)
+    assert build_world(load_config([f"scene={folder}/", *SMALL])).occupancy.contains(place).all()
 
 
 def test_a_goal_is_free_and_faces_something_and_the_thing_has_room(tmp_path: Path) -> None:
