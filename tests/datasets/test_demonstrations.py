@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.data import LazyMemmapStorage, SliceSampler, TensorDictReplayBuffer
+from torchrl.data import SliceSampler, TensorDictReplayBuffer, TensorStorage
 
 from splatrl.build import build_world
 from splatrl.configuration import load_config
@@ -75,8 +75,7 @@ def test_what_is_written_is_read_by_us_by_tensordict_and_by_torchrl(shown: Demon
     frames = TensorDict.load_memmap(folder / "memmap")
     assert (frames == shown.frames).all()
     sampler = SliceSampler(num_slices=4, traj_key="episode", strict_length=False)
-    buffer = TensorDictReplayBuffer(storage=LazyMemmapStorage(len(frames)), sampler=sampler, batch_size=16)
-    buffer.extend(frames)
+    buffer = TensorDictReplayBuffer(storage=TensorStorage(frames), sampler=sampler, batch_size=16)
     assert buffer.sample()["pixels"].shape[1:] == (12, 16, 3)
 
 
