@@ -1,6 +1,7 @@
 """Builds objects from configs: the one place that knows which node builds what."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from multiprocessing import current_process
 from pathlib import Path
@@ -26,6 +27,7 @@ from splatrl.envs.tasks import Task
 from splatrl.envs.world import World
 from splatrl.evaluation.rollouts import run_episodes, spread
 from splatrl.made_with import made_with
+from splatrl.misfits import check_goal, check_height, check_sprite
 from splatrl.scenes.scene import Bounds
 from splatrl.training import PPO, Cloner, Trainer, memory_transforms
 from splatrl.values import require_number
@@ -44,18 +46,23 @@ def build_world(cfg: DictConfig) -> World:
     cfg = cfg.copy()
     cfg.device = str(device)  # the value of ${device} in nodes
     scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
-    occupancy = instantiate(cfg.collision.occupancy)(scene, *_start_region(task, robot.body))
+    check_height(scene.bounds, task)
+    region = _start_region(task, robot.body)
+    with _key("collision.occupancy"):
+        occupancy = instantiate(cfg.collision.occupancy)(scene, *region)
     checker = _constructor(cfg, "collision", device)(occupancy, robot.body)
     renderer = _constructor(cfg, "renderer", device)(scene)
     if cfg.renderer.cache is not None and device.type == "cpu":
         renderer = instantiate(cfg.renderer.cache)(renderer)
+    drawing = instantiate(cfg.drawing)(renderer)
+    check_sprite(drawing, robot, task)
     planner = checker if device.type == "cpu" else instantiate(cfg.collision.cpu)(occupancy, robot.body)
     solid = NativeChecker(occupancy, robot.body)
     return World(
         scene,
         occupancy,
         checker,
-        instantiate(cfg.drawing)(renderer),
+        drawing,
         robot,
         task,
         plan(task.motion, planner, task.reached, cfg.starts.farthest, partial(_fits, scene.bounds, solid)),
@@ -63,6 +70,15 @@ def build_world(cfg: DictConfig) -> World:
         device,
         partial(build_world, given),
     )
+
+
+@contextmanager
+def _key(key: str) -> Iterator[None]:
+    """Put the key of a config before what its constructor refuses."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{key}: {error}") from error
 
 
 def _constructor(cfg: DictConfig, group: str, device: torch.device) -> Callable[..., Any]:
@@ -109,6 +125,8 @@ def _start_region(task: Task, body: Body) -> tuple[Tensor, tuple[list[float], li
     states = task.motion.states()
     places = task.motion.body_to_world(states)[:, :3, 3]
     reached = task.reached(states)
+    if reached is not None:
+        check_goal(task, reached)
     lower, upper = places.amin(0) - body.radius, places.amax(0) + body.radius
     return places if reached is None else places[reached], (lower.tolist(), upper.tolist())
 

@@ -1,12 +1,11 @@
 """Hydra configs: composing them, checking them, and keeping them in run folders."""
 
-import difflib
 import functools
 import itertools
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_loader import ConfigLoader
@@ -21,6 +20,7 @@ from splatrl.documents import read_config
 from splatrl.files import replacing
 from splatrl.scene_overrides import scene_overrides
 from splatrl.scenes.description import SCENE_FILE, read_description
+from splatrl.scenes.formats.reading import META
 from splatrl.scenes.nerfstudio import antialiased_beside
 from splatrl.targets import check_targets
 from splatrl.values import require_number
@@ -48,8 +48,8 @@ def conf_dir() -> Path:
     return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
 
 
-OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
-"""Options of Hydra that choose a config other than ours."""
+RUN_CONFIG = "config.yaml"
+"""The config of a run, in its folder."""
 MOST = 2**31 - 1
 WHOLE_NUMBERS = {
     "seed": (0, 2**63 - 1),
@@ -69,9 +69,19 @@ WHOLE_NUMBERS = {
     "renderer.threads": (1, 1024),
 }
 """Keys whose values are read here and there rather than by one constructor, and their ranges."""
+WORDS = {"evaluation.checkpoint": ("last", "best"), "logger.backend": ("csv", "tensorboard", "wandb")}
+"""Keys that take one of a few words, which would otherwise be refused only after a training."""
 NULLABLE = ("starts.farthest", "renderer.threads")
-CHOICES = {"evaluation.checkpoint": ("last", "best")}
-"""Keys that are read only when the training is over, and what they may be."""
+
+BY_SCENE = "or let splatrl-scene <the splat> --out <a folder> find one, and type scene=<the folder>"
+EXAMPLES = {
+    "run": "run=<the folder of a training>",
+    "robot.height": f"robot.height=0.4, metres above the floor, {BY_SCENE}",
+    "landmarks.goal": f"landmarks.goal=[x,y,yaw], two in metres and one in degrees, of what sees something, {BY_SCENE}",
+    "landmarks.object": f"landmarks.object=[x,y,z], in metres, of a free place for a thing, {BY_SCENE}",
+    "scene.path": "scene.path=<a splat file or a folder>",
+}
+"""What to type for values that people forget."""
 
 PATHS = ("scene.path", "collision.occupancy.cloud", "demos")
 """Keys that hold a path, which is made absolute in a run folder."""
@@ -121,12 +131,21 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
         key, _, value = override.partition("=")
         path = value.strip("'\"")
         if key == "scene" and path and Path(path).expanduser().exists() and path not in options("scene"):
+            _check_scene(Path(path).expanduser())
             result += ["scene=file", f"scene.path={quoted(path)}"]
         elif key == "scene" and Path(path).suffix and "," not in path and path not in options("scene"):
             raise ValueError(f"scene: expected {', '.join(options('scene'))} or a path that exists, got {path}")
         else:
             result.append(override)
     return [*_proposals(result, name), *result]
+
+
+def _check_scene(path: Path) -> None:
+    if path.is_dir() and not (path / SCENE_FILE).is_file() and not (path / META).is_file():
+        raise ValueError(
+            f"scene: expected a splat file, or a folder with {SCENE_FILE}, got {path}; "
+            f"splatrl-scene <the splat> --out {path} writes one"
+        )
 
 
 def _proposals(overrides: Sequence[str], name: str) -> list[str]:
@@ -174,37 +193,6 @@ def quoted(value: object) -> str:
     return f"'{text}'"
 
 
-def command_line(name: str, arguments: Sequence[str]) -> list[str]:
-    """A command's arguments for Hydra, with paths after ``scene=`` rewritten and keys checked.
-
-    Hydra itself lists the options of a config group, but not the keys of a node.
-
-    Args:
-        name: name of the root config.
-        arguments: arguments of the command line.
-
-    Raises:
-        SystemExit: for a key that does not exist, with the closest valid key and all valid keys.
-    """
-    try:
-        result = with_scene_paths(arguments, name)
-    except ValueError as error:
-        sys.exit(str(error))
-    if any(argument.partition("=")[0] in OWN_CONFIG for argument in arguments):
-        return result  # Hydra itself reports a key that a config of one's own does not have
-    plain = [a for a in result if "=" in a and not a.startswith(("-", "+", "~", "hydra"))]
-    try:
-        keys = [override.key_or_group for override in OverridesParser.create().parse_overrides(plain)]
-        groups = [a.split(",")[0] for a, key in zip(plain, keys, strict=True) if is_group(key)]
-        known = load_config(groups, name)
-    except HydraException:
-        return result  # Hydra itself reports errors of grammar and the options of a group
-    for key in keys:
-        if not is_group(key):
-            _check_key(key, known)
-    return result
-
-
 def is_group(key: str) -> bool:
     """Whether an override's key names a config group, either ours or a plugin's."""
     return bool(options(key.split("@")[0]))
@@ -216,21 +204,9 @@ def options(group: str) -> list[str]:
         return list(loader.get_group_options(group))
 
 
-def _check_key(key: str, known: DictConfig) -> None:
-    *parents, leaf = key.split(".")
-    node = OmegaConf.select(known, ".".join(parents)) if parents else known
-    valid = [str(k) for k in node if k != "_target_"] if isinstance(node, DictConfig) else []
-    if leaf in valid:
-        return
-    near = difflib.get_close_matches(leaf, valid, 1)
-    hint = f", did you mean {'.'.join([*parents, near[0]])}?" if near else ""
-    place = f"of {'.'.join(parents)}" if parents else "at the top"
-    sys.exit(f"{key}: no such key{hint}\nvalid keys {place}: {', '.join(valid) or 'none'}")
-
-
 def save_config(cfg: DictConfig, folder: Path) -> None:
     """Write ``config.yaml`` into a run folder: everything needed to resume and evaluate, from any working folder."""
-    with replacing(folder / "config.yaml") as stream:
+    with replacing(folder / RUN_CONFIG) as stream:
         stream.write(OmegaConf.to_yaml(with_absolute_paths(cfg)).encode())
 
 
@@ -255,9 +231,9 @@ def run_config(folder: Path, allow_targets: Sequence[str] = ()) -> DictConfig:
         FileNotFoundError: if the folder is not a run folder.
         ValueError: for a config that is damaged, or names something else to build than what stands in conf/.
     """
-    path = folder / "config.yaml"
+    path = folder / RUN_CONFIG
     if not path.is_file():
-        raise FileNotFoundError(f"{folder}: expected a run folder with config.yaml, found none")
+        raise FileNotFoundError(f"{folder}: expected a run folder with {RUN_CONFIG}, found none")
     cfg = read_config(path)
     try:
         cfg.allow_targets = list(allow_targets)
@@ -317,13 +293,31 @@ def check_config(cfg: DictConfig) -> None:
         ValueError: names the keys, what was expected and what came.
     """
     _check_targets(cfg)
-    missing = sorted(OmegaConf.missing_keys(cfg))
-    if missing:
-        raise ValueError(f"expected a value for {', '.join(missing)}; give it as {missing[0]}=...")
+    plain = OmegaConf.to_container(cfg, resolve=False)
+    needed = sorted(_missing(plain)) or sorted(_unset_landmarks(plain))
+    if needed:
+        raise ValueError(f"{needed[0]}: expected a value, got none; type {EXAMPLES.get(needed[0], needed[0] + '=...')}")
     for key, (low, high) in WHOLE_NUMBERS.items() if "collector" in cfg else ():  # of a training
         value = OmegaConf.select(cfg, key)
         if value is not None or key not in NULLABLE:
             require_number(key, value, low, high, whole=True)
-    for key, choices in CHOICES.items() if "collector" in cfg else ():
-        if (chosen := OmegaConf.select(cfg, key)) not in choices:
-            raise ValueError(f"{key}: expected {' or '.join(choices)}, got {chosen!r}")
+    for key, valid in WORDS.items() if "collector" in cfg else ():
+        if (value := OmegaConf.select(cfg, key)) not in valid:
+            raise ValueError(f"{key}: expected one of {', '.join(valid)}, got {value}")
+
+
+def _missing(node: Any, place: str = "") -> Iterator[str]:
+    """Keys of plain values that have to be given."""
+    items = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    for key, value in items:
+        where = f"{place}.{key}" if place else str(key)
+        if value == "???":
+            yield where
+        yield from _missing(value, where)
+
+
+def _unset_landmarks(plain: Any) -> list[str]:
+    """Landmarks that the task refers to and that are null."""
+    said = str(plain.get("task"))
+    names = [f"landmarks.{key}" for key, value in (plain.get("landmarks") or {}).items() if value is None]
+    return [name for name in names if f"${{{name}}}" in said]

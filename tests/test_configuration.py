@@ -12,10 +12,10 @@ from torchrl.envs import RewardScaling
 
 from splatrl.build import _constructor, build_trainer, build_world, make_env
 from splatrl.collision import CudaChecker, NativeChecker, NoChecker
+from splatrl.command_line import command_line
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.configuration import (
     check_config,
-    command_line,
     conf_dir,
     load_config,
     resumed_config,
@@ -186,24 +186,21 @@ def test_the_kitchen_is_the_task_that_figures_are_compared_on(shared_scenes: Pat
 
 
 def test_a_mistyped_key_stops_with_the_valid_ones() -> None:
-    with pytest.raises(SystemExit, match=r"loss.gama: no such key, did you mean loss.gamma\?\n.*clip_epsilon"):
+    with pytest.raises(SystemExit, match=r"loss.gama: no such key, did you mean loss.gamma\? .*clip_epsilon"):
         command_line("train", ["scene=backyard", "loss.gama=0.9"])
-    with pytest.raises(SystemExit, match=r"sede: no such key, did you mean seed\?\n.*collector"):
+    with pytest.raises(SystemExit, match=r"sede: no such key, did you mean seed\? .*collector"):
         command_line("train", ["sede=1"])
-    with pytest.raises(SystemExit, match=r"valid keys of evaluation\.seed: none"):
+    with pytest.raises(SystemExit, match=r"no such key\. Valid keys of evaluation\.seed: none"):
         command_line("train", ["evaluation.seed.x=1"])
-    with pytest.raises(SystemExit, match=r"task\.motion\.turn: no such key.*\n.*time_step"):
+    with pytest.raises(SystemExit, match=r"task\.motion\.turn: no such key.*time_step"):
         command_line("train", ["task=fps", "motion@task.motion=drive", "task.motion.turn=1"])
 
 
 def test_a_value_that_nobody_gave_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"expected a value for scene\.path; give it as scene\.path=\.\.\."):
+    with pytest.raises(
+        ValueError, match=r"scene\.path: expected a value, got none; type scene\.path=<a splat file or a folder>"
+    ):
         build_world(load_config(["scene=kitchen"]))
-
-
-@pytest.mark.parametrize("argument", ["task.goal=[0.0", "scene=kitchn"])
-def test_grammar_and_the_options_of_groups_are_left_to_hydra(argument: str) -> None:
-    assert command_line("train", [argument]) == [argument]
 
 
 @pytest.mark.parametrize(

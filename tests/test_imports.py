@@ -36,7 +36,8 @@ ORDER = [
     {"capture"},
     {"scene_overrides", "targets"},
     {"configuration"},
-    {"made_with"},
+    {"command_line"},
+    {"made_with", "misfits"},
     {"build"},
     {"gymnasium_ids"},
     {"runs"},
@@ -45,12 +46,13 @@ ORDER = [
 ]
 """Packages ("rooms") and single modules under splatrl/, in order; a new one is added here."""
 ONLY = {
-    "hydra": {"targets", "configuration", "build", "commands"},
+    "hydra": {"targets", "configuration", "command_line", "build", "commands"},
     "omegaconf": {
         "documents",
         "targets",
         "scenes",
         "configuration",
+        "command_line",
         "made_with",
         "build",
         "runs",

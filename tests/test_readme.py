@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from splatrl.command_line import command_line
 from splatrl.commands import capture, scene
-from splatrl.configuration import command_line, load_config
+from splatrl.configuration import load_config
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -55,6 +56,9 @@ def test_a_command_that_it_shows_is_understood(
         (tmp_path / name).touch()
     (tmp_path / "garden").mkdir()
     (tmp_path / "garden" / "scene.yaml").write_text("splat: splat.ply\n")
+    run = tmp_path / "outputs" / "2026-01-31" / "12-00-00"
+    run.mkdir(parents=True)
+    (run / "config.yaml").touch()
     name, arguments = words[0].removeprefix("splatrl-"), [word for word in words[1:] if word not in ("-m", "--help")]
     if name in ("scene", "capture"):
         {"scene": scene, "capture": capture}[name].parser().parse_args(arguments)

@@ -12,7 +12,7 @@ from splatrl.capture.marker import MARKER_SIDE, write_marker_page
 from splatrl.capture.pipeline import CaptureSettings, capture
 from splatrl.capture.resolution import Resolution
 from splatrl.capture.scale import Click, Distance
-from splatrl.commands.options import is_numbers, joined, split
+from splatrl.commands.options import Parser, is_numbers, joined, split
 from splatrl.device import AUTO, chosen_device, device_line
 from splatrl.envs.robot import Robot
 from splatrl.scenes.description import scene_folder
@@ -22,9 +22,9 @@ SELDOM = 10.0
 """Seconds between the lines of a bar that goes to a file."""
 
 
-def parser() -> argparse.ArgumentParser:
+def parser() -> Parser:
     """The parser of the command line."""
-    result = argparse.ArgumentParser(prog="splatrl-capture", description=__doc__)
+    result = Parser(prog="splatrl-capture", description=__doc__)
     result.add_argument(
         "source",
         type=Path,

@@ -9,12 +9,15 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig
 
 from splatrl.build import build_world
-from splatrl.configuration import check_config, command_line, conf_dir, run_config
+from splatrl.command_line import command_line
+from splatrl.commands.faults import in_one_line
+from splatrl.configuration import check_config, conf_dir, run_config
 from splatrl.evaluation.clips import REPORT, write_report
 from splatrl.experiments.clip_scores import altered, record_clips, score_run
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="clips")
+@in_one_line("splatrl-clips")
 def run(cfg: DictConfig) -> None:
     """Record clips, score the runs of ``cfg.run`` on clips, or do both in that order."""
     check_config(cfg)

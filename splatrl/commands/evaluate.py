@@ -8,7 +8,9 @@ import hydra
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from splatrl.configuration import check_config, command_line, conf_dir, run_config
+from splatrl.command_line import command_line
+from splatrl.commands.faults import in_one_line
+from splatrl.configuration import check_config, conf_dir, run_config
 from splatrl.envs.world import World
 from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
 from splatrl.runs import load_policy
@@ -32,6 +34,7 @@ def evaluate_run(cfg: DictConfig, folder: Path, world: World | None = None) -> d
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="evaluate")
+@in_one_line("splatrl-evaluate")
 def run(cfg: DictConfig) -> None:
     """Evaluate the run folder ``cfg.run`` with its own config."""
     check_config(cfg)

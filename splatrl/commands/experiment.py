@@ -13,21 +13,23 @@ from hydra.utils import get_method
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationToMissingValueError, OmegaConfBaseException
 
-from splatrl.configuration import command_line, conf_dir, load_config, quoted
+from splatrl.command_line import command_line
+from splatrl.commands.faults import in_one_line
+from splatrl.configuration import conf_dir, load_config, quoted
 from splatrl.experiments import Run, Selection, budget, check_settings, planned, report_all, score, statement, train_all
 from splatrl.experiments.machine import machine
 from splatrl.native.threads import usable_cores
+from splatrl.values import require_number
 
 TRAIN = (sys.executable, "-m", "splatrl.commands.train")
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="experiment")
+@in_one_line("splatrl-experiment")
 def run(cfg: DictConfig) -> None:
     """Train and report the experiment ``cfg.name``, or all of them."""
     try:
         experiment(cfg)
-    except ValueError as error:
-        sys.exit(f"splatrl-experiment: {error}")
     except KeyboardInterrupt:
         command = shlex.join(["splatrl-experiment", *sys.argv[1:]])
         print(f"\nstopped, and what was trained is kept; {command} goes on", file=sys.stderr)
@@ -44,6 +46,7 @@ def experiment(cfg: DictConfig) -> None:
         ValueError: for an invalid name, scene or setting.
         SystemExit: if trainings failed, naming them, once all others are done.
     """
+    _check(cfg)
     names, folder = _names(cfg), Path(cfg.folder)
     nodes = _plain(cfg.experiments)
     _prepare(cfg, names, nodes)
@@ -68,6 +71,19 @@ def experiment(cfg: DictConfig) -> None:
     print("\n".join(f"report in {path}" for path in reports))
     if failed:
         sys.exit("\n".join(["failed:", *(f"{each.folder}: see log.txt there" for each in failed)]))
+
+
+def _check(cfg: DictConfig) -> None:
+    """Refuse settings that trainings would fail on one by one."""
+    for key in ("jobs", "frames"):
+        if cfg[key] is not None:
+            require_number(key, cfg[key], 1, whole=True)
+    seeds = _plain(cfg)["seeds"]
+    if seeds is not None and not (isinstance(seeds, list) and all(isinstance(seed, int) for seed in seeds)):
+        raise ValueError(f"seeds: expected whole numbers in brackets such as [0,1], got {seeds}")
+    given = not OmegaConf.is_missing(cfg, "kitchen") and not cfg.report_only
+    if given and not Path(cfg.kitchen).expanduser().exists():
+        raise ValueError(f"kitchen: expected the path of kitchen.spz, got {cfg.kitchen}")
 
 
 def _names(cfg: DictConfig) -> list[str]:

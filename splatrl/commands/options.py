@@ -1,6 +1,16 @@
 """Options of several words, some of which may begin with a minus, as argparse alone cannot take them."""
 
+import argparse
 from collections.abc import Callable, Mapping, Sequence
+from typing import NoReturn
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that says in one line what is wrong."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with what is wrong, and where the options are listed."""
+        self.exit(2, f"{self.prog}: {message.removeprefix('argument ')}; {self.prog} --help lists the options\n")
 
 
 def is_word(word: str) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from splatrl.commands.options import joined, split
+from splatrl.commands.options import Parser, joined, split
 from splatrl.evaluation.scene_pictures import draw_scene, survey_occupancy
 from splatrl.files import replacing
 from splatrl.scenes.description import (
@@ -37,9 +37,9 @@ WORDS = {"--axes": 3, "--translation": 3, "--matrix": 16, "--distance": 7}
 FRAME_OPTIONS = ("axes", "scale", "translation", "matrix", "nerfstudio", "distance")
 
 
-def parser() -> argparse.ArgumentParser:
+def parser() -> Parser:
     """The parser of the command line."""
-    result = argparse.ArgumentParser(prog="splatrl-scene", description=__doc__)
+    result = Parser(prog="splatrl-scene", description=__doc__)
     result.add_argument("file", type=Path, help="a splat file, or a folder with scene.yaml to inspect again")
     result.add_argument("--axes", metavar="X Y Z", help="signed file axes that become world x, y and z: x -z y")
     result.add_argument("--scale", type=float, help="metres per unit of the file")

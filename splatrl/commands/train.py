@@ -10,10 +10,11 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from splatrl.build import build_trainer, build_world
+from splatrl.command_line import command_line
 from splatrl.commands.evaluate import evaluate_run
+from splatrl.commands.faults import in_one_line
 from splatrl.configuration import (
     check_config,
-    command_line,
     conf_dir,
     quoted,
     resumed_config,
@@ -27,6 +28,7 @@ INTERRUPTED = 130
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="train")
+@in_one_line("splatrl-train")
 def run(cfg: DictConfig) -> float:
     """Train and evaluate what a config describes, or resume a run folder; returns the success rate, for sweepers."""
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)

@@ -13,6 +13,7 @@ FAR = 1e6
 """Stands for the steps to the goal where there is no path to it."""
 Reached = Callable[[Tensor], Tensor | None]
 """Whether states [N, ...] are at a goal, [N] bool; None where there are no goal states."""
+WAYS_OUT = "try another landmarks.goal or robot.height, or a smaller robot.body.size"
 SETTLED = 1e-3
 """Value iteration stops when no node changes by more than this, steps."""
 
@@ -71,9 +72,11 @@ def cost_field(motion: PlannedMotion, checker: Checker, reached: Reached) -> Fie
     at_goal = reached(nodes)
     assert at_goal is not None, "there are no paths without goal states"
     if not free.any():
-        raise ValueError(f"scene: expected free poses, got {len(nodes)} poses that all collide")
+        raise ValueError(f"scene: expected free poses, got {len(nodes)} poses that all collide; {WAYS_OUT}")
     if not (goals := free & at_goal).any():
-        raise ValueError(f"task.goal: expected a free pose at the goal, got {int(at_goal.sum())} that collide")
+        raise ValueError(
+            f"task.goal: expected a free pose at the goal, got {int(at_goal.sum())} that collide; {WAYS_OUT}"
+        )
     rows = (free & ~goals).nonzero().squeeze(1)
     taps = [_open(motion, checker, nodes[rows], action) for action in motion.actions()]
     costs = _settle(torch.where(goals, 0.0, FAR), rows, [_slim(_among(tap, free)) for tap in taps])

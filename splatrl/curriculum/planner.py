@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from splatrl.collision.base import Checker
-from splatrl.curriculum.field import FAR, Field, Reached, cost_field
+from splatrl.curriculum.field import FAR, WAYS_OUT, Field, Reached, cost_field
 from splatrl.motions.base import PlannedMotion
 
 UNREACHABLE = -1
@@ -128,7 +128,9 @@ def plan(
     free = free if fits is None else free & fits(poses)
     if at_goal is None or field is None:
         if not free.any():
-            raise ValueError(f"scene: expected free poses, got {len(states)} poses in which no robot can begin")
+            raise ValueError(
+                f"scene: expected free poses, got {len(states)} poses in which no robot can begin; {WAYS_OUT}"
+            )
         rows = free.nonzero().squeeze(1)
         return Plan(states, free, torch.where(free, 0, UNREACHABLE), actions, motion, checker, rows, reached)
     left = field(states)
@@ -136,5 +138,7 @@ def plan(
     distance = torch.where(free & at_goal, 0, distance)
     starts = (distance > 0) & (distance <= (distance.max() if farthest is None else farthest))
     if not starts.any():
-        raise ValueError(f"task.goal: expected a path to it from some free pose, got none from {int(free.sum())}")
+        raise ValueError(
+            f"task.goal: expected a path to it from some free pose, got none from {int(free.sum())}; {WAYS_OUT}"
+        )
     return Plan(states, free, distance, actions, motion, checker, starts.nonzero().squeeze(1), reached, field)

@@ -39,9 +39,9 @@ class LatticeMotion(FiniteMotion):
         lower: Sequence[float] = (-1.0, -1.0),
         upper: Sequence[float] = (1.0, 1.0),
     ):
-        headings = whole_steps("angle_step_deg", 360.0, angle_step_deg)
+        headings = whole_steps("task.motion.angle_step_deg", 360.0, angle_step_deg)
         columns, rows = (
-            whole_steps(f"step: bounds along {axis}", high - low, step) + 1
+            whole_steps(f"task.motion.step: bounds along {axis}", high - low, step) + 1
             for axis, low, high in zip("xy", lower, upper, strict=True)
         )
         moves = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
@@ -90,7 +90,6 @@ def whole_steps(name: str, length: float, step: float) -> int:
     """
     count = round(length / step) if step > 0 and length > 0 else 0
     if count < 1 or abs(count * step - length) > 1e-6 * length:
-        raise ValueError(
-            f"{name}: expected a whole number of steps of {step} in {length}, got {length / step if step else step}"
-        )
+        got = length / step if step else 0.0
+        raise ValueError(f"{name}: expected a whole number of steps of {step} in {length:.6g}, got {got:.6g}")
     return count

@@ -46,7 +46,9 @@ def test_every_experiment_composes_and_states_its_budget(
         return []
 
     monkeypatch.setattr(conduct, "train", nothing)
-    words = ["name=all", f"folder={tmp_path}", "kitchen=kitchen.spz", "jobs=2", "experiments.loop.prepare=null"]
+    (tmp_path / "kitchen.spz").touch()
+    kitchen = f"kitchen={tmp_path / 'kitchen.spz'}"
+    words = ["name=all", f"folder={tmp_path}", kitchen, "jobs=2", "experiments.loop.prepare=null"]
     experiment(load_config(words, "experiment"))
     assert len(trained) == 25 + 8 + 6 + 8 + 2
     assert "kitchen-gru-s0" in trained

@@ -136,7 +136,7 @@ def test_states_lists_each_state_once_and_index_finds_it() -> None:
         ({"elevation_deg": (0.0, 120.0)}, r"task\.motion: expected .* got \[0\.5, 1\.5\] and \[0\.0, 120\.0\]"),
         ({"elevation_deg": (30.0, 0.0)}, r"task\.motion: expected"),
         ({"angle_step_deg": 25.0}, r"task\.motion\.angle_step_deg: expected a whole number of steps of 25\.0 in 360"),
-        ({"distance_step": 0.3}, r"task\.motion\.distance: expected a whole number of steps of 0\.3 in 1\.0"),
+        ({"distance_step": 0.3}, r"task\.motion\.distance: expected a whole number of steps of 0\.3 in 1,"),
         ({"elevation_deg": (0.0, 85.0)}, r"task\.motion\.elevation_deg: expected a whole number of steps"),
     ],
 )

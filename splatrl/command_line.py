@@ -1,0 +1,207 @@
+"""What people type, checked before Hydra reads it: every fault is one line that says what to type instead."""
+
+import difflib
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from splatrl.configuration import RUN_CONFIG, is_group, load_config, options, with_scene_paths
+
+OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
+"""Options of Hydra that choose a config other than ours."""
+WITH_VALUE = (*OWN_CONFIG, "--cfg", "-c", "--package", "-p", "--info", "-i", "--experimental-rerun")
+"""Options of Hydra after which a word of another kind may come."""
+SWEEP = ("-m", "--multirun")
+MAIN_KEYS = {"train": "scene", "evaluate": "run", "clips": "run", "experiment": "name"}
+"""What a word alone probably is the value of."""
+MOST_NEAR = 3
+
+
+class UserError(ValueError):
+    """Something typed that cannot be meant."""
+
+
+def command_line(name: str, arguments: Sequence[str]) -> list[str]:
+    """A command's arguments for Hydra, with paths after ``scene=`` rewritten, and keys and values checked.
+
+    Args:
+        name: name of the root config.
+        arguments: arguments of the command line.
+
+    Raises:
+        SystemExit: with one line that names the argument, what was expected and what came.
+    """
+    try:
+        _check_words(name, arguments)
+        result = with_scene_paths(arguments, name)
+        if any(argument.partition("=")[0] in OWN_CONFIG for argument in arguments):
+            return result  # Hydra itself reports a key that a config of one's own does not have
+        sweeps = any(argument in SWEEP for argument in arguments)
+        _check_overrides(name, [_parsed(word, sweeps) for word in result if _is_plain(word)], sweeps)
+    except ValueError as error:
+        sys.exit(f"splatrl-{name}: {error}")
+    return result
+
+
+def _is_plain(word: str) -> bool:
+    """Whether a word is an override of a key or a group of ours."""
+    return "=" in word and not word.startswith(("-", "+", "~", "hydra"))
+
+
+def _check_words(name: str, arguments: Sequence[str]) -> None:
+    """Refuse words that are neither overrides nor options of Hydra."""
+    for before, word in zip(["", *arguments], arguments, strict=False):
+        key, _, value = word.lstrip("-").partition("=")
+        if word.startswith("--") and _is_ours(key, name):
+            raise UserError(f"{word}: expected {key}={value or '...'}, without --")
+        if "=" not in word and not word.startswith(("-", "~", "+")) and before not in WITH_VALUE:
+            groups = [group for group in ("task", "scene") if name == "train" and word in options(group)]
+            raise UserError(f"{word}: expected key=value; did you mean {(*groups, MAIN_KEYS[name])[0]}={word}?")
+
+
+def _is_ours(key: str, name: str) -> bool:
+    return is_group(key) or OmegaConf.select(load_config(name=name), key, throw_on_missing=False) is not None
+
+
+def _parsed(word: str, sweeps: bool) -> Override:
+    key = word.partition("=")[0]
+    try:
+        override: Override = OverridesParser.create().parse_override(word)
+    except HydraException as error:
+        raise UserError(f"{word}: expected {key}=value with closed brackets, and odd signs quoted") from error
+    if override.is_sweep_override() and not sweeps:
+        text = word.partition("=")[2]
+        raise UserError(f"{key}: expected one value, got {text}; type {key}=[{text}] for a list, or -m for a sweep")
+    return override
+
+
+def _check_overrides(name: str, overrides: Sequence[Override], sweeps: bool) -> None:
+    """Refuse options that a group does not have, keys that are not there, and values of another kind than the usual."""
+    groups = [override for override in overrides if is_group(override.key_or_group)]
+    for override in groups:
+        for choice in _choices(override):
+            _check_choice(override.key_or_group, choice)
+    chosen = [f"{str(override.input_line).partition('=')[0]}={_choices(override)[0]}" for override in groups]
+    try:
+        known = load_config(chosen, name)
+    except HydraException:
+        return  # Hydra itself says what is wrong with a config
+    for override in overrides:
+        if override not in groups:
+            _check_key(override.key_or_group, known)
+            for value in _values(override):
+                check_kind(override.key_or_group, _select(known, override.key_or_group), value)
+    for override in overrides:
+        if override.key_or_group in ("resume", "run"):
+            _check_run(override)
+
+
+def _check_run(override: Override) -> None:
+    """Refuse what is no run folder; Hydra would make a folder of that name."""
+    folder = override.value()
+    if isinstance(folder, str) and not (Path(folder).expanduser() / RUN_CONFIG).is_file():
+        raise UserError(f"{override.key_or_group}: expected a run folder with {RUN_CONFIG}, got {folder}")
+
+
+def _values(override: Override) -> list[object]:
+    if override.is_sweep_override():
+        return list(override.sweep_iterator()) if override.is_choice_sweep() else []
+    return [override.value()]
+
+
+def _choices(override: Override) -> list[str]:
+    swept = override.is_sweep_override()
+    return list(override.sweep_string_iterator()) if swept else [override.get_value_element_as_str()]
+
+
+def _check_choice(key: str, choice: str) -> None:
+    group = key.partition("@")[0]
+    valid = options(group)
+    if choice in valid or choice in ("null", "") or choice.startswith("["):
+        return
+    near = difflib.get_close_matches(choice.lower(), valid, 1)
+    hint = f"; did you mean {key}={near[0]}?" if near else ""
+    paths = ", or a path that exists" if group == "scene" else ""
+    raise UserError(f"{key}: expected one of {', '.join(valid)}{paths}, got {choice}{hint}")
+
+
+def _check_key(key: str, known: DictConfig) -> None:
+    *parents, leaf = key.split(".")
+    node = _select(known, ".".join(parents)) if parents else known
+    keys = list(node) if isinstance(node, DictConfig) else []
+    if leaf in keys:
+        return
+    valid = [str(one) for one in keys if not str(one).startswith("_")]
+    near = [".".join([*parents, match]) for match in difflib.get_close_matches(leaf, valid, 1)]
+    near = near or _near_keys(leaf, known)
+    near = ["scene=<the path>"] if key == "scene.path" else near
+    hint = f", did you mean {' or '.join(near)}?" if near else "."
+    place = f"of {'.'.join(parents)}" if parents else "at the top"
+    raise UserError(f"{key}: no such key{hint} Valid keys {place}: {', '.join(valid) or 'none'}")
+
+
+def _near_keys(word: str, known: DictConfig) -> list[str]:
+    """Whole keys whose last part resembles a word or holds it."""
+    leaves = list(_leaves(OmegaConf.to_container(known, resolve=False), ""))
+    names = {key.rpartition(".")[2] for key in leaves}
+    near = {*difflib.get_close_matches(word, names), *(name for name in names if word in name.split("_"))}
+    return sorted(key for key in leaves if key.rpartition(".")[2] in near)[:MOST_NEAR]
+
+
+def _leaves(node: object, place: str) -> Iterator[str]:
+    """Keys of plain values, other than those that say what to build."""
+    if not isinstance(node, dict):
+        yield place
+        return
+    for key, value in node.items():
+        if not str(key).startswith("_"):
+            yield from _leaves(value, f"{place}.{key}" if place else str(key))
+
+
+def _select(cfg: DictConfig, key: str) -> object:
+    """The value of a key; None where it has none, or refers to one that has none."""
+    try:
+        return OmegaConf.select(cfg, key, throw_on_missing=False)
+    except OmegaConfBaseException:
+        return None
+
+
+def check_kind(key: str, usual: object, given: object) -> None:
+    """Refuse a value of another kind than a key usually has; null and references always pass.
+
+    Args:
+        key: for the message.
+        usual: its value in the configs; None tells nothing, and a text may be replaced by any word or number.
+        given: what was typed, as plain values.
+
+    Raises:
+        UserError: names the key, what was expected and what came.
+    """
+    if usual is None or given is None or (isinstance(given, str) and "${" in given):
+        return
+    if isinstance(usual, bool):
+        fits, expected = isinstance(given, bool), "true or false"
+    elif isinstance(usual, int | float):
+        fits, expected = _is_number(given), f"a number such as {usual}"
+    elif isinstance(usual, Sequence) and not isinstance(usual, str):
+        numbers = len(usual) > 0 and all(map(_is_number, usual))
+        fits = isinstance(given, list) and (not numbers or all(map(_is_number, given)))
+        expected = f"a list such as [{','.join(map(str, usual))}]" if len(usual) else "a list in brackets"
+    elif isinstance(usual, Mapping):
+        names = [f"{key}.{name}=..." for name in usual if not str(name).startswith("_")]
+        fits, expected = isinstance(given, dict), f"keys and values, such as {(*names, key + '={}')[0]}"
+    else:
+        fits, expected = not isinstance(given, list | dict), "a word"
+    if not fits:
+        shown = f"[{','.join(map(str, given))}]" if isinstance(given, list) else given
+        raise UserError(f"{key}: expected {expected}, got {'nothing' if shown == '' else shown}")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,0 +1,63 @@
+"""Errors of the people who type a command, told in one line; errors of ours keep their traceback."""
+
+import functools
+import os
+import sys
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import CompactHydraException, HydraException, InstantiationException
+from hydra.types import RunMode
+from omegaconf.errors import OmegaConfBaseException
+
+USERS = (ValueError, OSError, ImportError, HydraException, OmegaConfBaseException)
+FULL = "HYDRA_FULL_ERROR"
+"""Set in the environment, it shows where an error came from."""
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def in_one_line(command: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Decorate what a command does, so that it ends with one line for what the user can mend.
+
+    In a sweep the other jobs still run, and Hydra prints the line at the end.
+
+    Args:
+        command: its name, which begins the line.
+    """
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        @functools.wraps(function)
+        def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
+            try:
+                return function(*args, **kwargs)
+            except USERS as error:
+                if os.environ.get(FULL):
+                    raise
+                text = f"{command}: {line(error)}"
+                if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
+                    raise CompactHydraException(text) from error
+                sys.exit(text)
+
+        return guarded
+
+    return decorate
+
+
+def line(error: BaseException) -> str:
+    """What an error says, in one line, with the key of the config that it comes from.
+
+    Args:
+        error: one of ``USERS``; Hydra's wrapping of what a constructor raised is taken off.
+    """
+    key = ""
+    if isinstance(error, InstantiationException):
+        _, _, key = str(error).rpartition("full_key: ")
+        error = error.__cause__ or error
+    text = " ".join(str(error).split()) or type(error).__name__
+    if not isinstance(error, USERS):
+        text = f"{type(error).__name__}: {text}"
+    key = key.strip()
+    return text if not key or text.startswith(key.partition(".")[0]) else f"{key}: {text}"

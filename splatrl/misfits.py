@@ -1,0 +1,82 @@
+"""What does not fit together in a place says so, by the key to change, before anything is trained."""
+
+import math
+
+from torch import Tensor
+
+from splatrl.envs.drawing import SpriteDrawing
+from splatrl.envs.drawing.base import Drawing
+from splatrl.envs.robot import Robot
+from splatrl.envs.tasks.apple import Apple
+from splatrl.envs.tasks.base import Task
+from splatrl.scenes.scene import Bounds
+
+NEAREST = 0.5
+"""Steps: how near a robot can be sure to come to a thing."""
+ROUND = math.pi / 4
+"""Share of a picture's square that an apple covers."""
+
+
+def check_height(bounds: Bounds, task: Task) -> None:
+    """Refuse robots that would move below the scene.
+
+    Args:
+        bounds: of the scene, world, metres.
+        task: says where robots are.
+
+    Raises:
+        ValueError: names ``robot.height``, the lowest that fits and what came.
+    """
+    lowest = float(task.motion.body_to_world(task.motion.states())[:, 2, 3].min())
+    if lowest < bounds[0][2] - 1e-6:
+        raise ValueError(
+            f"robot.height: expected robots above {bounds[0][2]:.3g} m, where scene.bounds begin, got {lowest:.3g}"
+        )
+
+
+def check_goal(task: Task, reached: Tensor) -> None:
+    """Refuse a goal that no pose comes near.
+
+    Args:
+        task: says where robots are, and what they are to reach.
+        reached: [S] bool, whether the states of its motion are at the goal.
+
+    Raises:
+        ValueError: names the goal's key, where robots walk, and what came.
+    """
+    if reached.any():
+        return
+    places = task.motion.planar(task.motion.states())[:, :2]
+    x, y = (f"{low:.3g} to {high:.3g}" for low, high in zip(places.amin(0), places.amax(0), strict=True))
+    for name, landmark in (("goal", "landmarks.goal"), ("place", "landmarks.object")):
+        value = getattr(task, name, None)
+        if isinstance(value, Tensor):
+            got = [round(number, 3) for number in value[:2].tolist()]
+            raise ValueError(
+                f"task.{name}: expected it where robots walk, x from {x} and y from {y} m, got {got}; "
+                f"type another {landmark}, or wider task.motion.lower and upper"
+            )
+    raise ValueError(f"task: expected a goal where robots walk, x from {x} and y from {y} m, got none")
+
+
+def check_sprite(drawing: Drawing, robot: Robot, task: Task) -> None:
+    """Refuse an apple that is too small to ever fill the share of the view that its task asks for.
+
+    Args:
+        drawing: what is drawn.
+        robot: its camera.
+        task: the task.
+
+    Raises:
+        ValueError: names ``drawing.size``, the smallest that fits and what came.
+    """
+    if not isinstance(task, Apple) or not isinstance(drawing, SpriteDrawing) or task.mean_red is not None:
+        return
+    across = 2 * NEAREST * task.motion.step * math.tan(math.radians(robot.fov_deg) / 2)  # seen from there, metres
+    down = across * robot.image_height / robot.image_width
+    needed = math.sqrt(task.red_share * across * down / (ROUND * drawing.sprite.aspect))
+    if drawing.size < needed:
+        raise ValueError(
+            f"drawing.size: expected at least {needed:.2g} m, so that a robot that comes no nearer than half of "
+            f"task.motion.step={task.motion.step:g} sees {task.red_share:.0%} of red, got {drawing.size:g}"
+        )

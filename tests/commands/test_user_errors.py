@@ -1,0 +1,167 @@
+"""Whatever people type wrong, a command answers in one line that names it and says what to type."""
+
+import shlex
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from splatrl.command_line import UserError, check_kind
+from splatrl.commands import capture, clips, evaluate, experiment, scene, train
+from splatrl.commands.faults import in_one_line
+from splatrl.scenes import write_gaussians
+from tests.tiny import tiny_gaussians
+
+MAINS: dict[str, Callable[[], None]] = {
+    "train": train.main,
+    "evaluate": evaluate.main,
+    "clips": clips.main,
+    "experiment": experiment.main,
+    "scene": scene.main,
+    "capture": capture.main,
+}
+TINY = (
+    "device=cpu robot.image_width=16 robot.image_height=12 network.pool=1 robot.body.size=[0.3,0.3,0.2] "
+    "task.motion.step=0.5 task.motion.lower=[-1.0,-1.5] task.motion.upper=[1.0,1.5] "
+    "collector.total_frames=256 collector.frames_per_batch=128 env.num_envs=16 "
+)
+ROOM = "scene=room.ply robot.height=0.5 landmarks.goal=[0.5,1.0,0.0] landmarks.object=[0.75,1.0,0.5] " + TINY
+GRID = ROOM.replace("landmarks.goal=[0.5,1.0,0.0] ", "")
+ERRORS = [
+    # What a scene needs and nobody said.
+    ("train scene=room.ply", "robot.height: expected a value, got none; type robot.height=0.4"),
+    ("train scene=room.ply robot.height=0.5", "landmarks.goal: expected a value, got none; type landmarks.goal=[x,y"),
+    ("train task=apple scene=room.ply robot.height=0.5", "landmarks.object: expected a value, got none; type landm"),
+    ("train scene=kitchen", "scene.path: expected a value, got none; type scene.path=<a splat file or a folder>"),
+    ("train scene=nowhere", "scene: expected one of backyard, file, kitchen, or a path that exists, got nowhere"),
+    ("train scene=nowhere.ply", "scene: expected backyard, file, kitchen or a path that exists, got nowhere.ply"),
+    ("train scene=empty", "scene: expected a splat file, or a folder with scene.yaml, got empty; splatrl-scene"),
+    ("train scene=text.ply robot.height=0.5 landmarks.goal=[0,0,0]", "scene: text.ply: expected a PLY file"),
+    ("train scene=bad robot.height=0.5 landmarks.goal=[0,0,0]", "scene: bad/gone.ply: no such splat file"),
+    ("train scene.path=room.ply", "scene.path: no such key, did you mean scene=<the path>?"),
+    # Keys and options that are not there.
+    ("train tsak=grid", "tsak: no such key, did you mean task? Valid keys at the top: seed, device"),
+    ("train frames=1000", "frames: no such key, did you mean collector.frames_per_batch or collector.total_frames?"),
+    ("train height=1", "height: no such key, did you mean robot.height"),
+    ("train task=Gird", "task: expected one of apple, circle, drive"),
+    ("train transforms/appearance=foo", "transforms/appearance: expected one of none, varied, got foo"),
+    ("train grid", "grid: expected key=value; did you mean task=grid?"),
+    ("train --task=fps", "--task=fps: expected task=fps, without --"),
+    ("train landmarks.goal=[0.4,0.4", "landmarks.goal=[0.4,0.4: expected landmarks.goal=value with closed brackets"),
+    ("train landmarks.goal=0.4,0.4,0", "landmarks.goal: expected one value, got 0.4,0.4,0; type landmarks.goal=[0.4"),
+    ("train -m seed=0,x", "seed: expected a number such as 0, got x"),
+    # Values of another kind, or out of range.
+    ("train robot.height=abc", "robot.height: expected a number such as 0.4, got abc"),
+    ("train collector.total_frames=abc", "collector.total_frames: expected a number such as 60000, got abc"),
+    ("train collector.total_frames=0", "collector.total_frames: expected a whole number from 1 to"),
+    ("train task.goal=abc", "task.goal: expected a list such as [0.6,0.4,0.0], got abc"),
+    ("train network.channels=3", "network.channels: expected a list such as [16,32], got 3"),
+    ("train logger.video=3", "logger.video: expected true or false, got 3"),
+    ("train robot.body=3", "robot.body: expected keys and values, such as robot.body.size=..., got 3"),
+    ("train network._target_=my.net", "network._target_: expected a constructor that stands in conf/"),
+    ("train network._target_=", "network._target_: expected a constructor that stands in conf/"),
+    ("train evaluation.checkpoint=first", "evaluation.checkpoint: expected one of last, best, got first"),
+    ("train logger.backend=foo", "logger.backend: expected one of csv, tensorboard, wandb, got foo"),
+    ("train device=tpu", "device: expected auto, cpu, cuda or cuda:<number>, got tpu"),
+    ("train resume=nowhere", "resume: expected a run folder with config.yaml, got nowhere"),
+    # What does not fit together.
+    (f"train {ROOM} robot.height=-1.0", "robot.height: expected robots above"),
+    (
+        f"train {GRID} landmarks.goal=[9,9,0]",
+        "task.goal: expected it where robots walk, x from -1 to 1 and",
+    ),
+    (f"train {ROOM} robot.body.size=[9.0,9.0,0.1]", "scene: expected free poses, got"),
+    (f"train {ROOM} task.motion.step=0.3", "task.motion.step: bounds along x: expected a whole number of steps of 0.3"),
+    (f"train task=apple {ROOM}", "drawing.size: expected at least 0.2"),
+    (f"train {ROOM} collision.occupancy.resolution=0", "collision.occupancy: resolution: expected 0.0001 to 1000"),
+    (f"train {ROOM} scene.bounds=[[0,0,0],[0,0,0]]", "scene: bounds: expected lower below upper along x"),
+    (f"train {ROOM} scene.world_from_splat.scale=-1", "scene: world_from_splat.scale: expected a finite number above"),
+    (f"train {ROOM} curriculum.stride=0", "curriculum: expected first and stride of at least 1 step"),
+    # The other commands.
+    ("evaluate", "run: expected a value, got none; type run=<the folder of a training>"),
+    ("evaluate nowhere", "nowhere: expected key=value; did you mean run=nowhere?"),
+    ("evaluate run=empty", "run: expected a run folder with config.yaml, got empty"),
+    ("clips run=nowhere clips=x", "run: expected a run folder with config.yaml, got nowhere"),
+    ("experiment", "name: expected one of grid, fps, apple, sim2real, loop, all, got nothing"),
+    ("experiment name=grid jobs=0", "jobs: expected a whole number of at least 1, got 0"),
+    ("experiment name=grid seeds=abc", "seeds: expected whole numbers in brackets such as [0,1], got abc"),
+    ("experiment name=grid scenes=[nowhere]", "scenes: expected some of backyard, kitchen"),
+    ("experiment name=grid kitchen=no.spz", "kitchen: expected the path of kitchen.spz, got no.spz"),
+    ("scene", "the following arguments are required: file"),
+    ("scene nowhere.ply", "nowhere.ply: no such splat file"),
+    ("scene room.ply --scale wide", "--scale: invalid float value: 'wide'"),
+    ("capture", "expected a video or a folder of photos"),
+    ("capture nowhere.mp4 --distance 1 2", "--distance: expected IMAGE X Y X Y M"),
+]
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A working folder with a room, and what is no scene."""
+    folder = tmp_path_factory.mktemp("places")
+    write_gaussians(folder / "room.ply", tiny_gaussians())
+    (folder / "text.ply").write_text("hello")
+    for name in ("empty", "bad"):
+        (folder / name).mkdir()
+    (folder / "bad" / "scene.yaml").write_text("splat: gone.ply\n")
+    return folder
+
+
+@pytest.mark.parametrize(("typed", "said"), ERRORS, ids=[typed[:60] for typed, _ in ERRORS])
+def test_what_is_typed_wrong_is_answered_in_one_line(
+    typed: str, said: str, places: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name, *arguments = shlex.split(typed)
+    monkeypatch.chdir(places)
+    monkeypatch.setattr(sys, "argv", [f"splatrl-{name}", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        MAINS[name]()
+    errors = [line for line in capsys.readouterr().err.splitlines() if "left out" not in line]
+    if isinstance(ended.value.code, str):  # which Python itself prints
+        errors.append(ended.value.code)
+    assert ended.value.code not in (0, None)
+    assert len(errors) == 1 and "\n" not in errors[0], errors
+    assert errors[0].startswith(f"splatrl-{name}: {said}"), errors
+    assert not (places / "nowhere").exists()
+
+
+def test_the_list_is_long_enough_to_mean_something() -> None:
+    assert len(ERRORS) >= 40 and len({said for _, said in ERRORS}) > 35
+
+
+def test_where_an_error_came_from_can_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    @in_one_line("splatrl-train")
+    def fails(error: Exception) -> None:
+        raise error
+
+    with pytest.raises(SystemExit, match="splatrl-train: a b"):
+        fails(ValueError("a\n  b"))
+    with pytest.raises(RuntimeError, match="ours"):  # not what somebody typed
+        fails(RuntimeError("ours"))
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
+    with pytest.raises(ValueError, match="a\n"):
+        fails(ValueError("a\n  b"))
+
+
+@pytest.mark.parametrize(
+    ("usual", "given"),
+    [
+        *((0.5, 1), (1, 0.5), (0.5, None), (0.5, "${robot.height}"), (True, False), ("auto", 3), ("auto", False)),
+        *(([1, 2], [3]), ([], [[[0, 0, 0], [1, 1, 1]]]), (None, [1]), ({"a": 1}, {"b": 2}), ({"a": 1}, None)),
+    ],
+)
+def test_values_of_the_usual_kind_null_and_references_pass(usual: object, given: object) -> None:
+    cfg = OmegaConf.create({"key": usual})
+    check_kind("key", cfg.key, given)
+
+
+@pytest.mark.parametrize(
+    ("usual", "given"),
+    [(0.5, True), (0.5, "a"), (0.5, [1]), (True, 1), ([1, 2], ["a"]), ([1], 1), ({"a": 1}, 1), ("a", [1])],
+)
+def test_values_of_another_kind_are_refused(usual: object, given: object) -> None:
+    cfg = OmegaConf.create({"key": usual})
+    with pytest.raises(UserError, match="key: expected"):
+        check_kind("key", cfg.key, given)
