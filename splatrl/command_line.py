@@ -18,7 +18,15 @@ OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-
 WITH_VALUE = (*OWN_CONFIG, "--cfg", "-c", "--package", "-p", "--info", "-i", "--experimental-rerun")
 """Options of Hydra after which a word of another kind may come."""
 SWEEP = ("-m", "--multirun")
-MAIN_KEYS = {"train": "scene", "evaluate": "run", "clips": "run", "experiment": "name"}
+MAIN_KEYS = {
+    "train": "scene",
+    "evaluate": "run",
+    "clips": "run",
+    "experiment": "name",
+    "export": "run",
+    "record": "scene",
+    "replay": "demos",
+}
 """What a word alone probably is the value of."""
 MOST_NEAR = 3
 

@@ -400,7 +400,7 @@ def test_a_saved_config_keeps_its_interpolations(tmp_path: Path) -> None:
         ("curriculum.first=1.5", r"curriculum\.first: expected a whole number of at least 1, got 1\.5"),
         ("curriculum.stride=0", r"curriculum\.stride: expected a whole number of at least 1, got 0"),
         ("curriculum.threshold=nan", r"curriculum\.threshold: expected a rate in \(0, 1\], got nan"),
-        ("evaluation.checkpoint=newest", r"evaluation\.checkpoint: expected last or best, got 'newest'"),
+        ("evaluation.checkpoint=newest", r"evaluation\.checkpoint: expected one of last, best, got newest"),
     ],
 )
 def test_a_value_out_of_range_is_named_before_anything_is_lost(override: str, message: str, tmp_path: Path) -> None:

@@ -7,7 +7,9 @@ import hydra
 import torch
 from omegaconf import DictConfig
 
-from splatrl.configuration import check_config, command_line, conf_dir, run_config
+from splatrl.command_line import command_line
+from splatrl.commands.faults import in_one_line
+from splatrl.configuration import check_config, conf_dir, run_config
 from splatrl.export import export_policy
 from splatrl.export.onnx_file import POLICY, RUNNER
 from splatrl.runs import load_policy
@@ -15,16 +17,9 @@ from splatrl.values import require_number
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="export")
+@in_one_line("splatrl-export")
 def run(cfg: DictConfig) -> None:
     """Export the policy of the run folder ``cfg.run``."""
-    try:
-        export(cfg)
-    except (ImportError, OSError, ValueError) as error:
-        sys.exit(f"splatrl-export: {error}")
-
-
-def export(cfg: DictConfig) -> None:
-    """Export the policy that a config names, and print what was written."""
     check_config(cfg)
     require_number("frames", cfg.frames, 1, 10**7, whole=True)
     folder = Path(cfg.run)

@@ -41,7 +41,7 @@ def joined(arguments: Sequence[str], words: Mapping[str, int], fits: Callable[[s
             taken: list[str] = []
             while rest and len(taken) < words[argument] and fits(rest[0]):
                 taken += split(rest.pop(0))
-            argument = f"{argument}={' '.join(taken)}"
+            argument = f"{argument}={' '.join(taken)}" if taken else argument
         result.append(argument)
     return result
 

@@ -9,7 +9,9 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from splatrl.build import build_world
-from splatrl.configuration import check_config, command_line, conf_dir, save_config
+from splatrl.command_line import command_line
+from splatrl.commands.faults import in_one_line
+from splatrl.configuration import check_config, conf_dir, save_config
 from splatrl.datasets import planner_episodes, write_demonstrations, write_lerobot
 from splatrl.files import new_folder
 
@@ -17,16 +19,9 @@ BY = ("planner",)
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="record")
+@in_one_line("splatrl-record")
 def run(cfg: DictConfig) -> None:
-    """Record what a config describes into the folder ``cfg.out``."""
-    try:
-        record(cfg)
-    except (ImportError, OSError, ValueError) as error:
-        sys.exit(f"splatrl-record: {error}")
-
-
-def record(cfg: DictConfig) -> None:
-    """Record demonstrations, and write them with the config with which they are replayed."""
+    """Record demonstrations into the folder ``cfg.out``, with the config with which they are replayed."""
     check_config(cfg)
     if cfg.by not in BY:
         raise ValueError(f"by: expected {' or '.join(BY)}, got {cfg.by}")

@@ -9,24 +9,24 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from splatrl.build import build_world
-from splatrl.configuration import check_config, command_line, conf_dir, run_config
+from splatrl.command_line import command_line
+from splatrl.commands.faults import in_one_line
+from splatrl.configuration import check_config, conf_dir, run_config
 from splatrl.datasets import read_demonstrations, replay
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="replay")
+@in_one_line("splatrl-replay")
 def run(cfg: DictConfig) -> None:
     """Replay the folder ``cfg.demos``; ends with an error where anything but views differs."""
-    try:
-        check_config(cfg)
-        folder = Path(cfg.demos).expanduser()
-        demonstrations = read_demonstrations(folder)
-        own = run_config(folder, cfg.allow_targets)
-        own.device = "cpu"
-        torch.set_num_threads(own.threads)
-        with tqdm(total=len(demonstrations), unit="frame", desc="replay", dynamic_ncols=True) as bar:
-            different, views = replay(build_world(own), demonstrations, bar.update)
-    except (OSError, ValueError) as error:
-        sys.exit(f"splatrl-replay: {error}")
+    check_config(cfg)
+    folder = Path(cfg.demos).expanduser()
+    demonstrations = read_demonstrations(folder)
+    own = run_config(folder, cfg.allow_targets)
+    own.device = "cpu"
+    torch.set_num_threads(own.threads)
+    with tqdm(total=len(demonstrations), unit="frame", desc="replay", dynamic_ncols=True) as bar:
+        different, views = replay(build_world(own), demonstrations, bar.update)
     what = f"{folder}: {len(demonstrations.starts):,} episodes, {len(demonstrations):,} frames"
     if different:
         sys.exit("\n".join([f"splatrl-replay: {what} do not come out as written", *different]))

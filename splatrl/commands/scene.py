@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from splatrl.commands.options import Parser, joined, split
+from splatrl.commands.options import Parser, is_numbers, joined, split
 from splatrl.evaluation.scene_pictures import draw_scene, survey_occupancy
 from splatrl.files import replacing
 from splatrl.scenes.description import (
@@ -21,7 +21,7 @@ from splatrl.scenes.description import (
     write_description,
 )
 from splatrl.scenes.formats import read_gaussians, write_gaussians
-from splatrl.scenes.frame import similarity
+from splatrl.scenes.frame import AXES, similarity
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.nerfstudio import DATAPARSER, antialiased_beside, stands, transform_beside
 from splatrl.scenes.placement import floor_height, metres_per_unit, nerfstudio_transform
@@ -34,13 +34,18 @@ from splatrl.scenes.upright import Upright, guess_upright
 
 WORDS = {"--axes": 3, "--translation": 3, "--matrix": 16, "--distance": 7}
 """Options that take several words, some of which may begin with a minus, and their number of words."""
-FRAME_OPTIONS = ("axes", "scale", "translation", "matrix", "nerfstudio", "distance")
+FRAME_OPTIONS = ("up", "axes", "scale", "translation", "matrix", "nerfstudio", "distance")
 
 
 def parser() -> Parser:
     """The parser of the command line."""
     result = Parser(prog="splatrl-scene", description=__doc__)
     result.add_argument("file", type=Path, help="a splat file, or a folder with scene.yaml to inspect again")
+    result.add_argument(
+        "--up",
+        metavar="AXIS",
+        help="the file's axis that is up, to about 15°: -y, or 3 numbers; the floor and the walls nearby refine it",
+    )
     result.add_argument("--axes", metavar="X Y Z", help="signed file axes that become world x, y and z: x -z y")
     result.add_argument("--scale", type=float, help="metres per unit of the file")
     result.add_argument("--translation", metavar="X Y Z", help="metres, added last")
@@ -66,7 +71,8 @@ def parser() -> Parser:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
-    options = parser().parse_args(joined(sys.argv[1:] if arguments is None else arguments, WORDS))
+    given = sys.argv[1:] if arguments is None else arguments
+    options = parser().parse_args(joined(joined(joined(given, {"--up": 3}, is_numbers), {"--up": 1}), WORDS))
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_: print(f"note        {message}", file=sys.stderr)
         try:
@@ -92,9 +98,10 @@ def look(options: argparse.Namespace) -> None:
         look_again(options, path, out, small)
         return
     gaussians = read_gaussians(path)
+    up = None if options.up is None else direction(options.up)
     if all(getattr(options, name) is None for name in ("axes", "matrix", "nerfstudio", "translation")):
-        stated = beside(path, stated)
-    upright = print_guess(gaussians, stated.up())
+        stated = beside(path, stated, up is not None)
+    upright = print_guess(gaussians, stated.up() if up is None else up, up is not None)
     frame = stated.frame(upright)
     world_from_splat = similarity(**frame)
     standing = gaussians.transformed(world_from_splat)
@@ -136,23 +143,36 @@ def write_small(folder: Path, scene: Scene, proposals: dict[str, Any], force: bo
     print(f"wrote       {write_description(folder, splat.name, scene.name, frame, scene.bounds, force, proposals)}")
 
 
-def print_guess(gaussians: Gaussians, up: list[float] | None) -> Upright:
-    """Print what is in a scene and its guessed orientation; ``up`` is the up direction if it is known."""
+def print_guess(gaussians: Gaussians, up: list[float] | None, roughly: bool = False) -> Upright:
+    """Print what is in a scene and its guessed orientation; arguments as for ``guess_upright``."""
     print(survey(gaussians))
-    upright = guess_upright(gaussians, up)
+    upright = guess_upright(gaussians, up, roughly)
     print(upright)
     return upright
 
 
-def beside(path: Path, stated: StatedFrame) -> StatedFrame:
-    """What is stated about a file's frame, with what nerfstudio left beside the file."""
+def direction(text: str) -> list[float]:
+    """The direction that ``--up`` names: [3]."""
+    try:
+        words = split(text)
+        axis, sign = AXES[words[0]] if len(words) == 1 else (0, 0.0)
+        values = [float(word) for word in words] if len(words) > 1 else [sign * (i == axis) for i in range(3)]
+    except (KeyError, ValueError):
+        values = []
+    if len(values) != 3 or not np.isfinite(values).all() or not np.any(values):
+        raise ValueError(f"--up: expected one of {', '.join(AXES)}, or 3 numbers, got {text!r}")
+    return values
+
+
+def beside(path: Path, stated: StatedFrame, turned: bool = False) -> StatedFrame:
+    """What is stated about a file's frame, with what nerfstudio left beside the file: only its scale if ``turned``."""
     transform = transform_beside(path)
     if transform is None:
         return stated
-    if stands(transform):
+    if stands(transform) and not turned:
         print(f"frame       by {DATAPARSER} beside it")
         return replace(stated, transform=transform)
-    print(f"frame       its scale by {DATAPARSER} beside it, whose own frame is not z up")
+    print(f"frame       its scale by {DATAPARSER} beside it" + ("" if turned else ", whose own frame is not z up"))
     return stated if stated.scale is not None else replace(stated, scale=float(transform[2, :3].norm()))
 
 
@@ -166,12 +186,12 @@ def draw(scene: Scene, floor: float, options: argparse.Namespace, out: Path, ant
 
 def stated_frame(options: argparse.Namespace) -> StatedFrame:
     """What the options say about the file's frame."""
-    given = [name for name in ("axes", "matrix", "nerfstudio") if getattr(options, name) is not None]
+    given = [name for name in ("axes", "matrix", "nerfstudio", "up") if getattr(options, name) is not None]
     if len(given) > 1:
-        raise ValueError(f"expected one of --axes, --matrix and --nerfstudio, got --{' and --'.join(given)}")
+        raise ValueError(f"expected one of --axes, --matrix, --nerfstudio and --up, got --{' and --'.join(given)}")
     if options.scale is not None and options.distance is not None:
         raise ValueError("expected --scale or --distance, got both")
-    if options.translation is not None and given and given != ["axes"]:
+    if options.translation is not None and given not in ([], ["axes"], ["up"]):
         raise ValueError(f"--translation: expected alone or with --axes, got it with --{given[0]}")
     scale, transform = options.scale, None
     if options.distance is not None:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from splatrl.geometry import quats_to_rotations
 from splatrl.scenes.gaussians import Gaussians
-from splatrl.scenes.layers import ALIGNED, Layer, heaviest_layer, layer_at, tilted_layer
+from splatrl.scenes.layers import ALIGNED, Layer, heavy_layers, layer_at, leaning_layer
 
 Floats = NDArray[np.float64]
 
@@ -18,8 +18,17 @@ _SAMPLE = 20_000
 _THICKNESS = 0.02
 """Thickness of a layer on either side, in diagonals of the scene."""
 _MIN_OPACITY = 0.3
-_SNAP = math.cos(math.radians(3.0))
+_SNAP = math.cos(math.radians(1.0))
 """Cosine of the angle within which up counts as an axis of the file."""
+_NEAR_AXIS = math.cos(math.radians(15.0))
+_PREFERENCE = 2.0
+"""How much more a layer counts whose normal is within 15° of an axis of the file: most files stand nearly upright."""
+_BARE = 0.05
+"""Added to the share that stands upright on a layer, so that a bare floor is a floor."""
+_ACROSS = math.cos(math.radians(78.0))
+"""Cosine between up and the normal of a Gaussian that stands upright, at most."""
+_SURE, _LIKELY = 2.5, 1.5
+"""How many times the next direction's evidence a layer needs for each word."""
 _ROOM = (2.2, 3.0)
 """Range of most rooms' heights, metres."""
 _ROOM_HEIGHT = 2.5
@@ -81,7 +90,7 @@ class Upright:
 
 
 def axis_name(direction: ArrayLike) -> str | None:
-    """The signed axis within 3° of a direction, such as "-y", or None."""
+    """The signed axis within 1° of a direction, such as "-y", or None."""
     vector = np.asarray(direction, np.float64)
     axis = int(np.abs(vector).argmax())
     if abs(vector[axis]) < _SNAP * np.linalg.norm(vector):
@@ -89,16 +98,18 @@ def axis_name(direction: ArrayLike) -> str | None:
     return ("-" if vector[axis] < 0 else "") + "xyz"[axis]
 
 
-def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None) -> Upright:
+def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None, roughly: bool = False) -> Upright:
     """Guess up, the floor and the units from where opaque Gaussians lie and which way they are flat.
 
-    The ground is the layer with the most Gaussians, above all those that lie flat in it; walls make weaker layers.
+    The ground is the layer with the most Gaussians, above all those that lie flat in it, on which the most stands
+    upright; a direction near an axis of the file is preferred. Rival layers make the guess less sure.
     Its upper side is the one that things stand on or, where that is unclear, the one with the file's origin, which
     structure from motion puts near the cameras. All of this fails for scenes without ground.
 
     Args:
         gaussians: in the file's frame.
         up: [3] the up direction, where it is known; then only the floor and the units are guessed.
+        roughly: whether ``up`` is known to about 15°; then it leans to what lies across it and along it.
     """
     points, normals, weights = _surfaces(gaussians)
     size = float(np.linalg.norm(np.subtract(*np.quantile(points, [0.99, 0.01], axis=0)))) or 1.0
@@ -108,6 +119,10 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None) -> Upright:
         given = np.asarray(up, np.float64)
         layer = layer_at(points, normals, weights, given / np.linalg.norm(given), _THICKNESS * size)
         axis_guess = Guess(GIVEN, "up is stated, not guessed")
+        if roughly:
+            layer, leans = _snapped(points, normals, weights, layer), layer.normal
+            angle = math.degrees(math.acos(min(1.0, float(leans @ layer.normal))))
+            axis_guess = Guess(GIVEN, f"up is stated; floor and walls lean by {angle:.1f}° from that")
     heights = points @ layer.normal
     other = _opposite(points, normals, layer)
     evidence, reason = _sign(heights, weights, layer, other, size)
@@ -131,17 +146,35 @@ def guess_upright(gaussians: Gaussians, up: ArrayLike | None = None) -> Upright:
 
 
 def _ground(points: Floats, normals: Floats, weights: Floats, thickness: float) -> tuple[Layer, Guess]:
-    """The heaviest layer, aligned with an axis of the file where it nearly is, and how much it stands out."""
-    layer, rival = heaviest_layer(points, normals, weights, thickness)
-    ratio = layer.weight / max(rival, 1e-9)
+    """The layer with the most evidence that it is the ground, and how much it stands out from its rivals."""
+    layers = [
+        leaning_layer(points, normals, weights, layer) for layer in heavy_layers(points, normals, weights, thickness)
+    ]
+    evidence = [_evidence(normals, weights, layer) for layer in layers]
+    order = np.argsort(evidence)[::-1]
+    ratio = evidence[order[0]] / max(evidence[order[1]] if len(order) > 1 else 0.0, 1e-9)
     guess = Guess(
-        SURE if ratio > 2 else LIKELY if ratio > 1.3 else GUESS,
-        f"the layer across it weighs {min(ratio, 99):.1f} times the next direction's",
+        SURE if ratio > _SURE else LIKELY if ratio > _LIKELY else GUESS,
+        f"layer and what stands on it weigh {min(ratio, 99):.1f} times the next direction's; if wrong, pass --up",
     )
-    layer = tilted_layer(points, normals, weights, layer)
-    if name := axis_name(layer.normal):
-        layer = layer_at(points, normals, weights, np.eye(3)["xyz".index(name[-1])], thickness)
-    return layer, guess
+    return _snapped(points, normals, weights, layers[order[0]], lean=False), guess
+
+
+def _evidence(normals: Floats, weights: Floats, layer: Layer) -> float:
+    """How much speaks for a layer as the ground: its weight, and that of what stands upright on it."""
+    flatness = np.linalg.norm(normals, axis=1)
+    across = (np.abs(normals @ layer.normal) < _ACROSS * flatness) & (flatness > 0.5)
+    prefers = _PREFERENCE if np.abs(layer.normal).max() > _NEAR_AXIS else 1.0
+    return prefers * layer.weight**2 * (_BARE + float(weights[across].sum()))
+
+
+def _snapped(points: Floats, normals: Floats, weights: Floats, layer: Layer, lean: bool = True) -> Layer:
+    """A layer that leans to what is there, and is aligned with an axis of the file where it nearly is."""
+    layer = leaning_layer(points, normals, weights, layer) if lean else layer
+    if (name := axis_name(layer.normal)) is None:
+        return layer
+    axis = np.eye(3)["xyz".index(name[-1])]
+    return layer_at(points, normals, weights, -axis if name[0] == "-" else axis, layer.thickness)
 
 
 def _surfaces(gaussians: Gaussians) -> tuple[Floats, Floats, Floats]:

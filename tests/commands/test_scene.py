@@ -95,6 +95,9 @@ def test_out_leaves_the_files_own_folder_alone(splat: Path, capsys: pytest.Captu
     [
         (["--scale", "2"], 0.0, 2.4),
         (["--axes", "x", "z", "-y"], 0.0, 1.2),
+        (["--up", "-y"], 0.0, 1.2),
+        (["--up=-y", "--scale", "2"], 0.0, 2.4),
+        (["--up", "0.1", "-1", "0.1"], 0.0, 1.2),
         (["--axes", "-x", "z", "y"], 1.2, 1.2),  # upside down: what was the floor is on top
         (["--axes=x,z,-y", "--scale", "0.5", "--translation", "1", "2", "-1e-1"], 0.25, 0.85),
         (["--axes", "x z -y", "--distance", "0 0 0  0 -2 0  3"], 0.0, 1.8),
@@ -123,6 +126,12 @@ def test_nerfstudios_own_frame_is_undone(tmp_path: Path) -> None:
         (["--axes", "x", "y"], "axes: expected 3"),
         (["--axes", "x", "z", "y"], "reflection"),
         (["--axes", "x y z", "--nerfstudio", "a.json"], "expected one of"),
+        (["--up", "q"], "--up: expected one of x, -x, y, -y, z, -z, or 3 numbers, got 'q'"),
+        (["--up", "0", "0", "0"], "--up: expected"),
+        (
+            ["--up", "-y", "--axes", "x y z"],
+            "expected one of --axes, --matrix, --nerfstudio and --up, got --axes",
+        ),
         (["--nerfstudio", "nowhere.json"], "found no file"),
         (["--scale", "1", "--distance", "0 0 0 1 0 0 1"], "got both"),
         (["--scale", "-1"], "--scale: expected a finite number above 0"),

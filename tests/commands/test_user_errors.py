@@ -92,6 +92,7 @@ ERRORS = [
     ("scene", "the following arguments are required: file"),
     ("scene nowhere.ply", "nowhere.ply: no such splat file"),
     ("scene room.ply --scale wide", "--scale: invalid float value: 'wide'"),
+    ("scene room.ply --up q", "--up: expected one of x, -x, y, -y, z, -z, or 3 numbers, got 'q'"),
     ("capture", "expected a video or a folder of photos"),
     ("capture nowhere.mp4 --distance 1 2", "--distance: expected IMAGE X Y X Y M"),
 ]
