@@ -81,7 +81,7 @@ def test_a_wider_camera_is_cropped_to_the_policys_field_of_view(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run=nowhere"], "splatrl-export: nowhere: expected a run folder"),
+        (["run=nowhere"], "splatrl-export: run: expected a run folder"),
         ([], "splatrl-export: expected a value for run"),
         (["run={run}", "frames=none"], "splatrl-export: frames: expected a whole number"),
         (["run={run}", "checkpoint=first"], "splatrl-export: checkpoint: expected last or best, got 'first'"),
