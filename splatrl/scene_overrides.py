@@ -9,6 +9,7 @@ TARGETS = {
     "cutoff": ("collision.occupancy.density.cutoff",),
     "goal": ("landmarks.goal",),
     "object": ("landmarks.object",),
+    "object_size": ("drawing.size",),
     "antialiased": ("renderer.antialiased",),
     "step": ("task.motion.step", "task.motion.spacing"),
 }

@@ -54,8 +54,9 @@ def test_a_command_that_it_shows_is_understood(
     monkeypatch.chdir(tmp_path)
     for name in ("garden.ply", "kitchen.spz"):
         (tmp_path / name).touch()
-    (tmp_path / "garden").mkdir()
-    (tmp_path / "garden" / "scene.yaml").write_text("splat: splat.ply\n")
+    for name in ("garden", "mine"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "scene.yaml").write_text("splat: splat.ply\n")
     run = tmp_path / "outputs" / "2026-01-31" / "12-00-00"
     run.mkdir(parents=True)
     (run / "config.yaml").touch()

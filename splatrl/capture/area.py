@@ -70,7 +70,7 @@ def survey_area(gaussians: Gaussians, placed: Placed, known: Tensor | None = Non
         known: [N, h, w] depths of the photos' pixels, metres, 0 where unknown; None knows nothing.
     """
     poses = placed.reconstruction.camera_to_world.numpy()
-    walk, step = _walk(poses[:, :2, 3])
+    walk, step = whole_steps(poses[:, :2, 3])
     dense = dense_voxels(gaussians, placed)
     hazy = hazy_voxels(dense, gaussians, placed.reconstruction, known)
     free = Voxels(hazy, dense.origin_key, dense.resolution)
@@ -81,7 +81,7 @@ def survey_area(gaussians: Gaussians, placed: Placed, known: Tensor | None = Non
 
 def dense_voxels(gaussians: Gaussians, placed: Placed) -> Occupancy:
     """What the Gaussians of a placed capture make solid, at a resolution that fits the place."""
-    lower, upper = np.array(_bounds(placed, _walk(placed.reconstruction.camera_to_world[:, :2, 3].numpy())[0]))
+    lower, upper = np.array(_bounds(placed, whole_steps(placed.reconstruction.camera_to_world[:, :2, 3].numpy())[0]))
     diagonal = float(np.linalg.norm(upper - lower))
     edge = float(f"{np.clip(VOXEL, diagonal / _VOXELS[0], diagonal / _VOXELS[1]):.2g}")
     margin = 0.1 * float((upper - lower).max())
@@ -112,7 +112,7 @@ def _bounds(placed: Placed, walked: Walk) -> Bounds:
     return (lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])
 
 
-def _walk(places: Floats) -> tuple[Walk, float | None]:
+def whole_steps(places: Floats) -> tuple[Walk, float | None]:
     """The area around where cameras were [N, 2], in whole steps, and the step where it is large."""
     low, high = np.quantile(places, [TRIM, 1 - TRIM], axis=0)
     widest = float((high - low).max())

@@ -8,31 +8,23 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
-from PIL import Image
 from torch import Tensor
 
-from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.capture.area import SOLID, Area, survey_area
 from splatrl.capture.check import COMPARISON, MAP, Quality, check
 from splatrl.capture.page import report_page
-from splatrl.capture.pictures import draw_cameras
-from splatrl.capture.suggestions import Suggestions, suggest
+from splatrl.capture.pictures import GOALS, draw_cameras, draw_goals
+from splatrl.capture.suggestions import Suggestions, place_proposals, seen_by_cameras, suggest
 from splatrl.capture.world import Placed
 from splatrl.collision.point_clouds import write_points
-from splatrl.envs.robot import Robot
-from splatrl.files import replacing
-from splatrl.renderers import NativeRenderer
 from splatrl.scenes import read_gaussians, write_gaussians
 from splatrl.scenes.description import SCENE_FILE, SMALL_SPLAT, SPLAT, write_description
 from splatrl.scenes.gaussians import Gaussians
 
-FREE, REPORT, CAMERAS, GOALS = "free.ply", "report.html", "cameras.png", "goals.png"
+FREE, REPORT, CAMERAS = "free.ply", "report.html", "cameras.png"
 GOOD_PATH, GOOD_PSNR, FEW_FLOATERS, MOST_MISSING = 0.97, 22.0, 0.005, 0.1
 """A worse capture's report says so."""
 FRAME: dict[str, Any] = {"axes": ["x", "y", "z"], "scale": 1.0, "translation": [0.0, 0.0, 0.0]}
-THUMBNAIL = 320
 
 
 def write_scene(
@@ -70,11 +62,11 @@ def write_scene(
         write_gaussians(fresh / splat, gaussians)
         gaussians = read_gaussians(fresh / splat)  # what is checked is what was written
         area = survey_area(gaussians, placed, known)
-        found = suggest(placed, area)
+        found = suggest(seen_by_cameras(placed), area)
         quality = check(gaussians, placed, held_out, fresh, area, found)
         draw_cameras(placed, area, fresh / CAMERAS)
         if found.goals:
-            _draw_goals(gaussians, area, found, fresh / GOALS)
+            draw_goals(gaussians, found.goals, area.robot_height, fresh / GOALS)
         if area.free.count:
             write_points(fresh / FREE, area.free.centers())
         proposals = _proposals(placed, area, found, quality)
@@ -110,14 +102,9 @@ def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality)
     error = placed.scale_error
     return {
         "metric": placed.metric,
-        "robot_height": area.robot_height,
-        "walk": [list(corner) for corner in area.walk],
-        "step": area.step,
-        "voxel_size": area.occupancy.resolution,
+        **place_proposals(area, found),
         "cutoff": SOLID.cutoff,
         "free": FREE if area.free.count else None,
-        "goal": list(found.goals[0]) if found.goals else None,
-        "object": list(found.thing) if found.thing else None,
         "quality": {
             "scale_from": placed.scale_from,
             "scale_error": None if error is None else float(f"{error:.2g}"),
@@ -126,22 +113,6 @@ def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality)
             **quality.figures(),
         },
     }
-
-
-def _draw_goals(gaussians: Gaussians, area: Area, found: Suggestions, path: Path) -> None:
-    """What a robot sees at each goal, side by side."""
-    poses = []
-    for x, y, yaw in found.goals:
-        turn = np.radians(yaw)
-        eye = [x, y, area.robot_height]
-        poses.append(look_at(eye, [x + np.cos(turn), y + np.sin(turn), area.robot_height]))
-    K = intrinsics(np.radians(Robot.fov_deg), THUMBNAIL, THUMBNAIL)
-    cameras = Cameras(torch.stack(poses), K, THUMBNAIL, THUMBNAIL)
-    page = Image.new("RGB", (len(poses) * (THUMBNAIL + 4) - 4, THUMBNAIL), "white")
-    for column, view in enumerate(NativeRenderer(gaussians).pixels(cameras).numpy()):
-        page.paste(Image.fromarray(view), (column * (THUMBNAIL + 4), 0))
-    with replacing(path) as stream:
-        page.save(stream, "PNG")
 
 
 @contextmanager

@@ -4,21 +4,28 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.capture.area import Area
 from splatrl.capture.world import Placed
 from splatrl.collision.pictures import FREE, SOLID
+from splatrl.envs.robot import Robot
 from splatrl.evaluation.chart import font
 from splatrl.evaluation.topdown import footprint, top_down
 from splatrl.files import replacing
+from splatrl.renderers import NativeRenderer
 from splatrl.scenes.gaussians import Gaussians
 
 Floats = NDArray[np.float64]
 
+GOALS = "goals.png"
+THUMBNAIL = 320
+"""Pixels of what a goal sees."""
 ROWS = 6
 """Photos in a comparison, at most."""
 WIDTH = 480
@@ -27,6 +34,31 @@ BODY = 0.1
 """Metres above and below the robot's height within which solid things are drawn."""
 PATH, BLOCKED, POINTS = "#1f6feb", "#d1242f", "#8a6d3b"
 _MOST_POINTS = 20_000
+
+
+def draw_goals(
+    gaussians: Gaussians, goals: Sequence[Sequence[float]], height: float, path: Path, antialiased: bool = True
+) -> None:
+    """Draw what a robot sees at each goal, side by side, as PNG.
+
+    Args:
+        gaussians: in the world frame.
+        goals: at least one, each x and y in metres and yaw in degrees.
+        height: of the robot's camera, world, metres.
+        path: where to; ends in .png.
+        antialiased: whether it is to be drawn so; False is the classic 3DGS image.
+    """
+    poses = []
+    for x, y, yaw in goals:
+        turn = np.radians(yaw)
+        poses.append(look_at([x, y, height], [x + np.cos(turn), y + np.sin(turn), height]))
+    K = intrinsics(np.radians(Robot.fov_deg), THUMBNAIL, THUMBNAIL)
+    cameras = Cameras(torch.stack(poses), K, THUMBNAIL, THUMBNAIL)
+    page = Image.new("RGB", (len(poses) * (THUMBNAIL + 4) - 4, THUMBNAIL), "white")
+    for column, view in enumerate(NativeRenderer(gaussians, antialiased).pixels(cameras).numpy()):
+        page.paste(Image.fromarray(view), (column * (THUMBNAIL + 4), 0))
+    with replacing(path) as stream:
+        page.save(stream, "PNG")
 
 
 def draw_comparison(photos: Sequence[Floats], renders: Sequence[Floats], scores: Sequence[float], path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,6 +13,9 @@ from splatrl.bodies import Sphere
 from splatrl.capture.area import GRID, Area
 from splatrl.capture.world import Placed
 from splatrl.collision import NativeChecker
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.scene import OPAQUE
+from splatrl.spherical_harmonics import C0
 
 Floats = NDArray[np.float64]
 Goal = tuple[float, float, float]
@@ -21,11 +25,16 @@ ROOM = (0.35, 0.3, 0.2, 0.1, 0.05)
 """Metres of free space around a robot, the first that leaves enough places."""
 ENOUGH = 6
 NEAR = (0.4, 2.5)
-"""Metres to what a goal sees."""
+"""Metres to what a goal sees, where steps are ``GRID``; farther where they are longer."""
 HALF_VIEW = math.radians(35.0)
 HEADINGS = 16
 COUNT = 4
 """Goals to choose from."""
+MOST = 200
+"""Places that are looked at where no path is known."""
+SAMPLE = 20_000
+THING = 1.6
+"""Width of a thing in steps: of an apple of 0.16 m and steps of 0.1 m."""
 APART = 0.7
 """Metres between them, or an eighth of a turn."""
 
@@ -46,19 +55,51 @@ class Suggestions:
 NOTHING = Suggestions([], None)
 
 
-def suggest(placed: Placed, area: Area) -> Suggestions:
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What there is to see in a place.
+
+    Attributes:
+        points: [P, 3] float64, world, metres.
+        colors: [P, 3] float64 in [0, 1].
+        path: [N, 2] float64, where people walked, x and y in metres; None where nobody knows.
+    """
+
+    points: Floats
+    colors: Floats
+    path: Floats | None = None
+
+
+def seen_by_cameras(placed: Placed) -> Seen:
+    """The points of a reconstruction, and the path of its cameras."""
+    reconstruction = placed.reconstruction
+    path = reconstruction.camera_to_world[:, :2, 3].numpy()
+    return Seen(reconstruction.points.numpy(), reconstruction.colors.numpy() / 255.0, path)
+
+
+def seen_in_splat(gaussians: Gaussians) -> Seen:
+    """Up to ``SAMPLE`` opaque Gaussians as points."""
+    chosen = gaussians[gaussians.opacities >= OPAQUE]
+    chosen = chosen[:: max(1, len(chosen.means) // SAMPLE)]
+    colors = (0.5 + C0 * chosen.sh[:, 0]).clamp(0, 1)
+    return Seen(chosen.means.double().cpu().numpy(), colors.double().cpu().numpy())
+
+
+def suggest(seen: Seen, area: Area) -> Suggestions:
     """Find goals in the largest connected free part of the place where people walked, at the robot's height.
 
-    A goal stands on the robot's lattice near the path and faces near points of many colours: there is something to
-    recognise. The thing stands where the room around it is widest.
+    A goal stands on the robot's lattice near the path, where one is known, and faces near points of many colours:
+    there is something to recognise. The thing stands where the room around it is widest.
     """
     places, clearance = _free_places(area)
     if len(places) == 0:
         return NOTHING
-    path = placed.reconstruction.camera_to_world[:, :2, 3].numpy()
-    away = np.linalg.norm(places[:, None] - path, axis=2).min(1)
-    candidates = np.flatnonzero(away <= max(0.4, float(np.sort(away)[min(ENOUGH, len(away) - 1)])))
-    scores = np.stack([_scores(placed, places[row], area.robot_height) for row in candidates])  # [C, headings]
+    candidates = np.unique(np.linspace(0, len(places) - 1, MOST).astype(np.int64))
+    if seen.path is not None:
+        away = np.linalg.norm(places[:, None] - seen.path, axis=2).min(1)
+        candidates = np.flatnonzero(away <= max(0.4, float(np.sort(away)[min(ENOUGH, len(away) - 1)])))
+    wider = max(1.0, (area.step or GRID) / GRID)
+    scores = np.stack([_scores(seen, places[row], area.robot_height, wider) for row in candidates])  # [C, headings]
     goals: list[Goal] = []
     for best in np.argsort(-scores, axis=None, kind="stable").tolist():
         row, heading = divmod(best, HEADINGS)
@@ -72,6 +113,24 @@ def suggest(placed: Placed, area: Area) -> Suggestions:
     wide = np.minimum(clearance, 1.0) - 0.15 * np.linalg.norm(places - middle, axis=1)
     x, y = places[int(wide.argmax())].tolist()
     return Suggestions(goals, (round(x, 3), round(y, 3), area.robot_height))
+
+
+def thing_size(area: Area) -> float | None:
+    """Metres across, of a thing that fills the view of a robot with the area's step; None where the usual one does."""
+    return None if area.step is None else round(THING * area.step, 2)
+
+
+def place_proposals(area: Area, found: Suggestions) -> dict[str, Any]:
+    """What a ``scene.yaml`` says about training in a place, by the keys of ``PROPOSALS``."""
+    return {
+        "robot_height": area.robot_height,
+        "walk": [list(corner) for corner in area.walk],
+        "step": area.step,
+        "voxel_size": area.occupancy.resolution,
+        "goal": list(found.goals[0]) if found.goals else None,
+        "object": list(found.thing) if found.thing else None,
+        "object_size": thing_size(area),
+    }
 
 
 def _free_places(area: Area) -> tuple[Floats, Floats]:
@@ -94,20 +153,20 @@ def _free_places(area: Area) -> tuple[Floats, Floats]:
     return grid[part], bounded[part]
 
 
-def _scores(placed: Placed, place: Floats, height: float) -> Floats:
+def _scores(seen: Seen, place: Floats, height: float, wider: float) -> Floats:
     """How much there is to recognise from a place in each heading: [HEADINGS]."""
-    points, colors = placed.reconstruction.points.numpy(), placed.reconstruction.colors.numpy() / 255.0
+    points, colors = seen.points, seen.colors
     offsets = points - [*place, height]
     apart = np.linalg.norm(offsets[:, :2], axis=1)
-    near = (apart > NEAR[0]) & (apart < NEAR[1]) & (np.abs(offsets[:, 2]) < math.tan(HALF_VIEW) * apart)
+    near = (apart > NEAR[0] * wider) & (apart < NEAR[1] * wider) & (np.abs(offsets[:, 2]) < math.tan(HALF_VIEW) * apart)
     bearing, apart, colors = np.arctan2(offsets[near, 1], offsets[near, 0]), apart[near], colors[near]
     scores = np.zeros(HEADINGS)
     for heading in range(HEADINGS):
         turn = (bearing - heading * math.tau / HEADINGS + math.pi) % math.tau - math.pi
-        seen = np.abs(turn) < HALF_VIEW
-        if seen.sum() >= 10:
-            variety = float(colors[seen].std(0).sum() + colors[seen].std(1).mean())
-            scores[heading] = variety * math.sqrt(float((1.0 / apart[seen]).sum()))
+        shown = np.abs(turn) < HALF_VIEW
+        if shown.sum() >= 10:
+            variety = float(colors[shown].std(0).sum() + colors[shown].std(1).mean())
+            scores[heading] = variety * math.sqrt(float((1.0 / apart[shown]).sum()))
     return scores
 
 

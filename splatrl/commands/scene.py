@@ -1,6 +1,7 @@
 """``splatrl-scene``: inspect a captured scene, guess its orientation, and write a ``scene.yaml`` to edit."""
 
 import argparse
+import shutil
 import sys
 import warnings
 from collections.abc import Sequence
@@ -10,11 +11,17 @@ from typing import Any
 
 import numpy as np
 
+from splatrl.capture.area import GRID
+from splatrl.capture.pictures import GOALS, draw_goals
+from splatrl.capture.suggestions import place_proposals, seen_in_splat, suggest
+from splatrl.capture.walkable import walkable_area
+from splatrl.collision.occupancy import Occupancy
 from splatrl.commands.options import Parser, is_numbers, joined, split
 from splatrl.evaluation.scene_pictures import draw_scene, survey_occupancy
 from splatrl.files import replacing
 from splatrl.scenes.description import (
     SMALL_SPLAT,
+    SPLAT,
     check_absent,
     read_description,
     scene_folder,
@@ -26,11 +33,11 @@ from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.nerfstudio import DATAPARSER, antialiased_beside, stands, transform_beside
 from splatrl.scenes.placement import floor_height, metres_per_unit, nerfstudio_transform
 from splatrl.scenes.proposals import PROPOSALS
-from splatrl.scenes.scene import Scene, robust_bounds
+from splatrl.scenes.scene import Bounds, Scene, robust_bounds
 from splatrl.scenes.sources import read_scene
 from splatrl.scenes.stated import StatedFrame
 from splatrl.scenes.survey import survey
-from splatrl.scenes.upright import Upright, guess_upright
+from splatrl.scenes.upright import GIVEN, UNKNOWN, Guess, Upright, guess_upright
 
 WORDS = {"--axes": 3, "--translation": 3, "--matrix": 16, "--distance": 7}
 """Options that take several words, some of which may begin with a minus, and their number of words."""
@@ -101,20 +108,65 @@ def look(options: argparse.Namespace) -> None:
     up = None if options.up is None else direction(options.up)
     if all(getattr(options, name) is None for name in ("axes", "matrix", "nerfstudio", "translation")):
         stated = beside(path, stated, up is not None)
-    upright = print_guess(gaussians, stated.up() if up is None else up, up is not None)
+    scale = stated.scale if stated.transform is None else float(stated.transform[:3, 0].norm())
+    upright = print_guess(gaussians, stated.up() if up is None else up, up is not None, stated.scale or scale)
     frame = stated.frame(upright)
     world_from_splat = similarity(**frame)
     standing = gaussians.transformed(world_from_splat)
     scene = Scene(path.stem, standing, robust_bounds(standing))
-    drawn = antialiased_beside(path)
-    draw(scene, floor_height(upright, world_from_splat), options, out, drawn)
+    drawn, floor = antialiased_beside(path), floor_height(upright, world_from_splat)
+    occupancy = draw(scene, floor, options, out, drawn)
     proposals = {} if drawn is None else {"antialiased": drawn}
+    if upright.units_guess.confidence == UNKNOWN:
+        proposals["metric"] = False
+    bounds, found = propose(scene, occupancy, floor, options, out, drawn is not False)
+    proposals |= found
     if small:
-        write_small(out, scene, proposals, options.force)
-        return
-    print(f"wrote       {write_description(out, path.name, scene.name, frame, scene.bounds, options.force, proposals)}")
-    if out.resolve() != path.parent.resolve():
-        print(f"            put {path.name} beside it: a folder with both is a scene")
+        write_small(out, replace(scene, bounds=bounds), proposals, options.force)
+    else:
+        name = beside_description(path, out, gaussians)
+        print(f"wrote       {write_description(out, name, scene.name, frame, bounds, options.force, proposals)}")
+    print(f"train in it: splatrl-train scene={out}/")
+
+
+def propose(
+    scene: Scene, occupancy: Occupancy, floor: float, options: argparse.Namespace, out: Path, antialiased: bool
+) -> tuple[Bounds, dict[str, Any]]:
+    """Find where robots could walk and what they could look for, and draw what each goal sees.
+
+    Returns:
+        Bounds of where robots can be, and what a ``scene.yaml`` says beside them.
+    """
+    area = walkable_area(scene, occupancy, floor, options.height)
+    if area is None or area.robot_height <= 0.0:
+        print(
+            f"goals       none: no floor is free {options.height:g} m above it; try another --height, --up or --scale"
+        )
+        return scene.bounds, {}
+    found = suggest(seen_in_splat(scene.gaussians), area)
+    if found.goals:
+        draw_goals(scene.gaussians, found.goals, area.robot_height, out / GOALS, antialiased)
+        print(f"drew        {out / GOALS}")
+    for number, goal in enumerate(found.goals, 1):
+        print(f"goal {number}      {list(goal)}" + (", which scene.yaml says" if number == 1 else ""))
+    (left, bottom), (right, top) = area.walk
+    print(f"walk        x {left:g} to {right:g}, y {bottom:g} to {top:g} m, steps of {area.step or GRID:g} m")
+    return area.bounds, place_proposals(area, found)
+
+
+def beside_description(path: Path, out: Path, gaussians: Gaussians) -> str:
+    """Name of the splat file in the scene's folder, where it is put unless it is there."""
+    if out.resolve() == path.parent.resolve():
+        return path.name
+    name = path.name
+    if path.suffix in (".ply", ".spz", ".splat", ".sog"):
+        with replacing(out / name) as stream, path.open("rb") as source:
+            shutil.copyfileobj(source, stream)
+    else:  # of several files
+        name = SPLAT
+        write_gaussians(out / name, gaussians)
+    print(f"wrote       {out / name}")
+    return name
 
 
 def look_again(options: argparse.Namespace, folder: Path, out: Path, small: bool) -> None:
@@ -125,7 +177,8 @@ def look_again(options: argparse.Namespace, folder: Path, out: Path, small: bool
         )
     scene, proposed = read_scene(folder), read_description(folder)
     drawn = proposed.get("antialiased", antialiased_beside(folder / proposed["splat"]))
-    draw(scene, print_guess(scene.gaussians, [0.0, 0.0, 1.0]).floor, options, out, drawn)
+    print_guess(scene.gaussians, [0.0, 0.0, 1.0], scale=1.0)
+    draw(scene, 0.0, options, out, drawn)
     if small:
         proposals = {key: proposed[key] for key in PROPOSALS if key in proposed}
         if scene.free is not None:
@@ -143,10 +196,14 @@ def write_small(folder: Path, scene: Scene, proposals: dict[str, Any], force: bo
     print(f"wrote       {write_description(folder, splat.name, scene.name, frame, scene.bounds, force, proposals)}")
 
 
-def print_guess(gaussians: Gaussians, up: list[float] | None, roughly: bool = False) -> Upright:
-    """Print what is in a scene and its guessed orientation; arguments as for ``guess_upright``."""
+def print_guess(
+    gaussians: Gaussians, up: list[float] | None, roughly: bool = False, scale: float | None = None
+) -> Upright:
+    """Print what is in a scene and its guessed orientation; arguments as for ``guess_upright``, and a known scale."""
     print(survey(gaussians))
     upright = guess_upright(gaussians, up, roughly)
+    if scale is not None:
+        upright = replace(upright, metres_per_unit=scale, units_guess=Guess(GIVEN, "the scale is stated, not guessed"))
     print(upright)
     return upright
 
@@ -176,12 +233,13 @@ def beside(path: Path, stated: StatedFrame, turned: bool = False) -> StatedFrame
     return stated if stated.scale is not None else replace(stated, scale=float(transform[2, :3].norm()))
 
 
-def draw(scene: Scene, floor: float, options: argparse.Namespace, out: Path, antialiased: bool | None) -> None:
+def draw(scene: Scene, floor: float, options: argparse.Namespace, out: Path, antialiased: bool | None) -> Occupancy:
     """Print what is solid and draw the pictures; antialiased where nothing says how."""
     occupancy = survey_occupancy(scene, options.resolution)
     print(occupancy.report())
     for picture in draw_scene(scene, occupancy, floor, options.height, out, antialiased is not False):
         print(f"drew        {picture}")
+    return occupancy
 
 
 def stated_frame(options: argparse.Namespace) -> StatedFrame:

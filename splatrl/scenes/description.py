@@ -24,14 +24,15 @@ COMMENTS = {
     "matrix": "from the file's coordinates to world metres: a rotation times one scale, and a shift",
     "antialiased": "how it is to be drawn, as it was trained; false: classic 3DGS images",
     "metric": "whether a unit is a metre; false: nothing told the scale",
-    "robot_height": "of the robot's camera, metres: that of the camera that filmed",
-    "walk": "lower and upper corner of where robots walk, x and y in metres: where people walked",
+    "robot_height": "of the robot's camera, metres",
+    "walk": "lower and upper corner of where robots walk, x and y in metres",
     "step": "of a robot and between its starts, metres; null takes the task's own",
     "voxel_size": "edge of the voxels that say what is solid, metres",
     "cutoff": "share of the light that a solid voxel absorbs, at least",
     "free": "centres of voxels that are free although Gaussians fill them",
     "goal": "x, y in metres and yaw in degrees of a free pose that sees something",
     "object": "x, y, z in metres of a free place for a thing to find",
+    "object_size": "metres across, of a thing that is drawn there; null takes the task's own",
     "quality": "figures of the capture, for people to read",
 }
 

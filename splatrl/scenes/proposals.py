@@ -57,6 +57,7 @@ PROPOSALS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "free": ("the name of a file in this folder", _file),
     "goal": ("[x, y, yaw], two in metres and one in degrees", _numbers(3)),
     "object": ("[x, y, z] in metres", _numbers(3)),
+    "object_size": ("metres above 0", _positive),
     "antialiased": ("true or false", lambda value: isinstance(value, bool)),
     "metric": ("true or false", lambda value: isinstance(value, bool)),
     "quality": ("names of figures with a number, text, true or false each", _figures),

@@ -13,6 +13,7 @@ from splatrl.scenes.layers import ALIGNED, Layer, heavy_layers, layer_at, leanin
 Floats = NDArray[np.float64]
 
 SURE, LIKELY, GUESS, GIVEN = "fairly sure", "likely", "only a guess", "given"
+UNKNOWN = "cannot be known"
 
 _SAMPLE = 20_000
 _THICKNESS = 0.02
@@ -242,7 +243,7 @@ def _sign(heights: Floats, weights: Floats, layer: Layer, other: float | None, s
 
 def _units(room: float | None) -> tuple[float, Guess]:
     if room is None:
-        return 1.0, Guess("cannot be known", "there is no ceiling to judge by; measure something and pass --distance")
+        return 1.0, Guess(UNKNOWN, "there is no ceiling to judge by; measure something and pass --distance")
     if _ROOM[0] <= room <= _ROOM[1]:
         return 1.0, Guess(LIKELY, f"floor and ceiling are {room:.2f} units apart, as rooms are in metres")
     return _ROOM_HEIGHT / room, Guess(GUESS, f"floor and ceiling are {room:.3g} units apart, taken as {_ROOM_HEIGHT} m")

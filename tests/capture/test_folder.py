@@ -14,11 +14,15 @@ from splatrl.capture import folder as folder_module
 from splatrl.capture.area import survey_area
 from splatrl.capture.base import CaptureError
 from splatrl.capture.folder import write_scene
-from splatrl.capture.suggestions import suggest
+from splatrl.capture.suggestions import seen_by_cameras, seen_in_splat, suggest, thing_size
+from splatrl.capture.walkable import walkable_area
+from splatrl.collision.occupancy import Occupancy
 from splatrl.configuration import load_config
 from splatrl.scenes import read_scene
 from splatrl.scenes.description import read_description
+from splatrl.scenes.scene import Scene, robust_bounds
 from tests.capture.rooms import ABOVE, CAMERAS, HAZE, tiny_capture, with_haze
+from tests.scenes.places import place
 from tests.tiny import tiny_gaussians
 
 HELD_OUT = range(3, CAMERAS, 8)
@@ -66,7 +70,7 @@ def test_haze_is_named_in_the_folder_and_is_not_solid_to_robots(tmp_path: Path) 
 def test_a_goal_is_free_and_faces_something_and_the_thing_has_room(tmp_path: Path) -> None:
     placed = tiny_capture(tmp_path)
     area = survey_area(tiny_gaussians(), placed)
-    found = suggest(placed, area)
+    found = suggest(seen_by_cameras(placed), area)
     assert 1 <= len(found.goals) <= 4 and found.thing is not None
     places = torch.tensor([[x, y, area.robot_height] for x, y, _ in found.goals] + [list(found.thing)])
     assert not area.occupancy.contains(places).any()
@@ -80,7 +84,7 @@ def test_a_goal_is_free_and_faces_something_and_the_thing_has_room(tmp_path: Pat
 def test_where_nothing_is_free_no_goal_is_made_up(tmp_path: Path) -> None:
     placed = tiny_capture(tmp_path / "images")
     solid = survey_area(tiny_gaussians(), placed).occupancy.with_boxes([[-2.0, -2.0, 0.0]], [[2.0, 2.0, 1.0]])
-    found = suggest(placed, replace(survey_area(tiny_gaussians(), placed), occupancy=solid))
+    found = suggest(seen_by_cameras(placed), replace(survey_area(tiny_gaussians(), placed), occupancy=solid))
     assert found.goals == [] and found.thing is None
 
 
@@ -157,3 +161,18 @@ def test_pictures_of_a_capture_show_something(tmp_path: Path) -> None:
     for file in (tmp_path / "garden").glob("*.png"):
         with Image.open(file) as image:
             assert np.asarray(image.convert("L"), float).std() > 10, file.name
+
+
+def test_in_a_splat_without_cameras_robots_walk_around_the_most_open_place(tmp_path: Path) -> None:
+    gaussians = place("courtyard", spacing=0.6)
+    scene = Scene("yard", gaussians, robust_bounds(gaussians))
+    coarse = Occupancy.from_gaussians(gaussians, 0.25)
+    area = walkable_area(scene, coarse, 0.0, 1.2)
+    assert area is not None and area.robot_height == 1.2 and area.step == 0.4
+    lower, upper = np.array(area.walk)
+    assert ((upper - lower) > 8.0).all() and (np.abs([lower, upper]) < [20.0, 15.0]).all()
+    found = suggest(seen_in_splat(gaussians), area)
+    assert found.goals and found.thing is not None and thing_size(area) == 0.64
+    for x, y, _ in found.goals:
+        assert (lower <= [x, y]).all() and (upper >= [x, y]).all()
+    assert walkable_area(scene, Occupancy.empty(0.25), 0.0, 1.2) is None  # no floor

@@ -1,6 +1,7 @@
 import gzip
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,13 @@ import pytest
 import torch
 from PIL import Image
 
+from splatrl.build import build_world
 from splatrl.collision.point_clouds import write_points
 from splatrl.commands.scene import main
+from splatrl.configuration import load_config
 from splatrl.scenes import Gaussians, read_scene, similarity, write_gaussians
 from splatrl.scenes.description import read_description
+from tests.scenes.places import place, turned
 from tests.scenes.test_survey import BOXES, FLOOR, dataparser, lying, surfaces
 
 UPRIGHT = ["x", "z", "-y"]
@@ -19,7 +23,10 @@ ROWS = "1 0 0 0  0 0 1 0  0 -1 0 1  0 0 0 1"
 
 
 def world() -> Gaussians:
-    return surfaces([FLOOR, *BOXES])
+    """A yard whose colours vary, so that there is something to recognise."""
+    result = surfaces([FLOOR, *BOXES])
+    result.sh = torch.sin(3.0 * result.means).unsqueeze(1)
+    return result
 
 
 @pytest.fixture
@@ -77,17 +84,40 @@ def test_a_description_is_replaced_only_by_force_and_nothing_is_drawn_without(sp
     assert read_scene(splat.parent).name == "yard"
 
 
-def test_out_leaves_the_files_own_folder_alone(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = splat.parent.parent / "new" / "look"
+def test_out_is_a_scene_that_says_all_and_the_files_own_folder_stays(
+    splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new" / "look"
     main([str(splat), "--out", str(out)])
-    assert sorted(path.name for path in out.iterdir()) == [
-        "scene.yaml",
-        "yard-free.png",
-        "yard-occupancy.png",
-        "yard-view.png",
-    ]
+    pictures = ["goals.png", "yard-free.png", "yard-occupancy.png", "yard-view.png"]
+    assert sorted(path.name for path in out.iterdir()) == sorted(["scene.yaml", "yard.ply", *pictures])
     assert [path.name for path in splat.parent.iterdir()] == ["yard.ply"]
-    assert "put yard.ply beside it" in capsys.readouterr().out
+    assert (out / "yard.ply").read_bytes() == splat.read_bytes()
+    said = capsys.readouterr().out
+    assert f"splatrl-train scene={out}/" in said and "goal 1 " in said
+    stated = read_description(out)
+    assert stated["metric"] is False and stated["robot_height"] == pytest.approx(0.4, abs=0.02)
+    (left, bottom), (right, top) = stated["walk"]
+    x, y, _ = stated["goal"]
+    assert left <= x <= right and bottom <= y <= top and 0.04 <= stated["voxel_size"] <= 0.06
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of unknown scale
+        world = build_world(
+            load_config([f"scene={out}", "device=cpu", "robot.image_width=16", "robot.image_height=12"])
+        )
+    assert len(world.plan.start_rows) > 100
+
+
+def test_a_large_place_has_longer_steps_coarser_voxels_and_a_larger_thing(tmp_path: Path) -> None:
+    file, _ = turned(place("courtyard", spacing=0.6), 3, tilt_deg=6.0)
+    write_gaussians(tmp_path / "yard.ply", file)
+    main([str(tmp_path / "yard.ply"), "--out", str(tmp_path / "mine"), "--height", "1.2"])
+    stated = read_description(tmp_path / "mine")
+    assert stated["step"] == 0.4 and stated["object_size"] == 0.64 and 0.05 < stated["voxel_size"] < 0.15
+    lower, upper = np.array(stated["bounds"])
+    assert (upper - lower).max() < 20.0  # where robots can be, not the courtyard's 40 m
+    cfg = load_config([f"scene={tmp_path / 'mine'}", "task=apple"])
+    assert (cfg.drawing.size, cfg.task.motion.step, cfg.robot.height) == (0.64, 0.4, stated["robot_height"])
 
 
 @pytest.mark.parametrize(
@@ -174,7 +204,6 @@ def test_the_kitchen_stands_in_metres_with_its_floor_at_zero(shared_scenes: Path
     written = (tmp_path / "scene.yaml").read_text()
     assert 'axes: ["x", "-z", "y"]' in written
     assert "scale: 1.0 " in written
-    (tmp_path / "kitchen.spz").symlink_to((shared_scenes / "kitchen" / "kitchen.spz").resolve())
     scene = read_scene(tmp_path)
     opaque = scene.gaussians.means[scene.gaussians.opacities > 0.5]
     assert ((opaque[:, 2].abs() < 0.03).float().mean()) > 0.2  # at least a fifth of what is opaque is the floor
@@ -194,14 +223,16 @@ def test_an_out_that_ends_in_spz_makes_a_folder_with_a_small_splat(
     with pytest.raises(SystemExit, match="--force"):
         main([str(splat), "--out", str(tmp_path / "small.spz")])
     description = splat.with_name("scene.yaml")
-    said = "robot_height: 0.7\nmetric: true\nantialiased: false\nfree: free.ply\nvoxel_size: 0.1\n"
+    said = "\nmetric: true\nantialiased: false\nfree: free.ply\n"
     description.write_text(description.read_text() + said)
     write_points(splat.with_name("free.ply"), torch.rand(5, 3))
     main([str(splat.parent), "--out", str(tmp_path / "again.spz")])
     again = read_scene(tmp_path / "again")
     torch.testing.assert_close(again.gaussians.means, large.gaussians.means, atol=2e-4, rtol=0)
     stated = read_description(tmp_path / "again")
-    assert (stated["robot_height"], stated["metric"], stated["antialiased"]) == (0.7, True, False)
+    assert (stated["metric"], stated["antialiased"]) == (True, False)
+    kept = ("robot_height", "walk", "step", "goal", "object", "voxel_size")
+    assert [stated.get(key) for key in kept] == [read_description(splat.parent).get(key) for key in kept]
     assert (tmp_path / "again" / "free.ply").read_bytes() == splat.with_name("free.ply").read_bytes()
-    assert again.free is not None and again.free.voxel_size == 0.1
+    assert again.free is not None and again.free.voxel_size == stated["voxel_size"]
     assert gzip.decompress((tmp_path / "again" / "splat.spz").read_bytes())[14] == 0
