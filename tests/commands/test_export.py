@@ -82,8 +82,8 @@ def test_a_wider_camera_is_cropped_to_the_policys_field_of_view(
     ("arguments", "message"),
     [
         (["run=nowhere"], "splatrl-export: run: expected a run folder"),
-        ([], "splatrl-export: expected a value for run"),
-        (["run={run}", "frames=none"], "splatrl-export: frames: expected a whole number"),
+        ([], "splatrl-export: run: expected a value, got none"),
+        (["run={run}", "frames=none"], "splatrl-export: frames: expected a number such as 1000, got none"),
         (["run={run}", "checkpoint=first"], "splatrl-export: checkpoint: expected last or best, got 'first'"),
         (["run={run}", "out=x"], "out: no such key, did you mean output"),
     ],
