@@ -83,7 +83,7 @@ def test_a_wider_camera_is_cropped_to_the_policys_field_of_view(
     [
         (["run=nowhere"], "splatrl-export: run: expected a run folder"),
         ([], "splatrl-export: run: expected a value, got none"),
-        (["run={run}", "frames=none"], "splatrl-export: frames: expected a number such as 1000, got none"),
+        (["run={run}", "frames=none"], "splatrl-export: frames: expected a number"),
         (["run={run}", "checkpoint=first"], "splatrl-export: checkpoint: expected last or best, got 'first'"),
         (["run={run}", "out=x"], "out: no such key, did you mean output"),
     ],

@@ -83,10 +83,10 @@ def test_a_replay_that_differs_ends_with_an_error(demos: Path, tmp_path: Path, m
         (record, ["by=me", "out={new}"], "splatrl-record: by: expected planner, got me"),
         (record, ["episodes=0", "out={new}"], "splatrl-record: episodes: expected a whole number"),
         (record, ["out={demos}"], "splatrl-record: out: expected a new folder, but .* is there"),
-        (record, [], "splatrl-record: expected a value for out"),
+        (record, [], "splatrl-record: out: expected a value, got none"),
         (record, ["out={new}", "episode=3"], "episode: no such key, did you mean episodes"),
         (replay, ["demos={new}"], "splatrl-replay: .*: expected a folder of demonstrations"),
-        (replay, [], "splatrl-replay: expected a value for demos"),
+        (replay, [], "splatrl-replay: demos: expected a value, got none"),
     ],
 )
 def test_what_is_wrong_is_said_in_a_line(
