@@ -16,8 +16,8 @@ import torch
 
 from splatrl import configuration
 from splatrl.build import build_world
-from splatrl.commands import train
-from splatrl.configuration import resumed_config
+from splatrl.commands import evaluate, train
+from splatrl.configuration import resumed_config, run_config
 from splatrl.files import alone_in
 from splatrl.made_with import check_made_with, made_with
 from splatrl.scenes import write_gaussians
@@ -204,6 +204,16 @@ def test_evaluating_again_gives_the_same_figures(run: tuple[Path, str]) -> None:
     (folder / "evaluation.json").unlink()
     finish(command("evaluate", f"run={folder}", "video=false"))
     assert json.loads((folder / "evaluation.json").read_text()) == before
+
+
+def test_an_evaluation_takes_settings_of_its_own(run: tuple[Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    given = []
+    monkeypatch.setattr(evaluate, "evaluate_run", lambda cfg, folder: given.append(cfg.evaluation))
+    monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={run[0]}", "starts=5", "seed=3", "checkpoint=last"])
+    evaluate.main()
+    own = run_config(run[0]).evaluation
+    assert (given[0].starts, given[0].seed, given[0].checkpoint) == (5, 3, "last") and own.starts != 5
+    assert given[0].repeats == own.repeats
 
 
 def test_a_resume_of_nothing_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
