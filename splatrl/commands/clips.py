@@ -13,19 +13,28 @@ from splatrl.command_line import command_line
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import check_config, conf_dir, run_config
 from splatrl.evaluation.clips import REPORT, write_report
-from splatrl.experiments.clip_scores import altered, record_clips, score_run
+from splatrl.experiments.clip_scores import altered, film_run, record_clips, score_run
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="clips")
 @in_one_line("splatrl-clips")
 def run(cfg: DictConfig) -> None:
-    """Record clips, score the runs of ``cfg.run`` on clips, or do both in that order."""
+    """Draw on a film what the runs of ``cfg.run`` would do, record clips, or score the runs on clips."""
     check_config(cfg)
     runs = [str(one) for one in cfg.run] if isinstance(cfg.run, ListConfig) else [str(cfg.run)]
-    if cfg.record is None and cfg.clips is None:
-        raise ValueError("clips: expected a folder of clips, or record: a folder to record into, got neither")
+    if cfg.record is None and cfg.clips is None and cfg.film is None:
+        raise ValueError(
+            "clips: expected a folder of clips, or film: a video, or record: a folder to record into, got none"
+        )
     if len(set(runs)) < len(runs) or not runs:
         raise ValueError(f"run: expected different run folders, got {', '.join(runs) or 'none'}")
+    if cfg.film is not None:
+        film = Path(cfg.film).expanduser()
+        folder = Path(cfg.output or film.parent)
+        for name in runs:
+            output = folder / f"{film.stem}-{Path(name).absolute().name}"
+            for path in film_run(Path(name), film, output, cfg.checkpoint, cfg.device, cfg.allow_targets):
+                print(path)
     if cfg.record is not None:
         own = run_config(Path(runs[0]), cfg.allow_targets)
         own.device = cfg.device or own.device

@@ -51,13 +51,22 @@ class Clip:
             ValueError: for a frame that cannot be read or is too large, or a label beyond the last frame.
         """
         count = 0
-        for image in map(read_photo, _listed(self.source)) if self.source.is_dir() else _video(self.source):
+        for image in film_images(self.source):
             yield image
             count += 1
         beyond = [frame for frame in self.labels if frame >= count]
         if beyond:
             place = f"{self.table}, line {self.lines[beyond[0]]}"
             raise ValueError(f"{place}: expected a frame from 0 to {count - 1}, got {beyond[0]}")
+
+
+def film_images(source: Path) -> Iterator[Image.Image]:
+    """Yield the frames of a video, or the photos of a folder, in order, RGB and upright.
+
+    Raises:
+        ValueError: for a frame that cannot be read or is too large.
+    """
+    return map(read_photo, _listed(source)) if source.is_dir() else _video(source)
 
 
 def read_clips(folder: Path, action_names: Sequence[str]) -> list[Clip]:

@@ -1,7 +1,7 @@
 """How often a policy would act in a clip as a person or a planner would have: Experiment IV of the paper."""
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -80,51 +80,67 @@ def match(
     Raises:
         ValueError: for a clip that cannot be read, or a policy that reads keys that it is not given.
     """
+    results = []
+    for clip in clips:
+        matches, masses = 0, []
+        with acting(sampled=False, seed=0):
+            shown = predictions(policy, action_names, clip.images(), image_shape, start)
+            for number, (_, probabilities) in enumerate(shown):
+                if (label := clip.labels.get(number)) is not None:
+                    matches += int(probabilities.argmax()) in label
+                    masses.append(float(probabilities[sorted(label)].sum()))
+                progress(1)
+        results.append(ClipResult(clip.name, len(masses), matches, sum(masses) / len(masses)))
+    return results
+
+
+def predictions(
+    policy: TensorDictModuleBase,
+    action_names: Sequence[str],
+    images: Iterable[Image.Image],
+    image_shape: Sequence[int],
+    start: TensorDictBase | None = None,
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """What a policy makes of images that are shown to it one after the other, as ``match`` shows them.
+
+    Args:
+        policy: as for ``match``, and so the others.
+        action_names: of A actions.
+        images: RGB, of any size.
+        image_shape: (H, W, C).
+        start: [1].
+
+    Yields:
+        What the policy sees of an image, [H, W, 3] uint8, and the probabilities that it gives to the actions, [A].
+
+    Raises:
+        ValueError: for a policy of another number of actions, or one that reads keys that it is not given.
+    """
     begun = TensorDict({}, [1]) if start is None else start
     extra = [key for key in policy.in_keys if key != "pixels"]
     missing = [key for key in extra if key not in begun.keys(True)]
     if missing:
         raise ValueError(f"start: expected {', '.join(map(str, missing))}, which the policy reads, got nothing")
-    results = []
-    for clip in clips:
-        with acting(sampled=False, seed=0):
-            results.append(_match(policy, action_names, clip, image_shape, begun.select(*extra), progress))
-    return results
-
-
-def _match(
-    policy: TensorDictModuleBase,
-    action_names: Sequence[str],
-    clip: Clip,
-    image_shape: Sequence[int],
-    begun: TensorDictBase,
-    progress: Callable[[int], object],
-) -> ClipResult:
+    begun = begun.select(*extra)
     height, width, channels = image_shape
     seen: deque[Tensor] = deque(maxlen=channels // 3)
     carried = begun.clone()
-    matches, masses = 0, []
-    for number, image in enumerate(clip.images()):
+    for number, image in enumerate(images):
         frame = fitted(image, height, width)
         seen.extend([frame] * (seen.maxlen or 1) if not number else [frame])
         out = policy(carried.clone().set("pixels", torch.cat(list(seen), -1).unsqueeze(0).to(carried.device)))
-        label = clip.labels.get(number)
-        if label is not None:
-            probabilities = out["logits"].softmax(-1)[0]
-            if len(probabilities) != len(action_names):
-                names = ", ".join(action_names)
-                raise ValueError(
-                    f"policy: expected {len(action_names)} actions, {names}, got a policy of {len(probabilities)}"
-                )
-            matches += int(probabilities.argmax()) in label
-            masses.append(float(probabilities[sorted(label)].sum()))
+        probabilities = out["logits"].softmax(-1)[0]
+        if len(probabilities) != len(action_names):
+            names = ", ".join(action_names)
+            raise ValueError(
+                f"policy: expected {len(action_names)} actions, {names}, got a policy of {len(probabilities)}"
+            )
+        yield frame, probabilities
         after = out.get("next", TensorDict({}, [1]))
         for key in begun.keys():  # noqa: SIM118, iterating over a TensorDict goes along its batch
             carried[key] = after.get(key, begun[key])
         if "is_init" in carried.keys():  # noqa: SIM118
             carried["is_init"] = torch.zeros_like(carried["is_init"])
-        progress(1)
-    return ClipResult(clip.name, len(masses), matches, sum(masses) / len(masses))
 
 
 def fitted(image: Image.Image, height: int, width: int) -> Tensor:

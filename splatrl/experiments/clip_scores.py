@@ -7,6 +7,8 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from tqdm import tqdm
 
 from splatrl.build import build_world
@@ -14,6 +16,7 @@ from splatrl.configuration import run_config
 from splatrl.envs.world import World
 from splatrl.evaluation.clip_files import read_clips
 from splatrl.evaluation.clips import ClipResult, match
+from splatrl.evaluation.film import draw_film
 from splatrl.evaluation.walk_looks import Lens
 from splatrl.evaluation.walks import Hand, record_walks
 from splatrl.experiments.experiment import Run
@@ -75,16 +78,39 @@ def score_run(
     Raises:
         ValueError: for a task whose actions have no names.
     """
+    policy, names, shape, known = _watching(folder, checkpoint, device, allow_targets)
+    found = read_clips(clips, names)
+    with tqdm(unit="frame", desc=folder.name, dynamic_ncols=True) as bar:
+        return match(policy, names, found, shape, known, bar.update)
+
+
+def film_run(
+    folder: Path,
+    film: Path,
+    output: Path,
+    checkpoint: str | None = None,
+    device: str | None = None,
+    allow_targets: Sequence[str] = (),
+) -> list[Path]:
+    """Draw on a film what the policy of a run folder would do; see ``draw_film`` and ``score_run``."""
+    policy, names, shape, known = _watching(folder, checkpoint, device, allow_targets)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    with tqdm(unit="frame", desc=folder.name, dynamic_ncols=True) as bar:
+        return draw_film(policy, names, film, shape, output, known, bar.update)
+
+
+def _watching(
+    folder: Path, checkpoint: str | None, device: str | None, allow_targets: Sequence[str]
+) -> tuple[TensorDictModuleBase, Sequence[str], Sequence[int], TensorDictBase]:
+    """A run's policy, its actions' names, the shape of its image and what else it reads as an episode begins."""
     cfg = run_config(folder, allow_targets)
     torch.set_num_threads(cfg.threads)
     trained = load_policy(folder, checkpoint, device, cfg)
     motion, policy, begun = trained.world.task.motion, trained.policy, trained.beginning()
     if not motion.action_names:
         raise ValueError(f"task: expected actions with names, got {type(motion).__name__}")
-    found = read_clips(clips, motion.action_names)
     known = begun.select(*(key for key in policy.in_keys if key != "pixels"), strict=False)
-    with tqdm(unit="frame", desc=folder.name, dynamic_ncols=True) as bar:
-        return match(policy, motion.action_names, found, begun["pixels"].shape[1:], known, bar.update)
+    return policy, motion.action_names, begun["pixels"].shape[1:], known
 
 
 def score_experiment(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:

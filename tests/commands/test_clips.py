@@ -1,6 +1,7 @@
 """``splatrl-clips`` from the outside."""
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -77,10 +78,27 @@ def test_clips_can_be_recorded_and_scored_at_once_with_another_checkpoint_and_ou
     assert not (record / "clips.md").exists()
 
 
+def test_what_policies_would_do_is_drawn_on_a_film_without_labels(
+    runs: Path, clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    film = tmp_path / "walk"
+    shutil.copytree(clips / "walk-00", film)
+    (film / "actions.csv").unlink()
+    command(monkeypatch, f"run=[{runs / 'forward'},{runs / 'back'}]", f"film={film}", f"output={tmp_path / 'out'}")
+    printed = capsys.readouterr().out
+    written = {f"walk-{run}.{kind}" for run in ("forward", "back") for kind in ("mp4", "csv")}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == written
+    assert all(str(tmp_path / "out" / name) in printed for name in written)
+    for action, run in enumerate(("forward", "back")):
+        rows = (tmp_path / "out" / f"walk-{run}.csv").read_text().splitlines()
+        assert rows[0] == f"frame,action,{','.join(NAMES)}" and len(rows) == 1 + len(list(film.iterdir()))
+        assert all(row.split(",")[1] == NAMES[action] for row in rows[1:])
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run=[a]"], "clips: expected a folder of clips, or record"),
+        (["run=[a]"], "clips: expected a folder of clips, or film: a video, or record"),
         (["run=[a,a]", "clips=c"], "run: expected different run folders, got a, a"),
         (["run=[]", "clips=c"], "run: expected different run folders, got none"),
         (["clips=c"], "run: expected a value, got none; type run=<the folder"),

@@ -1,0 +1,114 @@
+"""What a policy would do in a film that nobody labelled: its frames with the policy's view and actions beside them."""
+
+import csv
+import io
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from splatrl.evaluation.chart import font
+from splatrl.evaluation.clip_files import film_images
+from splatrl.evaluation.clips import predictions
+from splatrl.evaluation.rollouts import acting
+from splatrl.evaluation.video import encode
+from splatrl.files import replacing
+from splatrl.images import open_video
+
+HEIGHT = 360
+"""Pixels of a film's frame on the page, and of the panel beside it."""
+PANEL = 220
+"""Pixels: width of the panel with the policy's view and its actions."""
+VIEW, BAR = 140, 26
+PHOTOS_A_SECOND = 10
+FASTEST = 120
+
+
+def draw_film(
+    policy: TensorDictModuleBase,
+    action_names: Sequence[str],
+    film: Path,
+    image_shape: Sequence[int],
+    output: Path,
+    start: TensorDictBase | None = None,
+    progress: Callable[[int], object] = lambda frames: None,
+) -> list[Path]:
+    """Show a film to a policy, and write what it makes of each frame as a video and as a table.
+
+    Args:
+        policy: reads ``pixels`` and whatever else its ``in_keys`` name, writes ``logits``.
+        action_names: names of the task's actions, in their order.
+        film: a video, or a folder of photos in the order of the numbers in their names.
+        image_shape: (H, W, C) of ``pixels``.
+        output: path of both files without suffix; its folder exists.
+        start: [1] what else the policy reads at the start of an episode.
+        progress: called with the number of frames that were just shown.
+
+    Returns:
+        The video (mp4) and the table (CSV: ``frame,action`` and the probability of each action), written whole.
+
+    Raises:
+        ValueError: for a film that cannot be read or has no frame, or a policy of other actions.
+    """
+    if not film.exists():
+        raise ValueError(f"{film}: expected a video or a folder of photos, found none")
+    table = io.StringIO(newline="")
+    writer = csv.writer(table)
+    writer.writerow(["frame", "action", *action_names])
+    last: list[Image.Image] = []
+
+    def images() -> Iterator[Image.Image]:
+        for image in film_images(film):
+            last[:] = [image]
+            yield image
+
+    def pages() -> Iterator[Image.Image]:
+        for number, (view, chances) in enumerate(predictions(policy, action_names, images(), image_shape, start)):
+            values = [round(float(chance), 4) for chance in chances]
+            writer.writerow([number, action_names[int(chances.argmax())], *values])
+            yield _page(last[0], view, values, action_names)
+            progress(1)
+
+    with acting(sampled=False, seed=0):
+        drawn = pages()
+        first = next(drawn, None)
+        if first is None:
+            raise ValueError(f"{film}: expected at least one frame, got none")
+        same = (page if page.size == first.size else page.resize(first.size) for page in chain([first], drawn))
+        encode(same, video := output.with_name(f"{output.name}.mp4"), _speed(film))
+    with replacing(rows := output.with_name(f"{output.name}.csv")) as stream:
+        stream.write(table.getvalue().encode())
+    return [video, rows]
+
+
+def _speed(film: Path) -> int:
+    """Frames per second, at least 1."""
+    if film.is_dir():
+        return PHOTOS_A_SECOND
+    with open_video(film) as container:
+        rate = container.streams.video[0].average_rate
+    return min(max(1, round(float(rate or PHOTOS_A_SECOND))), FASTEST)
+
+
+def _page(image: Image.Image, view: Tensor, chances: Sequence[float], names: Sequence[str]) -> Image.Image:
+    """A frame, and beside it what the policy saw and how probable each action is, the most probable one bright."""
+    wide = 2 * round(HEIGHT * image.width / image.height / 2)
+    page = Image.new("RGB", (wide + PANEL, HEIGHT), "#202020")
+    page.paste(image.resize((wide, HEIGHT)), (0, 0))
+    small = Image.fromarray(np.asarray(view))
+    scale = min((PANEL - 20) / small.width, VIEW / small.height)
+    shown = small.resize((round(small.width * scale), round(small.height * scale)), Image.Resampling.NEAREST)
+    page.paste(shown, (wide + (PANEL - shown.width) // 2, 10))
+    pen, top = ImageDraw.Draw(page), VIEW + 24
+    each = min(BAR, (HEIGHT - top - 8) / len(names))
+    for row, (name, chance) in enumerate(zip(names, chances, strict=True)):
+        y, best = top + row * each, chance == max(chances)
+        bar = (wide + 10, y, wide + 10 + round((PANEL - 20) * chance), y + each - 4)
+        pen.rectangle(bar, fill="#2a9d8f" if best else "#465a5a")
+        pen.text((wide + 16, y + (each - 4) / 2), name, fill="white" if best else "#bbbbbb", font=font(13), anchor="lm")
+    return page
