@@ -85,7 +85,7 @@ def match(
         matches, masses = 0, []
         with acting(sampled=False, seed=0):
             shown = predictions(policy, action_names, clip.images(), image_shape, start)
-            for number, (_, probabilities) in enumerate(shown):
+            for number, (_, _, probabilities) in enumerate(shown):
                 if (label := clip.labels.get(number)) is not None:
                     matches += int(probabilities.argmax()) in label
                     masses.append(float(probabilities[sorted(label)].sum()))
@@ -100,7 +100,7 @@ def predictions(
     images: Iterable[Image.Image],
     image_shape: Sequence[int],
     start: TensorDictBase | None = None,
-) -> Iterator[tuple[Tensor, Tensor]]:
+) -> Iterator[tuple[Image.Image, Tensor, Tensor]]:
     """What a policy makes of images that are shown to it one after the other, as ``match`` shows them.
 
     Args:
@@ -111,7 +111,7 @@ def predictions(
         start: [1].
 
     Yields:
-        What the policy sees of an image, [H, W, 3] uint8, and the probabilities that it gives to the actions, [A].
+        An image, what the policy sees of it, [H, W, 3] uint8, and the probabilities that it gives to the actions, [A].
 
     Raises:
         ValueError: for a policy of another number of actions, or one that reads keys that it is not given.
@@ -135,7 +135,7 @@ def predictions(
             raise ValueError(
                 f"policy: expected {len(action_names)} actions, {names}, got a policy of {len(probabilities)}"
             )
-        yield frame, probabilities
+        yield image, frame, probabilities
         after = out.get("next", TensorDict({}, [1]))
         for key in begun.keys():  # noqa: SIM118, iterating over a TensorDict goes along its batch
             carried[key] = after.get(key, begun[key])

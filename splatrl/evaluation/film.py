@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 
-import numpy as np
 from PIL import Image, ImageDraw
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -60,18 +59,13 @@ def draw_film(
     table = io.StringIO(newline="")
     writer = csv.writer(table)
     writer.writerow(["frame", "action", *action_names])
-    last: list[Image.Image] = []
-
-    def images() -> Iterator[Image.Image]:
-        for image in film_images(film):
-            last[:] = [image]
-            yield image
 
     def pages() -> Iterator[Image.Image]:
-        for number, (view, chances) in enumerate(predictions(policy, action_names, images(), image_shape, start)):
+        shown = predictions(policy, action_names, film_images(film), image_shape, start)
+        for number, (image, view, chances) in enumerate(shown):
             values = [round(float(chance), 4) for chance in chances]
             writer.writerow([number, action_names[int(chances.argmax())], *values])
-            yield _page(last[0], view, values, action_names)
+            yield _page(image, view, values, action_names)
             progress(1)
 
     with acting(sampled=False, seed=0):
@@ -100,7 +94,7 @@ def _page(image: Image.Image, view: Tensor, chances: Sequence[float], names: Seq
     wide = 2 * round(HEIGHT * image.width / image.height / 2)
     page = Image.new("RGB", (wide + PANEL, HEIGHT), "#202020")
     page.paste(image.resize((wide, HEIGHT)), (0, 0))
-    small = Image.fromarray(np.asarray(view))
+    small = Image.fromarray(view.numpy())
     scale = min((PANEL - 20) / small.width, VIEW / small.height)
     shown = small.resize((round(small.width * scale), round(small.height * scale)), Image.Resampling.NEAREST)
     page.paste(shown, (wide + (PANEL - shown.width) // 2, 10))
