@@ -28,6 +28,7 @@ constexpr int PARTS = LANES / SPLATRL_REGISTER;
 
 typedef float FloatPart __attribute__((vector_size(4 * SPLATRL_REGISTER)));
 typedef int32_t IntPart __attribute__((vector_size(4 * SPLATRL_REGISTER)));
+typedef uint32_t UnsignedPart __attribute__((vector_size(4 * SPLATRL_REGISTER)));
 
 struct Lanes {
     FloatPart part[PARTS];
@@ -219,7 +220,7 @@ LANE_INLINE Lanes exp2(const Lanes& a) {
         const FloatPart f = a.part[p] - (shifted - ROUND);
         const FloatPart power =
             (((9.5701013e-3f * f + 5.5917879e-2f) * f + 2.4024744e-1f) * f + 6.9312179e-1f) * f + 9.9999928e-1f;
-        out.part[p] = (FloatPart)((IntPart)power + ((IntPart)shifted << 23));
+        out.part[p] = (FloatPart)((UnsignedPart)power + ((UnsignedPart)shifted << 23));  // wraps beyond
     }
     return out;
 }
