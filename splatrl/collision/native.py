@@ -1,6 +1,7 @@
 """Collision in C++: a bit grid and its distance field, exact, thousands of bodies at once."""
 
 from collections.abc import Callable
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -14,7 +15,67 @@ from splatrl.native import _core
 from splatrl.native.threads import threads_of
 
 
-class NativeChecker:
+class Queries(Protocol):
+    """What C++ answers, by the addresses of C-contiguous CPU memory; see ``_core.Collider``."""
+
+    def collides(self, poses: int, out: int, count: int, threads: int, /) -> int: ...
+    def free_fraction(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...
+    def sweeps(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...
+    def clearance(self, points: int, out: int, count: int, threads: int, /) -> int: ...
+
+
+class NativeQueries:
+    """The queries of a checker in C++, whatever grids they ask.
+
+    Attributes:
+        body: what is tested, in the body frame.
+        threads: cores that a large batch is spread over.
+        core: answers them.
+    """
+
+    body: Body
+    threads: int
+    core: Queries
+
+    @torch.compiler.disable
+    def collides(self, body_to_world: Tensor) -> Tensor:
+        """Whether the body touches a solid voxel: see ``Checker.collides``."""
+        poses = _floats("body_to_world", body_to_world, (4, 4))
+        hits = torch.empty(len(poses), dtype=torch.bool)
+        if self.core.collides(poses.data_ptr(), hits.data_ptr(), len(poses), self.threads) >= 0:
+            refuse(body_to_world=body_to_world)
+        return _to_device_of(hits, body_to_world)
+
+    @torch.compiler.disable
+    def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+        """The free share of each move: see ``Checker.free_fraction``. It never goes beyond the first contact."""
+        fraction = torch.empty(len(start), dtype=torch.float32)
+        return self._move(self.core.free_fraction, start, end, fraction)
+
+    @torch.compiler.disable
+    def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
+        """Whether anything is hit on the way, ends included: [B] bool."""
+        return self._move(self.core.sweeps, start, end, torch.empty(len(start), dtype=torch.bool))
+
+    @torch.compiler.disable
+    def clearance(self, points: Tensor) -> Tensor:
+        """A lower bound on the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
+        places = _floats("points", points, (3,))
+        metres = torch.empty(len(places), dtype=torch.float32)
+        if self.core.clearance(places.data_ptr(), metres.data_ptr(), len(places), self.threads) >= 0:
+            checked_points("points", points)
+            raise ValueError("points: expected finite places in scenes that there are")
+        return _to_device_of(metres, points)
+
+    def _move(self, query: Callable[..., int], start: Tensor, end: Tensor, out: Tensor) -> Tensor:
+        starts, ends = _floats("start", start, (4, 4)), _floats("end", end, (4, 4))
+        check_pairs(starts, ends)
+        if query(starts.data_ptr(), ends.data_ptr(), out.data_ptr(), len(starts), self.threads) >= 0:
+            refuse(start=start, end=end)
+        return _to_device_of(out, start)
+
+
+class NativeChecker(NativeQueries):
     """Tests a box, a sphere or a capsule, at any rotation, against the voxels of an occupancy.
 
     Answers are those of ``FclChecker`` on the same voxels, except for touches: anything within a micrometre is always
@@ -47,46 +108,10 @@ class NativeChecker:
         self.occupancy = occupancy
         self.body = body
         self.threads = threads_of(threads)
-        self._core = collider(occupancy, body)
+        self.core = collider(occupancy, body)
 
     def __reduce__(self) -> tuple[type["NativeChecker"], tuple[Occupancy, Body, int]]:
         return NativeChecker, (self.occupancy, self.body, self.threads)
-
-    @torch.compiler.disable
-    def collides(self, body_to_world: Tensor) -> Tensor:
-        """Whether the body touches a solid voxel: see ``Checker.collides``."""
-        poses = _floats("body_to_world", body_to_world, (4, 4))
-        hits = torch.empty(len(poses), dtype=torch.bool)
-        if self._core.collides(poses.data_ptr(), hits.data_ptr(), len(poses), self.threads) >= 0:
-            refuse(body_to_world=body_to_world)
-        return _to_device_of(hits, body_to_world)
-
-    @torch.compiler.disable
-    def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
-        """The free share of each move: see ``Checker.free_fraction``. It never goes beyond the first contact."""
-        fraction = torch.empty(len(start), dtype=torch.float32)
-        return self._move(self._core.free_fraction, start, end, fraction)
-
-    @torch.compiler.disable
-    def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
-        """Whether anything is hit on the way, ends included: [B] bool."""
-        return self._move(self._core.sweeps, start, end, torch.empty(len(start), dtype=torch.bool))
-
-    @torch.compiler.disable
-    def clearance(self, points: Tensor) -> Tensor:
-        """A lower bound on the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
-        places = _floats("points", points, (3,))
-        metres = torch.empty(len(places), dtype=torch.float32)
-        if self._core.clearance(places.data_ptr(), metres.data_ptr(), len(places), self.threads) >= 0:
-            checked_points("points", points)
-        return _to_device_of(metres, points)
-
-    def _move(self, query: Callable[..., int], start: Tensor, end: Tensor, out: Tensor) -> Tensor:
-        starts, ends = _floats("start", start, (4, 4)), _floats("end", end, (4, 4))
-        check_pairs(starts, ends)
-        if query(starts.data_ptr(), ends.data_ptr(), out.data_ptr(), len(starts), self.threads) >= 0:
-            refuse(start=start, end=end)
-        return _to_device_of(out, start)
 
 
 def collider(occupancy: Occupancy, body: Body) -> _core.Collider:
@@ -127,7 +152,7 @@ def refuse(**poses: Tensor) -> None:
     """Say which pose is not rigid, and why."""
     for name, values in poses.items():
         checked_poses(name, values.float())
-    raise ValueError(f"{', '.join(poses)}: expected rigid poses")
+    raise ValueError(f"{', '.join(poses)}: expected rigid poses in scenes that there are")
 
 
 def _dimensions(body: Body) -> tuple[tuple[float, float, float], float, float]:

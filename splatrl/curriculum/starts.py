@@ -12,30 +12,37 @@ from splatrl.values import require_number
 
 
 class Starts(nn.Module):
-    """The start set of a plan, ordered by distance to the goal.
+    """The start sets of one or several scenes, ordered by distance to the goal.
 
     Level l draws uniformly among the starts whose shortest path has at most ``first + l · stride`` steps; the highest
-    level is the whole set.
+    level is the whole set. In a scene without so short a path, a level draws among its shortest.
 
     Args:
-        plan: states and distances.
+        plan: states and distances, of one scene or of several.
         first: longest path at level 0, steps; None makes the whole set the only level.
         stride: steps that each level adds.
     """
 
-    ordered: Tensor  # [N, D] states by distance
-    counts: Tensor  # [levels] int64, how many of them a level uses
+    ordered: Tensor  # [N, D] states by scene, then by distance
+    begins: Tensor  # [S] int64, the first of each scene
+    counts: Tensor  # [S, levels] int64, how many of a scene's states a level uses
 
-    def __init__(self, plan: Plan, first: int | None = 2, stride: int = 1):
+    def __init__(self, plan: Plan | Sequence[Plan], first: int | None = 2, stride: int = 1):
         super().__init__()
         for name, steps in (("first", 1 if first is None else first), ("stride", stride)):
             require_number(f"curriculum.{name}", steps, 1, whole=True)
-        rows = plan.start_rows
-        distance, order = plan.distance[rows].sort(stable=True)
-        self.register_buffer("ordered", plan.states[rows[order]], persistent=False)
-        farthest = int(distance[-1])
-        limits = torch.tensor(self._limits(farthest, first, stride), device=distance.device)
-        self.register_buffer("counts", torch.searchsorted(distance, limits, right=True), persistent=False)
+        plans = [plan] if isinstance(plan, Plan) else list(plan)
+        sets = [(own, *own.distance[own.start_rows].sort(stable=True)) for own in plans]
+        ordered = [own.states[own.start_rows[order]] for own, _, order in sets]
+        self.register_buffer("ordered", torch.cat(ordered), persistent=False)
+        ends = torch.tensor([len(states) for states in ordered], device=self.ordered.device).cumsum(0)
+        self.register_buffer("begins", ends - ends.diff(prepend=ends.new_zeros(1)), persistent=False)
+        farthest = max(int(distance[-1]) for _, distance, _ in sets)
+        limits = torch.tensor(self._limits(farthest, first, stride), device=ends.device)
+        counts = [
+            torch.searchsorted(distance, limits.clamp_min(int(distance[0])), right=True) for _, distance, _ in sets
+        ]
+        self.register_buffer("counts", torch.stack(counts), persistent=False)
 
     @staticmethod
     def _limits(farthest: int, first: int | None, stride: int) -> Sequence[int]:
@@ -46,13 +53,30 @@ class Starts(nn.Module):
     @property
     def levels(self) -> int:
         """Number of levels."""
+        return self.counts.shape[1]
+
+    @property
+    def scenes(self) -> int:
+        """Number of scenes."""
         return len(self.counts)
 
-    def sample(self, level: Tensor, count: int, generator: torch.Generator) -> Tensor:
-        """Draw start states: level [] int64 -> [count, D]; consumes ``count`` numbers of the generator."""
+    def sample(self, level: Tensor, count: int, generator: torch.Generator, scene: Tensor | None = None) -> Tensor:
+        """Draw start states; consumes ``count`` numbers of the generator.
+
+        Args:
+            level: [] int64.
+            count: how many to draw.
+            generator: draws them.
+            scene: [count] int64, the scene of each; None takes the first.
+
+        Returns:
+            [count, D].
+        """
         uniform = torch.rand(count, generator=generator, device=self.ordered.device, dtype=torch.float64)
-        available = self.counts.index_select(0, level.reshape(1))  # indexing with a scalar would synchronise
-        return self.ordered[(uniform * available).long().clamp_max(available - 1)]
+        available = self.counts.index_select(1, level.reshape(1)).squeeze(1)  # indexing with a scalar would synchronise
+        available = available[:1] if scene is None else available.index_select(0, scene)
+        rows = (uniform * available).long().clamp_max(available - 1)
+        return self.ordered[rows if scene is None else rows + self.begins.index_select(0, scene)]
 
 
 class Curriculum(nn.Module):
@@ -61,8 +85,10 @@ class Curriculum(nn.Module):
     Its progress is a buffer that is changed in place, so a resumed run continues at its level, and a captured step
     continues the count of the one before.
 
+    Several scenes share a level, and robots are spread over them evenly by chance.
+
     Args:
-        plan: states and distances.
+        plan: states and distances, of one scene or of several.
         first: see ``Starts``.
         stride: see ``Starts``.
         threshold: see ``Schedule``.
@@ -71,7 +97,14 @@ class Curriculum(nn.Module):
 
     progress: Tensor  # [3] int64
 
-    def __init__(self, plan: Plan, first: int | None = 2, stride: int = 1, threshold: float = 0.7, window: int = 100):
+    def __init__(
+        self,
+        plan: Plan | Sequence[Plan],
+        first: int | None = 2,
+        stride: int = 1,
+        threshold: float = 0.7,
+        window: int = 100,
+    ):
         super().__init__()
         self.starts = Starts(plan, first, stride)
         self.schedule = Schedule(self.starts.levels, threshold, window)
@@ -82,14 +115,20 @@ class Curriculum(nn.Module):
         """The current level: [] int64."""
         return self.progress[0]
 
-    def sample(self, count: int, generator: torch.Generator) -> Tensor:
-        """Draw start states of the current level: [count, D]."""
-        return self.starts.sample(self.level, count, generator)
+    def scenes(self, count: int, generator: torch.Generator) -> Tensor | None:
+        """Draw the scene of each robot, [count] int64; None, and nothing drawn, where there is only one."""
+        if self.starts.scenes == 1:
+            return None
+        return torch.randint(self.starts.scenes, (count,), generator=generator, device=self.starts.counts.device)
 
-    def anywhere(self, count: int, generator: torch.Generator) -> Tensor:
+    def sample(self, count: int, generator: torch.Generator, scene: Tensor | None = None) -> Tensor:
+        """Draw start states of the current level, in some scenes [count] int64: [count, D]."""
+        return self.starts.sample(self.level, count, generator, scene)
+
+    def anywhere(self, count: int, generator: torch.Generator, scene: Tensor | None = None) -> Tensor:
         """Draw states from the whole start set, whatever the level: [count, D]."""
         highest = torch.full_like(self.level, self.starts.levels - 1)
-        return self.starts.sample(highest, count, generator)
+        return self.starts.sample(highest, count, generator, scene)
 
     def record(self, level: Tensor, finished: Tensor, success: Tensor) -> None:
         """Record ended episodes; see ``Schedule.advance``."""

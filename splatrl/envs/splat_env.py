@@ -1,6 +1,7 @@
-"""The one environment: a batch of robots in one scene."""
+"""The one environment: a batch of robots in one scene, or each in one of several."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import torch
@@ -11,20 +12,22 @@ from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from splatrl.collision.base import Checker
 from splatrl.collision.nothing import NoChecker
+from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.drawing.base import Drawing, View
 from splatrl.envs.robot import Robot
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks.base import Outcome, Step, Task
 from splatrl.faults import Faulty
+from splatrl.renderers.parts import in_scenes
 
 RESERVED = {"pixels", "state", "step_count", "episode_return", "level", "outcome", "free_fraction", "camera_offset"}
-RESERVED |= {"action", "reward", "done", "terminated", "truncated", "appearance", "goals", "success"}
+RESERVED |= {"scene", "action", "reward", "done", "terminated", "truncated", "appearance", "goals", "success"}
 """Keys of the env and its transforms, which a task's memory must not take."""
 
 
 class SplatEnv(EnvBase):
-    """B robots that see, move and collide in one splat scene: a batch-locked TorchRL env.
+    """B robots that see, move and collide in splat scenes: a batch-locked TorchRL env.
 
     Everything about an episode travels in the TensorDict, so the env itself holds only its random generator and the
     curriculum, both part of ``state_dict()``.
@@ -33,6 +36,10 @@ class SplatEnv(EnvBase):
     judges the step once. Neither a step nor a reset synchronises with the host on a GPU. A reset of some rows draws
     start states for all rows, of which TorchRL keeps the requested ones; only those images are rendered. Under
     ``torch.compile`` step and reset are run as they are, between the graphs of what is around them.
+
+    With several scenes, each episode takes place in one of them, drawn when it begins: ``scene`` [B, 1] int64, which
+    travels in the TensorDict and is given with a ``state``. Checker and task answer for each row's scene (``at``), and
+    the renderer's models are the scenes, in the same order.
 
     Observation: ``pixels`` [B, H, W, 3] uint8, and whatever else the drawing returns. For users, not for the policy:
         ``state`` (the motion's), ``step_count`` [B, 1] int64, ``episode_return`` [B, 1] float32, ``level`` [B, 1] int64
@@ -53,9 +60,9 @@ class SplatEnv(EnvBase):
 
     Args:
         drawing: makes the pixels.
-        checker: holds the robot's body and finds what it touches.
+        checker: holds the robot's body and finds what it touches; that of several scenes makes it an env of those.
         robot: body and camera.
-        task: motion, goals and rewards.
+        task: motion, goals and rewards; for several scenes a ``stacked`` one.
         curriculum: decides where episodes begin.
         batch_size: [B], the number of robots.
         seed: seed of the env's generator.
@@ -72,7 +79,7 @@ class SplatEnv(EnvBase):
     def __init__(
         self,
         drawing: Drawing,
-        checker: Checker,
+        checker: Checker | SeveralCheckers,
         robot: Robot,
         task: Task,
         curriculum: Curriculum,
@@ -84,6 +91,7 @@ class SplatEnv(EnvBase):
             raise ValueError(f"batch_size: expected one number of at least 1, got {list(batch_size)}")
         super().__init__(device=device, batch_size=torch.Size(batch_size))
         self.drawing, self.checker, self.robot = drawing, checker, robot
+        self.scenes = len(checker.checkers) if isinstance(checker, SeveralCheckers) else 1
         self.task, self.curriculum = task, curriculum
         self.made_by: Callable[..., SplatEnv] | None = None
         self.generator = torch.Generator(self.device)
@@ -95,7 +103,8 @@ class SplatEnv(EnvBase):
     @property
     def capturable(self) -> bool:
         """Whether a step can be captured in a CUDA graph: parts that note faults on the device never synchronise."""
-        return isinstance(self.drawing.renderer, Faulty) and isinstance(self.checker, (Faulty, NoChecker))
+        checkers = self.checker.checkers if isinstance(self.checker, SeveralCheckers) else [self.checker]
+        return isinstance(self.drawing.renderer, Faulty) and all(isinstance(c, (Faulty, NoChecker)) for c in checkers)
 
     def to(self, device: torch.device | str) -> "SplatEnv":
         """Move task and curriculum to a device; renderer and checker stay where they were made.
@@ -130,6 +139,8 @@ class SplatEnv(EnvBase):
             "goals": count.clone(),
             **self.task.memory_spec,
         }
+        if self.scenes > 1:
+            carried["scene"] = Categorical(self.scenes, shape=(1,), dtype=torch.int64)
         if taken := set(self.task.memory_spec) & RESERVED:
             raise ValueError(
                 f"task.memory_spec: expected keys other than the env's own, got {', '.join(sorted(taken))}"
@@ -167,22 +178,24 @@ class SplatEnv(EnvBase):
         mask = given.get("_reset", None)
         only = None if mask is None else mask.flatten()
         if set_state:
-            state = self._checked_state(given["state"], only)
+            scene, state = self._given_scene(given, only), self._checked_state(given["state"], only)
             level = torch.full((self.numel(), 1), -1, device=self.device)  # given states belong to no level
         else:
-            state = self._starts(seeds)
+            scene, state = self._starts(seeds)
             level = self.curriculum.level.expand(self.numel(), 1).clone()
-        memory = {**self.task.begin(state, self.anywhere)}
+        task, _ = self._at(scene)
+        memory = {**task.begin(state, partial(self.anywhere, scene))}
         if set_state:
             memory |= {key: given[key].clone() for key in memory if given.get(key, None) is not None}
-        poses = self.task.motion.body_to_world(state)
-        view = self._view(state, poses, memory, given.get("camera_offset", None), only)
+        poses = task.motion.body_to_world(state)
+        view = self._view(task, scene, state, poses, memory, given.get("camera_offset", None), only)
         count = torch.zeros(self.numel(), 1, dtype=torch.int64, device=self.device)
         values = {
             "pixels": view.pixels,
             **view.shown,
             "state": state,
             **memory,
+            **({} if scene is None else {"scene": scene.unsqueeze(1)}),
             "level": level,
             "step_count": count,
             "episode_return": count.float(),
@@ -194,13 +207,42 @@ class SplatEnv(EnvBase):
         }
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
-    def _starts(self, seeds: Sequence[int | None] | None) -> Tensor:
-        """A start of the current level for each robot; see the class about ``seeds``."""
-        state = self.curriculum.sample(self.numel(), self.generator)
+    def _at(self, scene: Tensor | None) -> tuple[Task, Checker]:
+        """Task and checker of rows in some scenes, [B] int64; those of the only scene for None."""
+        if scene is None:
+            assert not isinstance(self.checker, SeveralCheckers)
+            return self.task, self.checker
+        assert isinstance(self.checker, SeveralCheckers)
+        return self.task.at(scene), self.checker.at(scene)
+
+    def _starts(self, seeds: Sequence[int | None] | None) -> tuple[Tensor | None, Tensor]:
+        """A scene and a start of the current level for each robot; see the class about ``seeds``."""
+        scene, state = self._start(self.numel(), self.generator)
         for row, seed in enumerate(seeds or ()):
             if seed is not None:
-                state[row] = self.curriculum.sample(1, torch.Generator(self.device).manual_seed(seed))[0]
-        return state
+                place, own = self._start(1, torch.Generator(self.device).manual_seed(seed))
+                state[row] = own[0]
+                if scene is not None and place is not None:
+                    scene[row] = place[0]
+        return scene, state
+
+    def _start(self, count: int, generator: torch.Generator) -> tuple[Tensor | None, Tensor]:
+        scene = self.curriculum.scenes(count, generator)
+        return scene, self.curriculum.sample(count, generator, scene)
+
+    def _given_scene(self, given: TensorDictBase, only: Tensor | None) -> Tensor | None:
+        """The given scene of each row, if there are several: a wrong one would ask for what is not there."""
+        if self.scenes == 1:
+            return None
+        scene = given.get("scene", None)
+        if scene is None or scene.dtype != torch.int64:
+            raise ValueError(
+                f"scene: expected int64 [B, 1] beside the state, got {None if scene is None else scene.dtype}"
+            )
+        asked = scene if only is None else scene[only]
+        if len(wrong := asked[(asked < 0) | (asked >= self.scenes)]):
+            raise ValueError(f"scene: expected from 0 to {self.scenes - 1}, got {int(wrong[0])}")
+        return scene.squeeze(1).clamp(0, self.scenes - 1)  # rows that are not asked for may hold anything
 
     def _checked_state(self, state: Tensor, only: Tensor | None) -> Tensor:
         """Given states, if they are inside the spec: a wrong one would otherwise wrap around or end up far away."""
@@ -217,12 +259,14 @@ class SplatEnv(EnvBase):
 
     @torch.compiler.disable
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        before, action, task = tensordict["state"], tensordict["action"], self.task
+        before, action = tensordict["state"], tensordict["action"]
+        scene = tensordict["scene"].squeeze(1) if self.scenes > 1 else None
+        task, checker = self._at(scene)
         memory = {key: tensordict[key] for key in task.memory_spec}
-        move = task.motion.move(before, action, self.checker)
-        view = self._view(move.state, move.body_to_world, memory, tensordict.get("camera_offset", None))
+        move = task.motion.move(before, action, checker)
+        view = self._view(task, scene, move.state, move.body_to_world, memory, tensordict.get("camera_offset", None))
         reward, terminated, outcome, remembered = task.judge(
-            Step(before, action, move, memory, view.pixels), self.anywhere
+            Step(before, action, move, memory, view.pixels), partial(self.anywhere, scene)
         )
         step_count = tensordict["step_count"] + 1
         truncated = (step_count >= task.max_steps) & ~terminated
@@ -236,6 +280,7 @@ class SplatEnv(EnvBase):
             **view.shown,
             "state": move.state,
             **{key: value.clone() for key, value in remembered.items()},
+            **({} if scene is None else {"scene": tensordict["scene"].clone()}),
             "step_count": step_count,
             "episode_return": tensordict["episode_return"] + reward,
             "level": level.clone(),
@@ -252,6 +297,8 @@ class SplatEnv(EnvBase):
 
     def _view(
         self,
+        task: Task,
+        scene: Tensor | None,
         state: Tensor,
         body_to_world: Tensor,
         memory: Mapping[str, Tensor],
@@ -259,12 +306,14 @@ class SplatEnv(EnvBase):
         only: Tensor | None = None,
     ) -> View:
         """What robots in given states see; ``only`` as for ``Renderer``."""
-        cameras = self.robot.cameras(body_to_world, camera_offset)
-        return self.drawing.draw(cameras, memory, self.task.parts(state, memory), only)
+        cameras, parts = self.robot.cameras(body_to_world, camera_offset), task.parts(state, memory)
+        if scene is not None:
+            parts = in_scenes(scene, parts, body_to_world)
+        return self.drawing.draw(cameras, memory, parts, only)
 
-    def anywhere(self) -> Tensor:
-        """Draw a state for each robot from the whole start set, whatever the level: [B, ...]."""
-        return self.curriculum.anywhere(self.numel(), self.generator)
+    def anywhere(self, scene: Tensor | None = None) -> Tensor:
+        """Draw a state for each robot, [B, ...], from the whole start set of its scene [B], whatever the level."""
+        return self.curriculum.anywhere(self.numel(), self.generator, scene)
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is None:

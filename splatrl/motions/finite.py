@@ -26,6 +26,8 @@ class FiniteMotion(SweptMotion):
     """
 
     moves: Tensor  # [A, D] int64
+    counts: Tensor  # [D] int64, the shape; of several scenes [S, D]
+    of_scene: tuple[str, ...] = ("shape", "counts", "height")
 
     def __init__(
         self,
@@ -41,6 +43,7 @@ class FiniteMotion(SweptMotion):
         self.shape, self.action_names = tuple(shape), tuple(action_names)
         self.step, self.angle_step, self.height = step, angle_step, height
         self.register_buffer("moves", torch.tensor(moves, dtype=torch.int64), persistent=False)
+        self.register_buffer("counts", torch.tensor(self.shape), persistent=False)
 
     @property
     def action_spec(self) -> Categorical:
@@ -49,8 +52,8 @@ class FiniteMotion(SweptMotion):
 
     @property
     def state_spec(self) -> Bounded:
-        """Indices [D]; no batch."""
-        high = torch.tensor(self.shape) - 1
+        """Indices [D], of the largest of several scenes; no batch."""
+        high = self.counts.reshape(-1, len(self.shape)).amax(0) - 1
         return Bounded(low=torch.zeros_like(high), high=high, shape=high.shape, dtype=torch.int64)
 
     def states(self) -> Tensor:

@@ -30,6 +30,8 @@ class LatticeMotion(FiniteMotion):
 
     rotations: Tensor  # [headings, 3, 3]
     origin: Tensor  # [2] float64
+    elevation: Tensor  # [] float32, the height
+    of_scene = (*FiniteMotion.of_scene, "origin", "elevation")
 
     def __init__(
         self,
@@ -50,6 +52,7 @@ class LatticeMotion(FiniteMotion):
         yaws = torch.arange(headings, dtype=torch.float64) * self.angle_step
         self.register_buffer("rotations", axis_rotations(2, yaws).float(), persistent=False)
         self.register_buffer("origin", torch.tensor(tuple(lower), dtype=torch.float64), persistent=False)
+        self.register_buffer("elevation", torch.tensor(height, dtype=torch.float32), persistent=False)
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
         """Where an unobstructed action leads, possibly outside the lattice.
@@ -67,7 +70,7 @@ class LatticeMotion(FiniteMotion):
     def inside(self, state: Tensor) -> Tensor:
         """Whether states are within the bounds, which are inclusive: [B, 3] -> [B] bool."""
         x, y = state[:, 0], state[:, 1]
-        return (x >= 0) & (x < self.shape[0]) & (y >= 0) & (y < self.shape[1])
+        return (x >= 0) & (x < self.counts[..., 0]) & (y >= 0) & (y < self.counts[..., 1])
 
     def planar(self, state: Tensor) -> Tensor:
         """Position and heading of states: [B, 3] int64 -> [B, 3] float64, x and y in metres, yaw in radians."""
@@ -75,11 +78,8 @@ class LatticeMotion(FiniteMotion):
 
     def body_to_world(self, state: Tensor) -> Tensor:
         """Poses of states: [B, 3] int64 -> [B, 4, 4] float32; equal states have poses of equal bytes."""
-        assert self.height is not None
-        position = self.planar(state)[:, :2].float()
-        return rigid(
-            self.rotations[state[:, 2]], torch.cat([position, position.new_full((len(state), 1), self.height)], 1)
-        )
+        position, height = self.planar(state)[:, :2].float(), self.elevation.expand(len(state)).unsqueeze(1)
+        return rigid(self.rotations[state[:, 2]], torch.cat([position, height], 1))
 
 
 def whole_steps(name: str, length: float, step: float) -> int:

@@ -32,6 +32,7 @@ class OrbitMotion(FiniteMotion):
     smallest: Tensor  # [3] float64: azimuth, distance, elevation
     steps: Tensor  # [3] float64
     origin: Tensor  # [3] float64
+    of_scene = (*FiniteMotion.of_scene, "origin")
 
     def __init__(
         self,
@@ -70,7 +71,7 @@ class OrbitMotion(FiniteMotion):
     def inside(self, state: Tensor) -> Tensor:
         """Whether distance and elevation are within their ranges, which are inclusive: [B, 3] -> [B] bool."""
         ring, tier = state[:, 1], state[:, 2]
-        return (ring >= 0) & (ring < self.shape[1]) & (tier >= 0) & (tier < self.shape[2])
+        return (ring >= 0) & (ring < self.counts[..., 1]) & (tier >= 0) & (tier < self.counts[..., 2])
 
     def sphere(self, state: Tensor) -> Tensor:
         """Azimuth (radians), distance (metres) and elevation (radians) of states: [B, 3] int64 -> [B, 3] float64."""
@@ -80,7 +81,7 @@ class OrbitMotion(FiniteMotion):
         """Position and heading of states: [B, 3] int64 -> [B, 3] float64, x and y in metres, yaw in radians."""
         azimuth, distance, elevation = self.sphere(state).unbind(1)
         reach = distance * elevation.cos()
-        x, y = self.origin[0] + reach * azimuth.cos(), self.origin[1] + reach * azimuth.sin()
+        x, y = self.origin[..., 0] + reach * azimuth.cos(), self.origin[..., 1] + reach * azimuth.sin()
         return torch.stack([x, y, (azimuth + math.pi) % math.tau], 1)
 
     def body_to_world(self, state: Tensor) -> Tensor:

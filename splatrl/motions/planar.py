@@ -37,8 +37,10 @@ class PlanarMotion(SweptMotion):
         ValueError: for bounds without area, a spacing that is not positive, or fewer than one heading.
     """
 
-    lower: Tensor  # [2] float32
+    lower: Tensor  # [2] float32; of several scenes [S, 2]
     upper: Tensor  # [2] float32
+    elevation: Tensor  # [] float32, the height
+    of_scene: tuple[str, ...] = ("lower", "upper", "elevation", "height")
 
     def __init__(
         self,
@@ -63,11 +65,12 @@ class PlanarMotion(SweptMotion):
         self.cell, self.angle_cell = cell, angle_cell
         self.register_buffer("lower", torch.tensor(tuple(lower), dtype=torch.float32), persistent=False)
         self.register_buffer("upper", torch.tensor(tuple(upper), dtype=torch.float32), persistent=False)
+        self.register_buffer("elevation", torch.tensor(height, dtype=torch.float32), persistent=False)
 
     @property
     def state_spec(self) -> Bounded:
-        """x, y and yaw, [3]; no batch."""
-        lower, upper = self.lower - EDGE, self.upper + EDGE
+        """x, y and yaw, [3], within the bounds of any of several scenes; no batch."""
+        lower, upper = self.lower.reshape(-1, 2).amin(0) - EDGE, self.upper.reshape(-1, 2).amax(0) + EDGE
         low, high = torch.cat([lower, lower.new_zeros(1)]), torch.cat([upper, upper.new_full((1,), math.tau)])
         return Bounded(low=low, high=high, shape=(3,), dtype=torch.float32)
 
@@ -108,7 +111,7 @@ class PlanarMotion(SweptMotion):
 
     def body_to_world(self, state: Tensor) -> Tensor:
         """Poses of states: [B, 3] -> [B, 4, 4] float32."""
-        height = state.new_full((len(state), 1), self.height)
+        height = self.elevation.expand(len(state)).unsqueeze(1)
         return rigid(axis_rotations(2, state[:, 2]), torch.cat([state[:, :2], height], 1))
 
 

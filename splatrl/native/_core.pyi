@@ -90,6 +90,16 @@ class Collider:
     def sweeps(self, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...  # -> bool
     def clearance(self, points: int, out: int, count: int, threads: int, /) -> int: ...  # [B, 3] float32 -> float32
 
+class Colliders:
+    """A body in several grids, which the caller keeps. Queries are those of ``Collider``, and first take the address of
+    [B] int64, which grid each row asks; one that does not exist is refused as a pose is."""
+
+    def __init__(self, colliders: list[Collider]) -> None: ...
+    def collides(self, places: int, poses: int, out: int, count: int, threads: int, /) -> int: ...
+    def free_fraction(self, places: int, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...
+    def sweeps(self, places: int, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...
+    def clearance(self, places: int, points: int, out: int, count: int, threads: int, /) -> int: ...
+
 class Renderer:
     """Renders into memory that the caller provides; its inputs must be finite."""
 

@@ -1,8 +1,10 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <vector>
 
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/vector.h>
 
 #include "arrays.h"
 #include "bindings.h"
@@ -56,141 +58,184 @@ __attribute__((noinline)) bool passed(const Grid& grid, const Shape& shape, cons
 
 __attribute__((noinline)) bool rigid(const float* matrix) { return is_pose_by_fours(matrix); }
 
-// A body in a grid. Queries take addresses, which cost less than arrays; Python takes care of types, sizes and
-// lifetimes.
+// A grid and a body in it, whose lengths are in voxels of that grid.
+struct Fitted {
+    Grid grid;
+    Shape shape;
+};
+
+// Which grid a query of a batch asks: always the same one,
+struct Same {
+    const Fitted& fitted;
+    bool knows(size_t) const { return true; }
+    const Fitted& operator()(size_t) const { return fitted; }
+};
+
+// or the one of the query's place.
+struct ByPlace {
+    const std::vector<const Fitted*>& fitted;
+    const int64_t* places;
+    bool knows(size_t i) const { return uint64_t(places[i]) < fitted.size(); }
+    const Fitted& operator()(size_t i) const { return *fitted[size_t(places[i])]; }
+};
+
+// Over a whole batch, call prepare(i, query), which may refuse, for some queries at a time, so that what they need is
+// fetched meanwhile, and then answer(first, count, queries). Returns -1, or the first i that was refused.
+template <class Query, class Prepare, class Answer>
+int64_t each(size_t count, size_t threads, const Prepare& prepare, const Answer& answer) {
+    std::atomic<size_t> bad{count};
+    const auto run = [&](size_t, size_t chunk) {
+        Query queries[AT_ONCE];
+        const size_t end = std::min(count, (chunk + 1) * CHUNK);
+        for (size_t first = chunk * CHUNK; first < end; first += AT_ONCE) {
+            const size_t last = std::min(end, first + AT_ONCE);
+            for (size_t i = first; i < last; ++i)
+                if (!prepare(i, queries[i - first])) {
+                    for (size_t seen = bad; i < seen && !bad.compare_exchange_weak(seen, i);) {
+                    }
+                    return;
+                }
+            answer(first, last - first, queries);
+        }
+    };
+    const size_t chunks = (count + CHUNK - 1) / CHUNK;
+    if (chunks <= 1) {
+        if (chunks == 1) run(0, 0);
+    } else {
+        const Release release;
+        parallel_for(chunks, std::min(threads, chunks), run);
+    }
+    return bad == count ? -1 : int64_t(bad);
+}
+
+// Queries take addresses, which cost less than arrays; Python takes care of types, sizes and lifetimes. `in` says which
+// grid each of them asks.
+template <class In>
+int64_t collides(const In& in, uintptr_t poses, uintptr_t out, size_t count, size_t threads) {
+    const auto* matrices = reinterpret_cast<const float*>(poses);
+    auto* hits = reinterpret_cast<bool*>(out);
+    return each<Vec3>(
+        count, threads,
+        [&](size_t i, Vec3& position) {
+            if (!in.knows(i) || !rigid(matrices + 16 * i)) return false;
+            position = position_of(in(i).grid, matrices + 16 * i);
+            fetch(in(i).grid, position);
+            return true;
+        },
+        [&](size_t first, size_t some, const Vec3* positions) {
+            // First judge all without a branch, then search those that are left: the verdicts cannot be predicted.
+            size_t left[AT_ONCE], open = 0;
+            for (size_t i = 0; i < some; ++i) {
+                const Verdict verdict = judged(in(first + i).grid, in(first + i).shape, positions[i]);
+                hits[first + i] = verdict == Verdict::HIT;
+                left[open] = i;
+                open += verdict == Verdict::MAYBE;
+            }
+            for (size_t i = 0; i < open; ++i) {
+                const size_t row = first + left[i];
+                const Grid& grid = in(row).grid;
+                hits[row] = touches(in(row).shape, pose_of(grid, matrices + 16 * row), FirstContact{grid});
+            }
+        });
+}
+
+struct Move {
+    Vec3 start, way;
+};
+
+template <class In, class Answer>
+int64_t moves(const In& in, uintptr_t starts, uintptr_t ends, size_t count, size_t threads, bool any,
+              const Answer& answer) {
+    const auto *from = reinterpret_cast<const float*>(starts), *to = reinterpret_cast<const float*>(ends);
+    return each<Move>(
+        count, threads,
+        [&](size_t i, Move& move) {
+            if (!in.knows(i) || !rigid(from + 16 * i) || !rigid(to + 16 * i)) return false;
+            const Grid& grid = in(i).grid;
+            move.start = position_of(grid, from + 16 * i);
+            move.way = between(move.start, position_of(grid, to + 16 * i));
+            fetch(grid, along(move.start, move.way, 0.5));
+            return true;
+        },
+        [&](size_t first, size_t some, const Move* moves) {
+            size_t left[AT_ONCE], open = 0;
+            for (size_t i = 0; i < some; ++i) {
+                const Fitted& fitted = in(first + i);
+                const bool free = passed(fitted.grid, fitted.shape, moves[i].start, moves[i].way);
+                if (free) answer(first + i, 1.0);
+                left[open] = i;
+                open += !free;
+            }
+            for (size_t i = 0; i < open; ++i) {
+                const size_t row = first + left[i];
+                const Grid& grid = in(row).grid;
+                answer(row, free_fraction(grid, in(row).shape, pose_of(grid, from + 16 * row),
+                                          pose_of(grid, to + 16 * row), any, FirstContact{grid}));
+            }
+        });
+}
+
+template <class In>
+int64_t free_fractions(const In& in, uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) {
+    auto* fractions = reinterpret_cast<float*>(out);
+    return moves(in, starts, ends, count, threads, false, [&](size_t i, double fraction) {
+        fractions[i] = rounded_down(fraction);  // a move that touches stays below 1
+    });
+}
+
+template <class In>
+int64_t sweeps(const In& in, uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) {
+    auto* hits = reinterpret_cast<bool*>(out);
+    return moves(in, starts, ends, count, threads, true, [&](size_t i, double fraction) { hits[i] = fraction < 1.0; });
+}
+
+template <class In>
+int64_t clearance(const In& in, uintptr_t points, uintptr_t out, size_t count, size_t threads) {
+    const auto* from = reinterpret_cast<const float*>(points);
+    auto* metres = reinterpret_cast<float*>(out);
+    return each<Vec3>(
+        count, threads,
+        [&](size_t i, Vec3& point) {
+            const float* place = from + 3 * i;
+            if (!in.knows(i)) return false;
+            if (!std::isfinite(place[0]) || !std::isfinite(place[1]) || !std::isfinite(place[2])) return false;
+            point = place_of(in(i).grid, place[0], place[1], place[2]);
+            fetch(in(i).grid, point);
+            return true;
+        },
+        [&](size_t first, size_t some, const Vec3* points) {
+            for (size_t i = 0; i < some; ++i)
+                metres[first + i] = clearance_in_metres(in(first + i).grid, points[i]);
+        });
+}
+
+// A body in a grid.
 class Collider {
 public:
-    Collider(PackedGrid packed, const Shape& shape)
-        : packed_(std::move(packed)), grid_(packed_.view()), shape_(shape) {}
+    Collider(PackedGrid packed, const Shape& shape) : packed_(std::move(packed)), fitted_{packed_.view(), shape} {}
 
-    // Over a whole batch, call prepare(i, query), which may refuse, for some queries at a time, so that what they need
-    // is fetched meanwhile, and then answer(first, count, queries). Returns -1, or the first i that was refused.
-    template <class Query, class Prepare, class Answer>
-    int64_t each(size_t count, size_t threads, const Prepare& prepare, const Answer& answer) const {
-        std::atomic<size_t> bad{count};
-        const auto run = [&](size_t, size_t chunk) {
-            Query queries[AT_ONCE];
-            const size_t end = std::min(count, (chunk + 1) * CHUNK);
-            for (size_t first = chunk * CHUNK; first < end; first += AT_ONCE) {
-                const size_t last = std::min(end, first + AT_ONCE);
-                for (size_t i = first; i < last; ++i)
-                    if (!prepare(i, queries[i - first])) {
-                        for (size_t seen = bad; i < seen && !bad.compare_exchange_weak(seen, i);) {
-                        }
-                        return;
-                    }
-                answer(first, last - first, queries);
-            }
-        };
-        const size_t chunks = (count + CHUNK - 1) / CHUNK;
-        if (chunks <= 1) {
-            if (chunks == 1) run(0, 0);
-        } else {
-            const Release release;
-            parallel_for(chunks, std::min(threads, chunks), run);
-        }
-        return bad == count ? -1 : int64_t(bad);
-    }
-
-    int64_t collides(uintptr_t poses, uintptr_t out, size_t count, size_t threads) const {
-        const auto* matrices = reinterpret_cast<const float*>(poses);
-        auto* hits = reinterpret_cast<bool*>(out);
-        return each<Vec3>(
-            count, threads,
-            [&](size_t i, Vec3& position) {
-                position = position_of(grid_, matrices + 16 * i);
-                if (!rigid(matrices + 16 * i)) return false;
-                fetch(grid_, position);
-                return true;
-            },
-            [&](size_t first, size_t some, const Vec3* positions) {
-                // First judge all without a branch, then search those that are left: the verdicts cannot be predicted.
-                size_t left[AT_ONCE], open = 0;
-                for (size_t i = 0; i < some; ++i) {
-                    const Verdict verdict = judged(grid_, shape_, positions[i]);
-                    hits[first + i] = verdict == Verdict::HIT;
-                    left[open] = i;
-                    open += verdict == Verdict::MAYBE;
-                }
-                for (size_t i = 0; i < open; ++i) {
-                    const size_t row = first + left[i];
-                    hits[row] = touches(shape_, pose_of(grid_, matrices + 16 * row), FirstContact{grid_});
-                }
-            });
-    }
-
-    struct Move {
-        Vec3 start, way;
-    };
-
-    template <class Answer>
-    int64_t moves(uintptr_t starts, uintptr_t ends, size_t count, size_t threads, bool any, const Answer& answer) const {
-        const auto *from = reinterpret_cast<const float*>(starts), *to = reinterpret_cast<const float*>(ends);
-        return each<Move>(
-            count, threads,
-            [&](size_t i, Move& move) {
-                if (!rigid(from + 16 * i) || !rigid(to + 16 * i)) return false;
-                move.start = position_of(grid_, from + 16 * i);
-                move.way = between(move.start, position_of(grid_, to + 16 * i));
-                fetch(grid_, along(move.start, move.way, 0.5));
-                return true;
-            },
-            [&](size_t first, size_t some, const Move* moves) {
-                size_t left[AT_ONCE], open = 0;
-                for (size_t i = 0; i < some; ++i) {
-                    const bool free = passed(grid_, shape_, moves[i].start, moves[i].way);
-                    if (free) answer(first + i, 1.0);
-                    left[open] = i;
-                    open += !free;
-                }
-                for (size_t i = 0; i < open; ++i) {
-                    const size_t row = first + left[i];
-                    answer(row, splatrl::free_fraction(grid_, shape_, pose_of(grid_, from + 16 * row),
-                                                          pose_of(grid_, to + 16 * row), any, FirstContact{grid_}));
-                }
-            });
-    }
-
-    int64_t free_fraction(uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) const {
-        auto* fractions = reinterpret_cast<float*>(out);
-        return moves(starts, ends, count, threads, false, [&](size_t i, double fraction) {
-            fractions[i] = rounded_down(fraction);  // a move that touches stays below 1
-        });
-    }
-
-    int64_t sweeps(uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) const {
-        auto* hits = reinterpret_cast<bool*>(out);
-        return moves(starts, ends, count, threads, true, [&](size_t i, double fraction) { hits[i] = fraction < 1.0; });
-    }
-
-    int64_t clearance(uintptr_t points, uintptr_t out, size_t count, size_t threads) const {
-        const auto* from = reinterpret_cast<const float*>(points);
-        auto* metres = reinterpret_cast<float*>(out);
-        return each<Vec3>(
-            count, threads,
-            [&](size_t i, Vec3& point) {
-                const float* place = from + 3 * i;
-                if (!std::isfinite(place[0]) || !std::isfinite(place[1]) || !std::isfinite(place[2])) return false;
-                point = place_of(grid_, place[0], place[1], place[2]);
-                fetch(grid_, point);
-                return true;
-            },
-            [&](size_t first, size_t some, const Vec3* points) {
-                for (size_t i = 0; i < some; ++i)
-                    metres[first + i] = clearance_in_metres(grid_, points[i]);
-            });
-    }
-
-    const Grid& grid() const { return grid_; }
-    const Shape& shape() const { return shape_; }
+    const Fitted& fitted() const { return fitted_; }
+    Same in() const { return {fitted_}; }
 
 private:
     PackedGrid packed_;
-    Grid grid_;
-    Shape shape_;
+    Fitted fitted_;
 };
 
-const Grid& grid_in(nb::handle collider) { return nb::cast<const Collider&>(collider).grid(); }
+// A body in several grids: each query says by number which one it asks. Python keeps the colliders.
+class Colliders {
+public:
+    explicit Colliders(const std::vector<const Collider*>& colliders) {
+        for (const Collider* collider : colliders) fitted_.push_back(&collider->fitted());
+    }
+
+    ByPlace in(uintptr_t places) const { return {fitted_, reinterpret_cast<const int64_t*>(places)}; }
+
+private:
+    std::vector<const Fitted*> fitted_;
+};
+
+const Grid& grid_in(nb::handle collider) { return nb::cast<const Collider&>(collider).fitted().grid; }
 
 // An array that a collider keeps, [x, y, along z], without a copy.
 template <class T>
@@ -224,15 +269,36 @@ void bind_collision(nb::module_& m) {
         .def_prop_ro("distance", [](nb::handle self) { return array_of(self, &Grid::distance, grid_in(self).size[2]); })
         .def_prop_ro("shape",
                      [](const Collider& self) {
-                         const Shape& shape = self.shape();
+                         const Shape& shape = self.fitted().shape;
                          const Vec3& half = shape.half;
                          return nb::make_tuple(half[0], half[1], half[2], shape.half_length, shape.radius, shape.inner,
                                                shape.outer);
                      })
-        .def("collides", &Collider::collides)
-        .def("free_fraction", &Collider::free_fraction)
-        .def("sweeps", &Collider::sweeps)
-        .def("clearance", &Collider::clearance);
+        .def("collides", [](const Collider& self, uintptr_t poses, uintptr_t out, size_t count,
+                            size_t threads) { return collides(self.in(), poses, out, count, threads); })
+        .def("free_fraction",
+             [](const Collider& self, uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) {
+                 return free_fractions(self.in(), starts, ends, out, count, threads);
+             })
+        .def("sweeps",
+             [](const Collider& self, uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) {
+                 return sweeps(self.in(), starts, ends, out, count, threads);
+             })
+        .def("clearance", [](const Collider& self, uintptr_t points, uintptr_t out, size_t count, size_t threads) {
+            return clearance(self.in(), points, out, count, threads);
+        });
+    nb::class_<Colliders>(m, "Colliders")
+        .def(nb::init<const std::vector<const Collider*>&>(), nb::arg("colliders"))
+        .def("collides", [](const Colliders& self, uintptr_t places, uintptr_t poses, uintptr_t out, size_t count,
+                            size_t threads) { return collides(self.in(places), poses, out, count, threads); })
+        .def("free_fraction",
+             [](const Colliders& self, uintptr_t places, uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count,
+                size_t threads) { return free_fractions(self.in(places), starts, ends, out, count, threads); })
+        .def("sweeps",
+             [](const Colliders& self, uintptr_t places, uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count,
+                size_t threads) { return sweeps(self.in(places), starts, ends, out, count, threads); })
+        .def("clearance", [](const Colliders& self, uintptr_t places, uintptr_t points, uintptr_t out, size_t count,
+                             size_t threads) { return clearance(self.in(places), points, out, count, threads); });
 }
 
 }  // namespace splatrl

@@ -31,6 +31,20 @@ class Parts(NamedTuple):
         return Parts(self.model[rows], self.model_to_world[rows])
 
 
+def in_scenes(scene: Tensor, parts: Parts | None, like: Tensor) -> Parts:
+    """What rows see that are each in a scene of their own: the scene where it stands, then its parts.
+
+    Args:
+        scene: [B] int64, which of the renderer's models is the scene of each row.
+        parts: what else stands in it; None for nothing.
+        like: a pose, for its type and device.
+    """
+    model, standing = scene.unsqueeze(1), torch.eye(4, dtype=like.dtype, device=like.device).expand(len(scene), 1, 4, 4)
+    if parts is None:
+        return Parts(model, standing)
+    return Parts(torch.cat([model, parts.model], 1), torch.cat([standing, parts.model_to_world], 1))
+
+
 def require_parts_of(parts: Parts, cameras: Cameras) -> None:
     """Refuse parts that do not belong to a batch of cameras, without looking at their values.
 

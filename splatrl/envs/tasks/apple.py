@@ -53,7 +53,8 @@ class Apple(OutcomeTask):
     """
 
     motion: ForwardMotion
-    place: Tensor  # [3] float32
+    place: Tensor  # [3] float32; of several scenes [S, 3]
+    of_scene = ("place",)
 
     def __init__(
         self,
@@ -85,12 +86,12 @@ class Apple(OutcomeTask):
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
         """Place the apple at ``place``; see ``Task.begin``."""
-        return {"target": self.place.repeat(len(state), 1)}
+        return {"target": self.place.expand(len(state), 3).clone()}
 
     def reached(self, state: Tensor) -> Tensor:
         """Whether robots are near the apple and face it, for planning, which has no image: [B, 3] -> [B] bool."""
         planar = self.motion.planar(state)
-        away = self.place[:2].double() - planar[:, :2]
+        away = self.place[..., :2].double() - planar[:, :2]
         bearing = torch.atan2(away[:, 1], away[:, 0]) - planar[:, 2]
         faces = torch.cos(bearing) >= math.cos(self.facing) - 1e-6
         return self._near(state, self.place) & faces

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
 
 import torch
 from torch import Tensor
@@ -11,6 +11,7 @@ from torchrl.data import TensorSpec
 
 from splatrl.motions.base import Move, PlannedMotion
 from splatrl.renderers.parts import Parts
+from splatrl.several import rows_of
 from splatrl.values import require_number
 
 Memory = Mapping[str, Tensor]
@@ -138,6 +139,10 @@ class Task(Protocol):
         """
         ...
 
+    def at(self, scene: Tensor) -> "Task":
+        """The task for rows in some of several scenes, if it was ``stacked`` from theirs: [B] int64."""
+        ...
+
     def to(self, device: torch.device | str) -> "Task":
         """The task with its tensors, and those of its motion, on a device."""
         ...
@@ -161,6 +166,10 @@ class TaskModule(torch.nn.Module):
         super().__init__()
         require_number("task.max_steps", max_steps, 1, whole=True)
         self.motion, self.max_steps = motion, max_steps
+
+    def at(self, scene: Tensor) -> Self:
+        """The task for rows in some scenes; see ``Task.at`` and ``splatrl.several``."""
+        return rows_of(self, scene)
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:

@@ -49,6 +49,7 @@ class Orbit(OutcomeTask):
     motion: OrbitMotion
     goal: Tensor  # [3] float64: x, y and yaw of the goal pose
     goal_sphere: Tensor  # [3] float64: its azimuth, distance and elevation
+    of_scene = ("goal",)
 
     def __init__(
         self,

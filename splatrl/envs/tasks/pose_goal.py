@@ -29,6 +29,7 @@ class PoseGoal(OutcomeTask):
 
     goal: Tensor  # [3] float64
     tolerance: Tensor  # [3] float64
+    of_scene = ("goal",)
 
     def __init__(
         self,

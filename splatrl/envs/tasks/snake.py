@@ -65,4 +65,4 @@ class Snake(Apple):
 
     def _targets(self, states: Tensor) -> Tensor:
         """A place for an apple at each state, at the height of ``place``: [B, 3] -> [B, 3] float32."""
-        return torch.cat([states[:, :2], self.place[2].expand(len(states), 1)], 1)
+        return torch.cat([states[:, :2], self.place[..., 2:].expand(len(states), 1)], 1)

@@ -1,0 +1,135 @@
+"""One body in several scenes: each row of a batch asks the checker of its own."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from splatrl.bodies import Body
+from splatrl.collision.base import Checker
+from splatrl.collision.native import NativeChecker, NativeQueries
+from splatrl.faults import Faulty
+from splatrl.native import _core
+
+
+class SeveralCheckers:
+    """The checkers of one body in several scenes.
+
+    Answers are byte for byte those of the row's own checker. Those of ``NativeChecker`` come from one call for a batch
+    of rows in any scenes; of other checkers on a CPU each is asked once for its rows, and on a GPU, where counting rows
+    would synchronise, for all.
+
+    Args:
+        checkers: one for each scene, of one kind and one body.
+
+    Raises:
+        ValueError: for none, or different bodies.
+    """
+
+    def __init__(self, checkers: Sequence[Checker]):
+        if not checkers or any(checker.body != checkers[0].body for checker in checkers):
+            raise ValueError(f"checkers: expected some of one body, got {[checker.body for checker in checkers]}")
+        self.checkers = list(checkers)
+        self._native = _natively(self.checkers)
+
+    @property
+    def body(self) -> Body:
+        """What is tested."""
+        return self.checkers[0].body
+
+    def at(self, scene: Tensor) -> Checker:
+        """The checker of rows in some scenes.
+
+        Args:
+            scene: [B] int64, which of the checkers each row of a batch asks.
+        """
+        if self._native is not None:
+            return _NativeRows(self._native, self.body, scene, self._threads)
+        return _Rows(self.checkers, scene)
+
+    @property
+    def _threads(self) -> int:
+        return max(checker.threads for checker in self.checkers if isinstance(checker, NativeChecker))
+
+    def raise_faults(self) -> None:
+        """Raise what any of them refused since the last call; see ``Faulty``."""
+        for checker in self.checkers:
+            if isinstance(checker, Faulty):
+                checker.raise_faults()
+
+    def __reduce__(self) -> tuple[type["SeveralCheckers"], tuple[list[Checker]]]:
+        return SeveralCheckers, (self.checkers,)
+
+
+def _natively(checkers: Sequence[Checker]) -> _core.Colliders | None:
+    """Their grids for one call, if all of them are native; the checkers must outlive it."""
+    native = [checker for checker in checkers if isinstance(checker, NativeChecker)]
+    return _core.Colliders([checker.core for checker in native]) if len(native) == len(checkers) else None
+
+
+class _NativeRows(NativeQueries):
+    """Queries in C++, each row in the grid of its scene; ``NativeQueries`` has them."""
+
+    def __init__(self, colliders: _core.Colliders, body: Body, scene: Tensor, threads: int):
+        self.body, self.threads = body, threads
+        self.core = _InScenes(colliders, scene)
+
+
+class _InScenes:
+    """The queries of several grids, with the arguments of those of one."""
+
+    def __init__(self, colliders: _core.Colliders, scene: Tensor):
+        self._colliders, self._scene = colliders, scene.to("cpu", torch.int64).contiguous()
+
+    def collides(self, poses: int, out: int, count: int, threads: int, /) -> int:
+        return self._colliders.collides(self._scenes(count), poses, out, count, threads)
+
+    def free_fraction(self, start: int, end: int, out: int, count: int, threads: int, /) -> int:
+        return self._colliders.free_fraction(self._scenes(count), start, end, out, count, threads)
+
+    def sweeps(self, start: int, end: int, out: int, count: int, threads: int, /) -> int:
+        return self._colliders.sweeps(self._scenes(count), start, end, out, count, threads)
+
+    def clearance(self, points: int, out: int, count: int, threads: int, /) -> int:
+        return self._colliders.clearance(self._scenes(count), points, out, count, threads)
+
+    def _scenes(self, count: int) -> int:
+        """Address of the scene of each row."""
+        if len(self._scene) != count:
+            raise ValueError(f"scene: expected one for each of {count} rows, got {len(self._scene)}")
+        return self._scene.data_ptr()
+
+
+class _Rows:
+    """Each row answered by the checker of its scene."""
+
+    def __init__(self, checkers: Sequence[Checker], scene: Tensor):
+        self._checkers, self._scene = checkers, scene
+        self.body = checkers[0].body
+
+    def collides(self, body_to_world: Tensor) -> Tensor:
+        return self._ask(lambda checker: checker.collides, body_to_world)
+
+    def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
+        return self._ask(lambda checker: checker.free_fraction, start, end)
+
+    def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
+        return self._ask(lambda checker: checker.sweeps, start, end)
+
+    def clearance(self, points: Tensor) -> Tensor:
+        return self._ask(lambda checker: checker.clearance, points)
+
+    def _ask(self, query: Callable[[Checker], Callable[..., Any]], *values: Tensor) -> Tensor:
+        answer: Tensor | None = None
+        for number, checker in enumerate(self._checkers):
+            mine = self._scene == number
+            if mine.device.type != "cpu":
+                asked = query(checker)(*values)
+                answer = asked if answer is None else torch.where(mine, asked, answer)
+            elif len(rows := mine.nonzero().squeeze(1)):
+                asked = query(checker)(*(value[rows] for value in values))
+                answer = asked.new_empty(len(mine)) if answer is None else answer
+                answer[rows] = asked
+        assert answer is not None, "no rows, or none in a scene that there is"
+        return answer

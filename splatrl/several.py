@@ -1,0 +1,78 @@
+"""What differs between scenes: one module for several, whose tensors of the scene are chosen for each row of a batch.
+
+A motion or a task names in ``of_scene`` what belongs to its scene: bounds, heights, goals. Its formulas broadcast, so a
+tensor [2] that holds for all rows and a tensor [B, 2] with one row for each of them mean the same.
+"""
+
+import copy
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor, nn
+
+Module = TypeVar("Module", bound=nn.Module)
+
+
+def stacked(modules: Sequence[Module], name: str = "task") -> Module:
+    """One module for several scenes: its tensors of the scene are [S, ...], everything else is that of all of them.
+
+    Args:
+        modules: one for each scene.
+        name: key of the config, for errors.
+
+    Raises:
+        ValueError: names what else differs.
+    """
+    first = modules[0]
+    result = copy.copy(first)
+    result._buffers, result._modules = dict(first._buffers), dict(first._modules)
+    if any(type(module) is not type(first) for module in modules):
+        raise ValueError(f"{name}: expected one kind in all scenes, got {', '.join(_kinds(modules))}")
+    own: tuple[str, ...] = getattr(first, "of_scene", ())
+    for key in first._buffers:
+        values = [module._buffers[key] for module in modules]
+        if key in own:
+            result._buffers[key] = torch.stack([value for value in values if value is not None])
+        elif not all(_equal(value, values[0]) for value in values):
+            raise _differs(f"{name}.{key}", values)
+    for key in first._modules:
+        result._modules[key] = stacked([module.get_submodule(key) for module in modules], f"{name}.{key}")
+    for key in (key for key in vars(first) if not key.startswith("_") and key not in own):
+        values = [vars(module)[key] for module in modules]
+        if not all(_equal(value, values[0]) for value in values):
+            raise _differs(f"{name}.{key}", values)
+    return result
+
+
+def rows_of(module: Module, scene: Tensor) -> Module:
+    """A ``stacked`` module for rows in some scenes: its tensors of the scene are [B, ...].
+
+    Args:
+        module: made by ``stacked``.
+        scene: [B] int64.
+    """
+    result = copy.copy(module)
+    result._buffers, result._modules = dict(module._buffers), dict(module._modules)
+    for key in getattr(module, "of_scene", ()):
+        if (values := module._buffers.get(key)) is not None:
+            result._buffers[key] = values.index_select(0, scene)
+    for key, child in module._modules.items():
+        result._modules[key] = child if child is None else rows_of(child, scene)
+    return result
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if isinstance(one, Tensor) and isinstance(other, Tensor):
+        return one.shape == other.shape and bool((one == other).all())
+    return bool(one == other)
+
+
+def _kinds(modules: Sequence[nn.Module]) -> list[str]:
+    return list(dict.fromkeys(type(module).__name__ for module in modules))
+
+
+def _differs(key: str, values: Sequence[Any]) -> ValueError:
+    plain = [value.tolist() if isinstance(value, Tensor) else value for value in values]
+    got = list(dict.fromkeys(str(value) for value in plain))
+    return ValueError(f"{key}: expected the same in all scenes, got {' and '.join(got[:3])}; type {key}=...")
