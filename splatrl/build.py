@@ -1,11 +1,11 @@
 """Builds objects from configs: the one place that knows which node builds what."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from multiprocessing import current_process
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -14,29 +14,47 @@ from omegaconf import DictConfig
 from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 from torchrl.modules import ActorValueOperator
+from tqdm import tqdm
 
 from splatrl.bodies import Body
-from splatrl.collision import NativeChecker
+from splatrl.collision import NativeChecker, Occupancy
 from splatrl.collision.base import Checker
-from splatrl.configuration import check_config, load_config, with_absolute_paths
-from splatrl.curriculum import plan
+from splatrl.collision.several import SeveralCheckers
+from splatrl.configuration import check_config, load_config, place_configs, with_absolute_paths
+from splatrl.curriculum import Plan, plan
 from splatrl.datasets import Demonstrations, read_demonstrations
 from splatrl.device import AUTO, KINDS, chosen_device
+from splatrl.envs.drawing import Drawing
+from splatrl.envs.robot import Robot
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks import Task
-from splatrl.envs.world import World
-from splatrl.evaluation.rollouts import run_episodes, spread
+from splatrl.envs.world import World, Worlds
+from splatrl.evaluation.rollouts import run_episodes, spread_starts
 from splatrl.made_with import made_with
 from splatrl.misfits import check_goal, check_height, check_sprite
-from splatrl.scenes.scene import Bounds
+from splatrl.renderers.one_scene import OneScene
+from splatrl.scenes.scene import Bounds, Scene
+from splatrl.several import stacked
 from splatrl.training import PPO, Cloner, Trainer, memory_transforms
 from splatrl.values import require_number
 
 
-def build_world(cfg: DictConfig) -> World:
+class _Place(NamedTuple):
+    """One scene and what robots do there, before anything is drawn; the fields are those of ``World``."""
+
+    scene: Scene
+    occupancy: Occupancy
+    checker: Checker
+    robot: Robot
+    task: Task
+    plan: Plan
+
+
+def build_world(cfg: DictConfig) -> World | Worlds:
     """Build scene, robot, task, collision, drawing and plan from a config, for the device that it names.
 
-    Paths are planned on the CPU, with the CPU's checker.
+    Where the config has several scenes, all of them, for one batch. Paths are planned on the CPU, with the CPU's
+    checker.
 
     Raises:
         ValueError: for a value that is missing, or that one of them refuses.
@@ -45,31 +63,62 @@ def build_world(cfg: DictConfig) -> World:
     given, device = with_absolute_paths(cfg), chosen_device(cfg.device)
     cfg = cfg.copy()
     cfg.device = str(device)  # the value of ${device} in nodes
+    configs = place_configs(cfg)
+    places = [_build_place(one, device) for one in _watched(configs, "scenes")]
+    scenes = [place.scene for place in places]
+    renderer = _constructor(configs[0], "renderer", device)(scenes[0] if len(scenes) == 1 else scenes)
+    if cfg.renderer.cache is not None and device.type == "cpu":
+        renderer = instantiate(cfg.renderer.cache)(renderer)
+    transforms = partial(_make_transforms, cfg.transforms, cfg.network.get("memory", 0))
+    drawing, robot = instantiate(configs[0].drawing)(renderer), places[0].robot
+    for place in places:
+        check_sprite(drawing, place.robot, place.task)
+    if len(places) == 1:
+        return World(*_with_drawing(places[0], drawing), transforms, device, partial(build_world, given))
+    worlds = tuple(
+        World(*_with_drawing(place, instantiate(one.drawing)(OneScene(renderer, number))), transforms, device)
+        for number, (one, place) in enumerate(zip(configs, places, strict=True))
+    )
+    checker = SeveralCheckers([place.checker for place in places])
+    task = stacked([place.task for place in places])
+    return Worlds(worlds, drawing, checker, robot, task, transforms, device, partial(build_world, given))
+
+
+def build_one_world(cfg: DictConfig) -> World:
+    """Build the world of a config with one scene; see ``build_world``.
+
+    Raises:
+        ValueError: for several scenes, or what ``build_world`` refuses.
+    """
+    if (count := len(place_configs(cfg))) > 1:
+        raise ValueError(f"scene: expected one scene for this command, got {count}; type scene=<one of them>")
+    world = build_world(cfg)
+    assert isinstance(world, World)
+    return world
+
+
+def _with_drawing(place: _Place, drawing: Drawing) -> tuple[Any, ...]:
+    """The first fields of a ``World``."""
+    return place.scene, place.occupancy, place.checker, drawing, place.robot, place.task, place.plan
+
+
+def _watched(configs: Sequence[DictConfig], name: str) -> Iterable[DictConfig]:
+    """Configs, with a progress bar where there are several."""
+    return tqdm(configs, name, unit="scene", dynamic_ncols=True) if len(configs) > 1 else configs
+
+
+def _build_place(cfg: DictConfig, device: torch.device) -> _Place:
+    """Build what a config with one scene says of it."""
     scene, robot, task = instantiate(cfg.scene), instantiate(cfg.robot), instantiate(cfg.task)
     check_height(scene.bounds, task)
     region = _start_region(task, robot.body)
     with _key("collision.occupancy"):
         occupancy = instantiate(cfg.collision.occupancy)(scene, *region)
     checker = _constructor(cfg, "collision", device)(occupancy, robot.body)
-    renderer = _constructor(cfg, "renderer", device)(scene)
-    if cfg.renderer.cache is not None and device.type == "cpu":
-        renderer = instantiate(cfg.renderer.cache)(renderer)
-    drawing = instantiate(cfg.drawing)(renderer)
-    check_sprite(drawing, robot, task)
     planner = checker if device.type == "cpu" else instantiate(cfg.collision.cpu)(occupancy, robot.body)
     solid = NativeChecker(occupancy, robot.body)
-    return World(
-        scene,
-        occupancy,
-        checker,
-        drawing,
-        robot,
-        task,
-        plan(task.motion, planner, task.reached, cfg.starts.farthest, partial(_fits, scene.bounds, solid)),
-        partial(_make_transforms, cfg.transforms, cfg.network.get("memory", 0)),
-        device,
-        partial(build_world, given),
-    )
+    paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, partial(_fits, scene.bounds, solid))
+    return _Place(scene, occupancy, checker, robot, task, paths)
 
 
 @contextmanager
@@ -137,7 +186,7 @@ def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
     return instantiate(cfg.network)(image_shape, env.action_spec).to(env.device)
 
 
-def build_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
+def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Trainer:
     """Build the learner and the training loop around it.
 
     Args:
@@ -145,7 +194,7 @@ def build_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
         world: everything that the envs share.
         folder: the run folder.
     """
-    curriculum = instantiate(cfg.curriculum)(world.plan)
+    curriculum = instantiate(cfg.curriculum)([one.plan for one in world.worlds])
     env = world.env(cfg.env.num_envs, curriculum, cfg.seed)
     torch.manual_seed(cfg.seed)
     model = build_model(cfg, env)
@@ -153,12 +202,13 @@ def build_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
     ppo = PPO(
         env, model, loss, optim, collector.frames_per_batch, collector.total_frames, _cuda_graph(collector.cuda_graph)
     )
-    starts = world.plan.states[spread(world.plan.start_rows, cfg.logger.num_test_episodes)]
-    test_env = world.env(min(cfg.env.num_envs, len(starts)), seed=cfg.seed)
+    starts = spread_starts(world, cfg.logger.num_test_episodes)
+    test_env = world.env(min(cfg.env.num_envs, len(starts.state)), seed=cfg.seed)
 
     def test() -> dict[str, float]:
         test_env.set_seed(cfg.logger.test_seed)  # a test depends on the policy alone, not on the tests before it
-        episodes = run_episodes(test_env, model.get_policy_operator(), starts, seed=cfg.logger.test_seed)
+        policy, seed = model.get_policy_operator(), cfg.logger.test_seed
+        episodes = run_episodes(test_env, policy, starts.state, seed=seed, scene=starts.scene)
         result = {"success": episodes.success.double().mean().item()}
         if world.task.goals_for_success is not None:
             result["goals"] = episodes.goals.double().mean().item()
@@ -174,7 +224,7 @@ def build_trainer(cfg: DictConfig, world: World, folder: Path) -> Trainer:
         checkpoint.interval,
         logger.backend,
         logger.exp_name,
-        made_with(cfg, world.scene.digest),
+        made_with(cfg, world.digest),
         None if shown is None else partial(_clone, cfg, ppo, shown),
     )
 
@@ -241,7 +291,7 @@ def make_env(
         raise ValueError(f"batch_size: expected one number of at least 1, or None, got {list(batch_size)}")
     cfg = load_config(overrides)
     world = build_world(cfg)
-    curriculum = instantiate(cfg.curriculum)(world.plan)
+    curriculum = instantiate(cfg.curriculum)([one.plan for one in world.worlds])
     place = current_process()._identity  # (2,) in the second process that the main one started
     seed = (worker_seed(0, *place) if place else 0) if seed is None else seed
     env = world.env(cfg.env.num_envs if batch_size is None else batch_size[0], curriculum, seed)

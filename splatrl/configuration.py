@@ -137,7 +137,112 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
             raise ValueError(f"scene: expected {', '.join(options('scene'))} or a path that exists, got {path}")
         else:
             result.append(override)
-    return [*_proposals(result, name), *result]
+    return [*_proposals(result, name), *result, *_places(result, name)]
+
+
+def place_configs(cfg: DictConfig) -> list[DictConfig]:
+    """A config with one scene for each of the scenes of a config; itself where it has only one.
+
+    ``scene.places`` lists what belongs to each: ``scene``, what to build, and values of other keys.
+    """
+    places = cfg.scene.get("places") if "scene" in cfg and isinstance(cfg.scene, DictConfig) else None
+    if not places:
+        return [cfg]
+    plain = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "scene"])
+    result = []
+    for place in places:
+        merged = OmegaConf.merge(plain, place)
+        assert isinstance(merged, DictConfig), type(merged)
+        merged.allow_targets = cfg.allow_targets  # a place does not say whom to trust
+        result.append(merged)
+    return result
+
+
+def _places(overrides: Sequence[str], name: str) -> list[str]:
+    """``scene.places`` for what ``scene=many`` lists in ``scene.paths``, as an override; nothing for other scenes.
+
+    Each is a folder, a splat file, the name of a scene's config, or that name with a seed: ``yard:3``. What it says
+    stands behind what was typed, which holds in all scenes.
+
+    Raises:
+        ValueError: for a name that is neither a config nor a path.
+    """
+    given = [override for override in overrides if override.startswith("scene.paths=")]
+    if "scene=many" not in overrides or not given:
+        return []
+    paths = OverridesParser.create().parse_override(given[-1]).value()
+    typed = {override.partition("=")[0] for override in overrides}
+    others = [override for override in overrides if not override.startswith(("scene=", "scene."))]
+    if not isinstance(paths, list) or not paths:
+        raise ValueError(f"scene.paths: expected a list such as [garden/,yard:3], got {paths}")
+    places = []
+    for path in paths:
+        text = path.text if isinstance(path, QuotedString) else str(path)
+        chosen = _chosen(text)
+        place = _flat(_scene_node(chosen[0].partition("=")[2]))
+        for override in [*chosen[1:], *_proposals([*others, *chosen], name)]:
+            parsed = OverridesParser.create().parse_override(override)
+            value = parsed.value()
+            place[parsed.key_or_group] = value.text if isinstance(value, QuotedString) else value
+        places.append({key: value for key, value in place.items() if key not in typed})
+    return [f"scene.places=[{','.join(_nested(place) for place in places)}]"]
+
+
+def _chosen(text: str) -> list[str]:
+    """Overrides that choose one scene: the group first."""
+    known, (config, _, seed) = options("scene"), text.partition(":")
+    if config in known and seed.isdigit():
+        return [f"scene={config}", f"scene.seed={seed}"]
+    if text in known:
+        return [f"scene={text}"]
+    if not Path(text).expanduser().exists():
+        raise ValueError(
+            f"scene.paths: expected {', '.join(known)}, one of them with a seed (yard:3), or a path, got {text}"
+        )
+    _check_scene(Path(text).expanduser())
+    return ["scene=file", f"scene.path={quoted(Path(text).expanduser().absolute())}"]
+
+
+def _scene_node(option: str) -> DictConfig:
+    """What the config of a scene says, unresolved."""
+    with _hydra() as loader:
+        for source in loader.get_sources():
+            if source.available() and source.is_config(f"scene/{option}"):
+                node = source.load_config(f"scene/{option}").config
+                assert isinstance(node, DictConfig), type(node)
+                return node
+    raise AssertionError(option)
+
+
+def _flat(node: DictConfig, prefix: str = "") -> dict[str, Any]:
+    """Dotted keys and plain values, unresolved."""
+    result: dict[str, Any] = {}
+    for key, value in OmegaConf.to_container(node, resolve=False).items():  # type: ignore[union-attr]
+        name = f"{prefix}{key}"
+        result |= _flat(OmegaConf.create(value), f"{name}.") if isinstance(value, dict) and value else {name: value}
+    return result
+
+
+def _nested(flat: dict[str, Any]) -> str:
+    """Dotted keys and their values as a dictionary in Hydra's grammar."""
+    tree: dict[str, Any] = {}
+    for key, value in flat.items():
+        *parents, leaf = key.split(".")
+        node = tree
+        for parent in parents:
+            node = node.setdefault(parent, {})
+        node[leaf] = value
+    return _hydra_value(tree)
+
+
+def _hydra_value(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ",".join(f"{key}:{_hydra_value(own)}" for key, own in value.items()) + "}"
+    if isinstance(value, list):
+        return f"[{','.join(map(_hydra_value, value))}]"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    return quoted(value) if isinstance(value, str) else repr(value)
 
 
 def _check_scene(path: Path) -> None:
@@ -292,11 +397,13 @@ def check_config(cfg: DictConfig) -> None:
     Raises:
         ValueError: names the keys, what was expected and what came.
     """
-    _check_targets(cfg)
-    plain = OmegaConf.to_container(cfg, resolve=False)
-    needed = sorted(_missing(plain)) or sorted(_unset_landmarks(plain))
-    if needed:
-        raise ValueError(f"{needed[0]}: expected a value, got none; type {EXAMPLES.get(needed[0], needed[0] + '=...')}")
+    for place in place_configs(cfg):
+        _check_targets(place)
+        plain = OmegaConf.to_container(place, resolve=False)
+        needed = sorted(_missing(plain)) or sorted(_unset_landmarks(plain))
+        if needed:
+            example = EXAMPLES.get(needed[0], needed[0] + "=...")
+            raise ValueError(f"{needed[0]}: expected a value, got none; type {example}")
     for key, (low, high) in WHOLE_NUMBERS.items() if "collector" in cfg else ():  # of a training
         value = OmegaConf.select(cfg, key)
         if value is not None or key not in NULLABLE:

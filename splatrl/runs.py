@@ -12,7 +12,7 @@ from torchrl.modules import ActorValueOperator
 
 from splatrl.build import build_model, build_world
 from splatrl.configuration import run_config
-from splatrl.envs.world import World
+from splatrl.envs.world import World, Worlds
 from splatrl.training import load_checkpoint
 
 CHECKPOINTS = ("last", "best")
@@ -30,7 +30,7 @@ class TrainedPolicy:
     """
 
     cfg: DictConfig
-    world: World
+    world: World | Worlds
     model: ActorValueOperator
     checkpoint: dict[str, Any]
 
@@ -49,7 +49,7 @@ def load_policy(
     checkpoint: str | None = None,
     device: str | None = None,
     cfg: DictConfig | None = None,
-    world: World | None = None,
+    world: World | Worlds | None = None,
     allow_targets: Sequence[str] = (),
 ) -> TrainedPolicy:
     """Load the policy of a run folder, which may come from a stranger: it is data, and names only what stands in conf/.

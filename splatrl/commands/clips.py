@@ -8,7 +8,7 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig
 
-from splatrl.build import build_world
+from splatrl.build import build_one_world
 from splatrl.command_line import command_line
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import check_config, conf_dir, run_config
@@ -39,7 +39,7 @@ def run(cfg: DictConfig) -> None:
         own = run_config(Path(runs[0]), cfg.allow_targets)
         own.device = cfg.device or own.device
         torch.set_num_threads(own.threads)
-        world = build_world(altered(own, cfg.seed))
+        world = build_one_world(altered(own, cfg.seed))
         settings = (cfg.count, cfg.seed, cfg.height, instantiate(cfg.hand), instantiate(cfg.lens))
         written = record_clips(world, Path(cfg.record), *settings)
         print(f"{len(written)} clips in {cfg.record}")

@@ -11,12 +11,12 @@ from omegaconf import DictConfig, OmegaConf
 from splatrl.command_line import command_line
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import check_config, conf_dir, run_config
-from splatrl.envs.world import World
+from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
 from splatrl.runs import load_policy
 
 
-def evaluate_run(cfg: DictConfig, folder: Path, world: World | None = None) -> dict[str, Any]:
+def evaluate_run(cfg: DictConfig, folder: Path, world: World | Worlds | None = None) -> dict[str, Any]:
     """Evaluate a run folder with a config, and print the results.
 
     Args:

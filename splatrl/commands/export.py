@@ -27,7 +27,7 @@ def run(cfg: DictConfig) -> None:
     torch.set_num_threads(own.threads)
     trained = load_policy(folder, cfg.checkpoint, "cpu", own)
     output = Path(cfg.output or folder / "export")
-    facts = {"task": own.task._target_, "scene": trained.world.scene.name, "run": folder.absolute().name}
+    facts = {"task": own.task._target_, "scene": trained.world.name, "run": folder.absolute().name}
     found = export_policy(trained.model, trained.world, output, cfg.frames, facts)
     print(f"{output / POLICY}: within {found:.1e} of PyTorch on {cfg.frames:,} views")
     print(f"{output / RUNNER}: runs it on a video or a camera")

@@ -8,7 +8,7 @@ import torch
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from splatrl.build import build_world
+from splatrl.build import build_one_world
 from splatrl.command_line import command_line
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import check_config, conf_dir, save_config
@@ -32,12 +32,12 @@ def run(cfg: DictConfig) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(cfg.threads)
     cfg.device = "cpu"  # so that a replay gives the same bytes anywhere
-    world = build_world(cfg)
+    world = build_one_world(cfg)
     with tqdm(unit="frame", desc="record", dynamic_ncols=True) as bar:
         found = planner_episodes(world, cfg.episodes, cfg.seed, bar.update)
     with new_folder(folders["out"]) as folder:
         save_config(cfg, folder)
-        write_demonstrations(folder, found, {"by": cfg.by, "seed": cfg.seed, "scene": world.scene.digest})
+        write_demonstrations(folder, found, {"by": cfg.by, "seed": cfg.seed, "scene": world.digest})
     if cfg.lerobot is not None:
         task = f"{type(world.task).__name__} in {world.scene.name}"
         with new_folder(folders["lerobot"]) as folder:

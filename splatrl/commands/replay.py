@@ -8,7 +8,7 @@ import torch
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from splatrl.build import build_world
+from splatrl.build import build_one_world
 from splatrl.command_line import command_line
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import check_config, conf_dir, run_config
@@ -26,7 +26,7 @@ def run(cfg: DictConfig) -> None:
     own.device = "cpu"
     torch.set_num_threads(own.threads)
     with tqdm(total=len(demonstrations), unit="frame", desc="replay", dynamic_ncols=True) as bar:
-        different, views = replay(build_world(own), demonstrations, bar.update)
+        different, views = replay(build_one_world(own), demonstrations, bar.update)
     what = f"{folder}: {len(demonstrations.starts):,} episodes, {len(demonstrations):,} frames"
     if different:
         sys.exit("\n".join([f"splatrl-replay: {what} do not come out as written", *different]))

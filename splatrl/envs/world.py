@@ -1,9 +1,10 @@
-"""What all envs of one scene and task share."""
+"""What all envs of one task share, in one scene or in several."""
 
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, fields
 from functools import partial
+from hashlib import blake2b
 from typing import Any
 
 import torch
@@ -11,6 +12,7 @@ from torchrl.envs import EnvBase, Transform
 
 from splatrl.collision.base import Checker
 from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum import Curriculum, Plan
 from splatrl.envs.drawing.base import Drawing
 from splatrl.envs.robot import Robot
@@ -22,7 +24,7 @@ from splatrl.scenes.scene import Scene
 
 @dataclass(frozen=True)
 class World:
-    """Everything that envs of one configuration share.
+    """Everything that envs of one configuration in one scene share.
 
     Attributes:
         scene: Gaussians in the world frame.
@@ -57,6 +59,21 @@ class World:
     def __deepcopy__(self, memo: dict[int, Any]) -> "World":
         return self
 
+    @property
+    def worlds(self) -> "tuple[World, ...]":
+        """The worlds of its scenes, which is itself alone."""
+        return (self,)
+
+    @property
+    def name(self) -> str:
+        """Name of the scene."""
+        return self.scene.name
+
+    @property
+    def digest(self) -> str:
+        """Fingerprint of the scene."""
+        return self.scene.digest
+
     def env(
         self,
         num_envs: int,
@@ -72,26 +89,101 @@ class World:
             seed: seed of the env's generator.
             device: device of its tensors; None takes the world's.
         """
-        env = self.bare_env(num_envs, curriculum or Curriculum(self.plan, first=None), seed, device or self.device)
-        transforms = self.make_transforms()
-        return StatefulEnv(env, *transforms) if transforms else env
+        return _env(self, num_envs, curriculum, seed, device)
 
     def bare_env(self, num_envs: int, curriculum: Curriculum, seed: int | None, device: torch.device | str) -> SplatEnv:
         """A batch of robots without transforms, which is pickled as this world and these arguments; see ``env``."""
-        env = SplatEnv(
-            self.drawing,
-            self.checker,
-            self.robot,
-            deepcopy(self.task),  # an env moves its task to its device; the plan's stays where it is
-            curriculum,
-            [num_envs],
-            seed,
-            device,
-        )
-        env.made_by = partial(self.bare_env, num_envs)
-        return env
+        return _bare_env(self, num_envs, curriculum, seed, device)
 
 
-def _made(make: Callable[[], World]) -> World:
+@dataclass(frozen=True)
+class Worlds:
+    """Everything that envs of one configuration in several scenes share; each episode takes place in one of them.
+
+    Attributes:
+        worlds: one for each scene; they draw with the same renderer and ask the same checkers.
+        drawing: makes the pixels; its renderer's models are the scenes, in their order.
+        checker: tests the robot's body in each of them.
+        robot: body and camera.
+        task: motion, goals and rewards, with what belongs to a scene ``stacked``.
+        make_transforms: makes new transforms for an env, the innermost first.
+        device: default device of its envs.
+        made_by: see ``World``.
+    """
+
+    worlds: tuple[World, ...]
+    drawing: Drawing
+    checker: SeveralCheckers
+    robot: Robot
+    task: Task
+    make_transforms: Callable[[], list[Transform]]
+    device: torch.device
+    made_by: "Callable[[], World | Worlds] | None" = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self.made_by is None:
+            return Worlds, tuple(getattr(self, field.name) for field in fields(self))
+        return _made, (self.made_by,)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Worlds":
+        return self
+
+    @property
+    def name(self) -> str:
+        """Names of the scenes."""
+        return ", ".join(world.name for world in self.worlds)
+
+    @property
+    def digest(self) -> str:
+        """Fingerprint of the scenes, in their order."""
+        return blake2b(" ".join(world.digest for world in self.worlds).encode(), digest_size=16).hexdigest()
+
+    def env(
+        self,
+        num_envs: int,
+        curriculum: Curriculum | None = None,
+        seed: int | None = 0,
+        device: torch.device | str | None = None,
+    ) -> EnvBase:
+        """A batch of robots in these worlds, under their transforms; see ``World.env``."""
+        return _env(self, num_envs, curriculum, seed, device)
+
+    def bare_env(self, num_envs: int, curriculum: Curriculum, seed: int | None, device: torch.device | str) -> SplatEnv:
+        """A batch of robots without transforms; see ``World.bare_env``."""
+        return _bare_env(self, num_envs, curriculum, seed, device)
+
+
+def _env(
+    world: World | Worlds,
+    num_envs: int,
+    curriculum: Curriculum | None,
+    seed: int | None,
+    device: torch.device | str | None,
+) -> EnvBase:
+    if curriculum is None:
+        curriculum = Curriculum([one.plan for one in world.worlds], first=None)
+    env = world.bare_env(num_envs, curriculum, seed, device or world.device)
+    transforms = world.make_transforms()
+    return StatefulEnv(env, *transforms) if transforms else env
+
+
+def _bare_env(
+    world: World | Worlds, num_envs: int, curriculum: Curriculum, seed: int | None, device: torch.device | str
+) -> SplatEnv:
+    env = SplatEnv(
+        world.drawing,
+        world.checker,
+        world.robot,
+        deepcopy(world.task),  # an env moves its task to its device; the plan's stays where it is
+        curriculum,
+        [num_envs],
+        seed,
+        device,
+    )
+    env.made_by = partial(world.bare_env, num_envs)
+    return env
+
+
+def _made(make: Callable[[], World | Worlds]) -> World | Worlds:
     """The world that a constructor makes."""
     return make()

@@ -7,12 +7,15 @@ from typing import Any
 from tensordict.nn import TensorDictModuleBase
 from tqdm import tqdm
 
-from splatrl.envs.world import World
+from splatrl.envs.world import World, Worlds
+from splatrl.evaluation.figures import learning_curve, scene_bars
 from splatrl.evaluation.pictures import Pictures
-from splatrl.evaluation.report import summarise, write_json
-from splatrl.evaluation.rollouts import run_episodes, spread
+from splatrl.evaluation.report import by_scene, summarise, write_json
+from splatrl.evaluation.rollouts import run_episodes, spread_starts
 
 EPISODES_IN_VIDEO = 4
+SCENES_SHOWN = 4
+"""Of several scenes, so many have maps and a video of their own."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,7 @@ class EvaluationSettings:
 
 
 def evaluate(
-    world: World,
+    world: World | Worlds,
     policy: TensorDictModuleBase,
     checkpoint: dict[str, Any],
     folder: Path,
@@ -57,33 +60,45 @@ def evaluate(
     Returns:
         The content of ``evaluation.json``, and the pictures' files.
     """
-    plan = world.plan
-    rows = spread(plan.start_rows, settings.starts)
-    starts = plan.states[rows]
-    repeated = starts.repeat_interleave(settings.repeats, 0)
-    env = world.env(min(settings.batch_size, len(repeated)))
-    with tqdm(total=len(repeated) + len(starts), unit="episode", desc="evaluate", dynamic_ncols=True) as bar:
-        sampled = run_episodes(env, policy, repeated, True, settings.seed, bar.update)
-        argmax = run_episodes(env, policy, starts, False, settings.seed, bar.update)
-    ends = plan.field is not None and world.task.goals_for_success is None
-    summary: dict[str, Any] = summarise(sampled, argmax, plan.distance[rows] if ends else None)
+    plans, starts = [one.plan for one in world.worlds], spread_starts(world, settings.starts)
+    repeated = starts.repeated(settings.repeats)
+    count, total = len(starts.state), len(repeated.state) + len(starts.state)
+    env = world.env(min(settings.batch_size, len(repeated.state)))
+    with tqdm(total=total, unit="episode", desc="evaluate", dynamic_ncols=True) as bar:
+        sampled, argmax = (
+            run_episodes(env, policy, chosen.state, how, settings.seed, bar.update, chosen.scene)
+            for chosen, how in ((repeated, True), (starts, False))
+        )
+    ends = all(plan.field is not None for plan in plans) and world.task.goals_for_success is None
+    summary: dict[str, Any] = summarise(sampled, argmax, starts.distance if ends else None)
     summary |= {
         "frames": checkpoint["ppo"]["frames"],
         "wall_seconds": checkpoint["seconds"],
         "level": int(checkpoint["ppo"]["env"]["curriculum.progress"][0]) + 1,
         "checkpoint": settings.checkpoint,
         "seed": seed,
-        "start_poses": len(plan.start_rows),
-        "evaluated_starts": len(starts),
-        "longest_path": int(plan.distance[plan.start_rows].max()),
+        "start_poses": sum(len(plan.start_rows) for plan in plans),
+        "evaluated_starts": count,
+        "longest_path": max(int(plan.distance[plan.start_rows].max()) for plan in plans),
     }
+    names = [one.scene.name for one in world.worlds]
+    if len(names) > 1:
+        summary["scenes"] = by_scene(names, sampled, argmax)
     write_json(folder / "evaluation.json", summary)
-    pictures = Pictures(world.scene.gaussians, world.occupancy, plan, env, folder)
-    files = [pictures.learning_curve(checkpoint["history"])]
-    if plan.field is not None:
-        files += [pictures.starts(sampled), pictures.success_map(sampled)]
-    if video:
-        files.append(pictures.video(world.env(EPISODES_IN_VIDEO), policy, settings.seed))
+    files = [folder / "learning_curve.png"]
+    learning_curve(checkpoint["history"], files[0])
+    if len(names) > 1:
+        files.append(folder / "scenes.png")
+        scene_bars(names, [row["success_rate"] for row in summary["scenes"]], files[1])
+    for number, one in enumerate(world.worlds[:SCENES_SHOWN]):
+        place = folder if len(names) == 1 else folder / "scenes" / f"{number}-{one.scene.name}"
+        place.mkdir(parents=True, exist_ok=True)
+        own = one.env(EPISODES_IN_VIDEO)
+        pictures = Pictures(one.scene.gaussians, one.occupancy, one.plan, own, place)
+        if one.plan.field is not None:
+            files += [pictures.starts(sampled.of(number)), pictures.success_map(sampled.of(number))]
+        if video:
+            files.append(pictures.video(own, policy, settings.seed))
     return summary, files
 
 

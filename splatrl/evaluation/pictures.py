@@ -1,6 +1,6 @@
 """All pictures of a finished training, drawn into its run folder."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import torch
@@ -10,7 +10,7 @@ from torchrl.envs import EnvBase
 
 from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Plan
-from splatrl.evaluation.figures import learning_curve, start_map, success_map
+from splatrl.evaluation.figures import start_map, success_map
 from splatrl.evaluation.recording import record_episodes
 from splatrl.evaluation.rollouts import Episodes
 from splatrl.evaluation.topdown import MapView, footprint, top_down
@@ -42,12 +42,6 @@ class Pictures:
         ground = top_down(gaussians, lower, upper, robot.height + half + HEADROOM)
         solid = footprint(occupancy, robot.height - half, robot.height + half, ground)
         self.view = MapView(ground, solid, env.task.marks())
-
-    def learning_curve(self, history: Sequence[Mapping[str, float]]) -> Path:
-        """Draw success, curriculum level and return over frames."""
-        path = self.folder / "learning_curve.png"
-        learning_curve(history, path)
-        return path
 
     def starts(self, episodes: Episodes) -> Path:
         """Draw start positions and headings, coloured by success."""

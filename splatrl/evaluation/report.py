@@ -1,6 +1,7 @@
 """The results of a finished training, as numbers in ``evaluation.json``."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,26 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> d
     if shortest is not None:
         summary["mean_shortest"] = shortest.double().mean().item()
     return summary
+
+
+def by_scene(names: Sequence[str], sampled: Episodes, argmax: Episodes) -> list[dict[str, Any]]:
+    """Success in each of several scenes, in their order.
+
+    Args:
+        names: of the scenes.
+        sampled: episodes in them with sampled actions.
+        argmax: those with the most likely actions.
+    """
+    return [
+        {
+            "scene": name,
+            "success_rate": sampled.of(number).success.double().mean().item(),
+            "success_rate_argmax": argmax.of(number).success.double().mean().item(),
+            "collision_rate": sampled.of(number).rate(Outcome.COLLISION),
+            "episodes": len(sampled.of(number).outcome),
+        }
+        for number, name in enumerate(names)
+    ]
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -11,6 +12,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from splatrl.envs.tasks import Outcome
+from splatrl.envs.world import World, Worlds
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,7 @@ class Episodes:
         episode_return: [N] float32.
         goals: [N] int64, reached in the episode.
         success: [N] bool, whether they were enough for the task.
+        scene: [N] int64, the scene of each; None in an env of one.
     """
 
     start: Tensor
@@ -32,6 +35,14 @@ class Episodes:
     episode_return: Tensor
     goals: Tensor
     success: Tensor
+    scene: Tensor | None = None
+
+    def of(self, scene: int) -> "Episodes":
+        """Those of one scene."""
+        if self.scene is None:
+            return self
+        mine = self.scene == scene
+        return Episodes(*(getattr(self, field.name)[mine] for field in fields(self)))
 
     def rate(self, outcome: Outcome) -> float:
         """Share of the episodes that ended with an outcome."""
@@ -51,6 +62,34 @@ def spread(rows: Tensor, most: int) -> Tensor:
     """An evenly spaced subset of the rows of a start set: [N] -> [min(N, most)]."""
     count = min(most, len(rows))
     return rows[torch.linspace(0, len(rows) - 1, count, dtype=torch.float64).round().long()]
+
+
+class Chosen(NamedTuple):
+    """N starts of a world.
+
+    Attributes:
+        state: [N, D].
+        scene: [N] int64, the scene of each; None in a world of one.
+        distance: [N] int64, steps of the shortest path from each.
+    """
+
+    state: Tensor
+    scene: Tensor | None
+    distance: Tensor
+
+    def repeated(self, times: int) -> "Chosen":
+        """Each of them some times in a row."""
+        return Chosen(*(None if value is None else value.repeat_interleave(times, 0) for value in self))
+
+
+def spread_starts(world: World | Worlds, most: int) -> Chosen:
+    """Starts evenly spaced over the start set, or over that of each scene, which has an equal share of them."""
+    plans = [one.plan for one in world.worlds]
+    rows = [spread(plan.start_rows, max(1, most // len(plans))) for plan in plans]
+    scene = torch.arange(len(plans)).repeat_interleave(torch.tensor([len(own) for own in rows]))
+    states = torch.cat([plan.states[own] for plan, own in zip(plans, rows, strict=True)])
+    distance = torch.cat([plan.distance[own] for plan, own in zip(plans, rows, strict=True)])
+    return Chosen(states, scene if len(plans) > 1 else None, distance)
 
 
 @contextmanager
@@ -73,6 +112,7 @@ def run_episodes(
     sampled: bool = True,
     seed: int = 0,
     progress: Callable[[int], object] = lambda finished: None,
+    scene: Tensor | None = None,
 ) -> Episodes:
     """Run one episode from each start; PyTorch's global generator is left as it was.
 
@@ -85,6 +125,7 @@ def run_episodes(
         sampled: whether to sample from the policy's distribution or take its mode.
         seed: seed of the sampling.
         progress: called with the number of episodes that just ended.
+        scene: [N] int64, the scene of each start, for an env of several.
     """
     count, rows = len(starts), env.numel()
     kept = {
@@ -98,8 +139,9 @@ def run_episodes(
     episode = torch.arange(rows)  # the episode of each robot; from count on the robot is idle
     waiting = rows
     with acting(sampled, seed, env.device):
-        state = starts[episode.clamp_max(count - 1)]
-        td = env.reset(TensorDict({"state": state}, batch_size=[rows], device=env.device), set_state=True)
+        given = {"state": starts} if scene is None else {"state": starts, "scene": scene.unsqueeze(1)}
+        first = {key: value[episode.clamp_max(count - 1)] for key, value in given.items()}
+        td = env.reset(TensorDict(first, batch_size=[rows], device=env.device), set_state=True)
         while (episode < count).any():
             td = env.step(policy(td))
             after = td["next"]
@@ -112,8 +154,9 @@ def run_episodes(
             waiting += len(done)
             td = env.step_mdp(td)
             if len(done):
-                fresh = starts[episode[done].clamp_max(count - 1)].to(env.device)
-                td["state"] = td["state"].index_put((done.to(env.device),), fresh)
+                for key, value in given.items():
+                    fresh = value[episode[done].clamp_max(count - 1)].to(env.device)
+                    td[key] = td[key].index_put((done.to(env.device),), fresh)
                 td["_reset"] = after["done"].clone()
                 td = env.reset(td, set_state=True)
-    return Episodes(starts, *columns.values())
+    return Episodes(starts, *columns.values(), scene=scene)

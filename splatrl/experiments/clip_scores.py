@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tqdm import tqdm
 
-from splatrl.build import build_world
+from splatrl.build import build_one_world
 from splatrl.configuration import run_config
 from splatrl.envs.world import World
 from splatrl.evaluation.clip_files import read_clips
@@ -129,7 +129,7 @@ def score_experiment(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
         if not clips.is_dir():
             clips.parent.mkdir(parents=True, exist_ok=True)
             with new_folder(clips) as whole:
-                record_clips(build_world(altered(run_config(run.folder), 0)), whole)
+                record_clips(build_one_world(altered(run_config(run.folder), 0)), whole)
         for one in score_run(run.folder, clips):
             rows.append({"run": run.folder.name, "clip": one.name, **asdict(one)})
     return rows

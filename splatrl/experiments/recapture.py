@@ -17,7 +17,7 @@ from PIL import Image
 from torch import Tensor
 from tqdm import tqdm
 
-from splatrl.build import build_world
+from splatrl.build import build_one_world
 from splatrl.capture.area import SOLID
 from splatrl.capture.base import CaptureError
 from splatrl.capture.check import Quality, colour_corrected, psnr
@@ -93,7 +93,7 @@ def recapture(folder: Path, scenes: Mapping[str, Sequence[str]], original: str =
         return target
     folder.mkdir(parents=True, exist_ok=True)
     cfg = load_config([*scenes[original], TASK])
-    world = build_world(cfg)
+    world = build_one_world(cfg)
     film = _film(world, folder / FILM)
     truth = read_truth(film)
     height = float(truth.camera_to_world[:, 2, 3].median() - world.scene.bounds[0][2])
@@ -120,7 +120,7 @@ def recapture(folder: Path, scenes: Mapping[str, Sequence[str]], original: str =
         write_description(made, SPLAT, RECAPTURED, frame, world.scene.bounds, proposals=proposals)
     cfg.scene = load_config([f"scene={target}", TASK]).scene
     cfg.collision.occupancy.density.cutoff = SOLID.cutoff
-    alike = compare(world, build_world(cfg), folder / VIEWS)
+    alike = compare(world, build_one_world(cfg), folder / VIEWS)
     write_json(folder / FIGURES, {"figures": _figures(placed.reconstruction.missing, off, quality, alike)})
     return target
 

@@ -8,7 +8,7 @@ import torch
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from splatrl.build import build_world
+from splatrl.build import build_one_world
 from splatrl.configuration import run_config
 from splatrl.envs.world import World
 from splatrl.evaluation.report import summarise
@@ -32,7 +32,7 @@ def score_everywhere(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
         One row per run and scene: ``run`` (name of its folder), ``place`` (name of the scene), ``starts`` and rates.
     """
     places = {run.scene: placed(run_config(run.folder), run_config(run.folder)) for run in reversed(runs)}
-    worlds = {name: build_world(cfg) for name, cfg in places.items()}
+    worlds = {name: build_one_world(cfg) for name, cfg in places.items()}
     rows = []
     for run in tqdm(runs, unit="run", desc="transfer", dynamic_ncols=True):
         own = run_config(run.folder)
