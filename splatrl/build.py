@@ -49,6 +49,16 @@ class _Place(NamedTuple):
     task: Task
     plan: Plan
 
+    def world(
+        self,
+        drawing: Drawing,
+        transforms: Callable[[], list[Transform]],
+        device: torch.device,
+        made_by: Callable[[], World | Worlds] | None = None,
+    ) -> World:
+        scene, occupancy, checker, robot, task, paths = self
+        return World(scene, occupancy, checker, drawing, robot, task, paths, transforms, device, made_by)
+
 
 def build_world(cfg: DictConfig) -> World | Worlds:
     """Build scene, robot, task, collision, drawing and plan from a config, for the device that it names.
@@ -73,15 +83,18 @@ def build_world(cfg: DictConfig) -> World | Worlds:
     drawing, robot = instantiate(configs[0].drawing)(renderer), places[0].robot
     for place in places:
         check_sprite(drawing, place.robot, place.task)
+    made_by = partial(build_world, given)
     if len(places) == 1:
-        return World(*_with_drawing(places[0], drawing), transforms, device, partial(build_world, given))
+        return places[0].world(drawing, transforms, device, made_by)
     worlds = tuple(
-        World(*_with_drawing(place, instantiate(one.drawing)(OneScene(renderer, number))), transforms, device)
+        place.world(instantiate(one.drawing)(OneScene(renderer, number)), transforms, device)
         for number, (one, place) in enumerate(zip(configs, places, strict=True))
     )
-    checker = SeveralCheckers([place.checker for place in places])
-    task = stacked([place.task for place in places])
-    return Worlds(worlds, drawing, checker, robot, task, transforms, device, partial(build_world, given))
+    tasks = [place.task for place in places if isinstance(place.task, torch.nn.Module)]
+    if len(tasks) < len(places):
+        raise ValueError(f"task: expected a torch module for several scenes, got {type(places[0].task).__name__}")
+    checker, task = SeveralCheckers([place.checker for place in places]), stacked(tasks)
+    return Worlds(worlds, drawing, checker, robot, task, transforms, device, made_by)
 
 
 def build_one_world(cfg: DictConfig) -> World:
@@ -95,11 +108,6 @@ def build_one_world(cfg: DictConfig) -> World:
     world = build_world(cfg)
     assert isinstance(world, World)
     return world
-
-
-def _with_drawing(place: _Place, drawing: Drawing) -> tuple[Any, ...]:
-    """The first fields of a ``World``."""
-    return place.scene, place.occupancy, place.checker, drawing, place.robot, place.task, place.plan
 
 
 def _watched(configs: Sequence[DictConfig], name: str) -> Iterable[DictConfig]:

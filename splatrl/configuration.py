@@ -2,7 +2,7 @@
 
 import functools
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -167,25 +167,30 @@ def _places(overrides: Sequence[str], name: str) -> list[str]:
     Raises:
         ValueError: for a name that is neither a config nor a path.
     """
-    given = [override for override in overrides if override.startswith("scene.paths=")]
-    if "scene=many" not in overrides or not given:
+    if "scene=many" not in overrides:
         return []
+    given = ["scene.paths=[]", *(override for override in overrides if override.startswith("scene.paths="))]
     paths = OverridesParser.create().parse_override(given[-1]).value()
+    if not isinstance(paths, list) or not paths:
+        raise ValueError(f"scene.paths: expected a list such as [garden/,yard:3], got {_text(paths)}")
     typed = {override.partition("=")[0] for override in overrides}
     others = [override for override in overrides if not override.startswith(("scene=", "scene."))]
-    if not isinstance(paths, list) or not paths:
-        raise ValueError(f"scene.paths: expected a list such as [garden/,yard:3], got {paths}")
     places = []
     for path in paths:
-        text = path.text if isinstance(path, QuotedString) else str(path)
+        text = _text(path)
         chosen = _chosen(text)
         place = _flat(_scene_node(chosen[0].partition("=")[2]))
         for override in [*chosen[1:], *_proposals([*others, *chosen], name)]:
             parsed = OverridesParser.create().parse_override(override)
             value = parsed.value()
-            place[parsed.key_or_group] = value.text if isinstance(value, QuotedString) else value
+            place[parsed.key_or_group] = _text(value) if isinstance(value, QuotedString) else value
         places.append({key: value for key, value in place.items() if key not in typed})
     return [f"scene.places=[{','.join(_nested(place) for place in places)}]"]
+
+
+def _text(value: object) -> str:
+    """A value of Hydra's grammar as text, without quotes."""
+    return value.text if isinstance(value, QuotedString) else str(value)
 
 
 def _chosen(text: str) -> list[str]:
@@ -203,23 +208,23 @@ def _chosen(text: str) -> list[str]:
     return ["scene=file", f"scene.path={quoted(Path(text).expanduser().absolute())}"]
 
 
-def _scene_node(option: str) -> DictConfig:
-    """What the config of a scene says, unresolved."""
+def _scene_node(option: str) -> dict[str, Any]:
+    """What the config of a scene says, with references as they are written."""
     with _hydra() as loader:
         for source in loader.get_sources():
             if source.available() and source.is_config(f"scene/{option}"):
-                node = source.load_config(f"scene/{option}").config
-                assert isinstance(node, DictConfig), type(node)
-                return node
+                node = OmegaConf.to_container(source.load_config(f"scene/{option}").config, resolve=False)
+                assert isinstance(node, dict), type(node)
+                return {str(key): value for key, value in node.items()}
     raise AssertionError(option)
 
 
-def _flat(node: DictConfig, prefix: str = "") -> dict[str, Any]:
-    """Dotted keys and plain values, unresolved."""
+def _flat(plain: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Dotted keys and their values."""
     result: dict[str, Any] = {}
-    for key, value in OmegaConf.to_container(node, resolve=False).items():  # type: ignore[union-attr]
+    for key, value in plain.items():
         name = f"{prefix}{key}"
-        result |= _flat(OmegaConf.create(value), f"{name}.") if isinstance(value, dict) and value else {name: value}
+        result |= _flat(value, f"{name}.") if isinstance(value, dict) and value else {name: value}
     return result
 
 

@@ -30,17 +30,17 @@ def stacked(modules: Sequence[Module], name: str = "task") -> Module:
     if any(type(module) is not type(first) for module in modules):
         raise ValueError(f"{name}: expected one kind in all scenes, got {', '.join(_kinds(modules))}")
     own: tuple[str, ...] = getattr(first, "of_scene", ())
-    for key in first._buffers:
-        values = [module._buffers[key] for module in modules]
-        if key in own:
-            result._buffers[key] = torch.stack([value for value in values if value is not None])
-        elif not all(_equal(value, values[0]) for value in values):
-            raise _differs(f"{name}.{key}", values)
     for key in first._modules:
         result._modules[key] = stacked([module.get_submodule(key) for module in modules], f"{name}.{key}")
     for key in (key for key in vars(first) if not key.startswith("_") and key not in own):
         values = [vars(module)[key] for module in modules]
         if not all(_equal(value, values[0]) for value in values):
+            raise _differs(f"{name}.{key}", values)
+    for key in first._buffers:
+        values = [module._buffers[key] for module in modules]
+        if key in own:
+            result._buffers[key] = torch.stack([value for value in values if value is not None])
+        elif not all(_equal(value, values[0]) for value in values):
             raise _differs(f"{name}.{key}", values)
     return result
 

@@ -92,6 +92,7 @@ class NativeChecker(NativeQueries):
         occupancy: what is solid.
         body: what is tested, in the body frame.
         threads: cores that a large batch is spread over.
+        collider: the body in the grid.
     """
 
     def __init__(self, occupancy: Occupancy, body: Body, threads: int | None = None) -> None:
@@ -108,7 +109,7 @@ class NativeChecker(NativeQueries):
         self.occupancy = occupancy
         self.body = body
         self.threads = threads_of(threads)
-        self.core = collider(occupancy, body)
+        self.core = self.collider = collider(occupancy, body)
 
     def __reduce__(self) -> tuple[type["NativeChecker"], tuple[Occupancy, Body, int]]:
         return NativeChecker, (self.occupancy, self.body, self.threads)

@@ -65,7 +65,7 @@ class SeveralCheckers:
 def _natively(checkers: Sequence[Checker]) -> _core.Colliders | None:
     """Their grids for one call, if all of them are native; the checkers must outlive it."""
     native = [checker for checker in checkers if isinstance(checker, NativeChecker)]
-    return _core.Colliders([checker.core for checker in native]) if len(native) == len(checkers) else None
+    return _core.Colliders([checker.collider for checker in native]) if len(native) == len(checkers) else None
 
 
 class _NativeRows(NativeQueries):

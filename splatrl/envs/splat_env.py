@@ -183,7 +183,7 @@ class SplatEnv(EnvBase):
         else:
             scene, state = self._starts(seeds)
             level = self.curriculum.level.expand(self.numel(), 1).clone()
-        task, _ = self._at(scene)
+        task = self._at(scene)[0]
         memory = {**task.begin(state, partial(self.anywhere, scene))}
         if set_state:
             memory |= {key: given[key].clone() for key in memory if given.get(key, None) is not None}
@@ -237,7 +237,7 @@ class SplatEnv(EnvBase):
         scene = given.get("scene", None)
         if scene is None or scene.dtype != torch.int64:
             raise ValueError(
-                f"scene: expected int64 [B, 1] beside the state, got {None if scene is None else scene.dtype}"
+                f"scene: expected torch.int64 [B, 1] beside the state, got {None if scene is None else scene.dtype}"
             )
         asked = scene if only is None else scene[only]
         if len(wrong := asked[(asked < 0) | (asked >= self.scenes)]):

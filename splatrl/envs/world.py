@@ -49,7 +49,7 @@ class World:
     plan: Plan
     make_transforms: Callable[[], list[Transform]]
     device: torch.device
-    made_by: "Callable[[], World] | None" = None
+    made_by: "Callable[[], World | Worlds] | None" = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self.made_by is None:

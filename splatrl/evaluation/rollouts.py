@@ -79,7 +79,9 @@ class Chosen(NamedTuple):
 
     def repeated(self, times: int) -> "Chosen":
         """Each of them some times in a row."""
-        return Chosen(*(None if value is None else value.repeat_interleave(times, 0) for value in self))
+        state, scene, distance = self
+        scene = None if scene is None else scene.repeat_interleave(times)
+        return Chosen(state.repeat_interleave(times, 0), scene, distance.repeat_interleave(times))
 
 
 def spread_starts(world: World | Worlds, most: int) -> Chosen:
@@ -159,4 +161,5 @@ def run_episodes(
                     td[key] = td[key].index_put((done.to(env.device),), fresh)
                 td["_reset"] = after["done"].clone()
                 td = env.reset(td, set_state=True)
-    return Episodes(starts, *columns.values(), scene=scene)
+    outcome, length, episode_return, goals, success = columns.values()
+    return Episodes(starts, outcome, length, episode_return, goals, success, scene)

@@ -17,7 +17,7 @@ from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 
 from splatrl.envs.robot import Robot
-from splatrl.envs.world import World
+from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.rollouts import acting
 from splatrl.export.policy import NEXT, StandalonePolicy
 from splatrl.files import replacing
@@ -31,7 +31,11 @@ _MISSING = "an ONNX file needs onnx, onnxscript and onnxruntime: pip install 'sp
 
 
 def export_policy(
-    model: ActorValueOperator, world: World, folder: Path, frames: int = 1000, facts: Mapping[str, str] | None = None
+    model: ActorValueOperator,
+    world: World | Worlds,
+    folder: Path,
+    frames: int = 1000,
+    facts: Mapping[str, str] | None = None,
 ) -> float:
     """Write ``policy.onnx`` into a folder, and ``run_policy.py`` beside it, which runs it on a camera or a video.
 

@@ -1,0 +1,86 @@
+"""Checkers of several scenes answer for each row as the scene's own does."""
+
+import pickle
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from splatrl.bodies import Box, Sphere
+from splatrl.collision import NativeChecker, Occupancy, TorchChecker
+from splatrl.collision.base import Checker
+from splatrl.collision.nothing import NoChecker
+from splatrl.collision.several import SeveralCheckers
+from splatrl.geometry import axis_rotations, rigid
+
+BODY = Box((0.3, 0.2, 0.1))
+KINDS = [NativeChecker, TorchChecker, NoChecker]
+
+
+def occupancies() -> list[Occupancy]:
+    """Three grids of other sizes, resolutions and places."""
+    generator = np.random.default_rng(0)
+    shapes = [((12, 10, 8), 0.1, (-6, -5, -4)), ((20, 9, 7), 0.07, (-9, -4, -3)), ((5, 5, 5), 0.2, (-2, -3, -2))]
+    return [Occupancy(generator.random(size) < 0.06, corner, edge) for size, edge, corner in shapes]
+
+
+def poses(count: int, seed: int) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    turn = axis_rotations(2, 6.3 * torch.rand(count, generator=generator))
+    return rigid(turn, 0.8 * torch.rand(count, 3, generator=generator) - 0.4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_row_has_the_answers_of_its_own_scene(kind: Callable[[Occupancy, Box], Checker]) -> None:
+    checkers = [kind(occupancy, BODY) for occupancy in occupancies()]
+    count = 300
+    start, end, scene = poses(count, 0), poses(count, 1), torch.arange(count) % 3
+    several = SeveralCheckers(checkers).at(scene)
+    queries = [
+        (several.collides(start), lambda one: one.collides(start)),
+        (several.free_fraction(start, end), lambda one: one.free_fraction(start, end)),
+        (several.sweeps(start, end), lambda one: one.sweeps(start, end)),
+        (several.clearance(start[:, :3, 3]), lambda one: one.clearance(start[:, :3, 3])),
+    ]
+    for answer, query in queries:
+        alone = torch.stack([query(checker) for checker in checkers])
+        assert torch.equal(answer, alone[scene, torch.arange(count)])
+        if kind is not NoChecker:
+            assert not torch.equal(answer, alone[0])
+
+
+def test_native_rows_come_from_any_scene_in_any_order_and_number() -> None:
+    checkers = [NativeChecker(occupancy, BODY, threads=2) for occupancy in occupancies()]
+    count = 10_000
+    start, scene = poses(count, 2), torch.randint(3, (count,), generator=torch.Generator().manual_seed(0))
+    several = SeveralCheckers(checkers)
+    answers, order = several.at(scene).collides(start), torch.randperm(count)
+    assert torch.equal(several.at(scene[order]).collides(start[order]), answers[order])
+    assert torch.equal(several.at(scene[:7]).collides(start[:7]), answers[:7])
+    assert torch.equal(pickle.loads(pickle.dumps(several)).at(scene).collides(start), answers)
+
+
+@pytest.mark.parametrize("scene", [3, -1])
+def test_a_scene_that_is_not_there_is_refused(scene: int) -> None:
+    several = SeveralCheckers([NativeChecker(occupancy, BODY) for occupancy in occupancies()])
+    rows = torch.tensor([0, scene])
+    for query in ("collides", "clearance"):
+        values = poses(2, 0) if query == "collides" else torch.zeros(2, 3)
+        with pytest.raises(ValueError, match="scenes that there are"):
+            getattr(several.at(rows), query)(values)
+    with pytest.raises(ValueError, match="scenes that there are"):
+        several.at(rows).free_fraction(poses(2, 0), poses(2, 1))
+
+
+def test_another_number_of_rows_is_refused() -> None:
+    several = SeveralCheckers([NativeChecker(occupancy, BODY) for occupancy in occupancies()])
+    with pytest.raises(ValueError, match="scene: expected one for each of 3 rows, got 2"):
+        several.at(torch.tensor([0, 1])).collides(poses(3, 0))
+
+
+def test_one_body_is_expected() -> None:
+    first, second, _ = occupancies()
+    with pytest.raises(ValueError, match="expected some of one body"):
+        SeveralCheckers([NativeChecker(first, BODY), NativeChecker(second, Sphere(0.1))])

@@ -1,0 +1,112 @@
+"""Many scenes in one batch: each row is what it would be in its scene alone."""
+
+import pickle
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import check_env_specs
+
+import splatrl
+from tests.two_rooms import in_both, overrides, two_rooms
+
+TASKS = ["grid", "fps", "drive", "apple", "snake"]
+
+
+@pytest.fixture(scope="module", params=TASKS)
+def task(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture(scope="module")
+def both(task: str, tmp_path_factory: pytest.TempPathFactory) -> EnvBase:
+    return splatrl.make_env(in_both(tmp_path_factory.mktemp("both"), task), batch_size=[12], seed=3)
+
+
+@pytest.fixture(scope="module")
+def alone(task: str, tmp_path_factory: pytest.TempPathFactory) -> list[EnvBase]:
+    rooms = two_rooms(tmp_path_factory.mktemp("alone"))
+    return [splatrl.make_env([*overrides(task), f"scene={room}"], batch_size=[1], seed=3) for room in rooms]
+
+
+def test_it_follows_torchrl(both: EnvBase) -> None:
+    check_env_specs(both)
+
+
+def test_every_row_is_what_it_would_be_in_its_scene_alone(both: EnvBase, alone: list[EnvBase]) -> None:
+    torch.manual_seed(0)
+    mixed = both.rollout(15, break_when_any_done=False)
+    assert set(mixed["scene"].flatten().tolist()) == {0, 1}
+    for step in mixed.flatten():
+        env = alone[int(step["scene"])]
+        now = env.reset(step.unsqueeze(0).exclude("next", "scene"), set_state=True)
+        assert torch.equal(now["pixels"][0], step["pixels"])
+        now["action"] = step["action"].unsqueeze(0)
+        after = env.step(now)["next"]
+        for key in ("pixels", "state", "reward", "terminated", "outcome", "free_fraction"):
+            assert torch.equal(after[key][0], step["next", key]), key
+
+
+def test_episodes_stay_in_their_scene_and_new_ones_are_drawn(both: EnvBase) -> None:
+    torch.manual_seed(1)
+    steps = both.rollout(60, break_when_any_done=False)
+    assert torch.equal(steps["scene"], steps["next", "scene"])
+    begins, scene = steps["step_count"][..., 0] == 0, steps["scene"][..., 0]
+    assert not (scene[:, 1:] != scene[:, :-1])[~begins[:, 1:]].any()
+    assert len(scene[begins].unique()) == 2
+
+
+def test_the_same_seed_gives_the_same_scenes(both: EnvBase) -> None:
+    first, again = (both.set_seed(seed) and both.reset() for seed in (5, 5))
+    assert torch.equal(first["scene"], again["scene"]) and torch.equal(first["pixels"], again["pixels"])
+    both.set_seed(6)
+    assert not torch.equal(first["state"], both.reset()["state"])
+
+
+def test_a_row_with_a_seed_of_its_own_has_scene_and_start_from_it(both: EnvBase) -> None:
+    seeds = [None] * 5 + [11] + [None] * 6
+    first, again = both.reset(seeds=seeds), both.reset(seeds=[11] * 12)
+    for key in ("scene", "state"):
+        assert (again[key] == first[key][5]).all()
+
+
+@pytest.fixture
+def grid(tmp_path: Path) -> EnvBase:
+    return splatrl.make_env(in_both(tmp_path), batch_size=[4], seed=0)
+
+
+def given(env: EnvBase, **values: torch.Tensor) -> TensorDictBase:
+    state = torch.zeros(4, 3, dtype=torch.int64)
+    return TensorDict({"state": state, **values}, batch_size=env.batch_size)
+
+
+@pytest.mark.parametrize(
+    ("scene", "message"),
+    [
+        (None, r"scene: expected torch.int64 \[B, 1\] beside the state, got None"),
+        (torch.zeros(4, 1), r"scene: expected torch.int64 .* got torch.float32"),
+        (torch.tensor([[0], [1], [2], [0]]), "scene: expected from 0 to 1, got 2"),
+        (torch.tensor([[0], [-1], [0], [0]]), "scene: expected from 0 to 1, got -1"),
+    ],
+)
+def test_a_state_without_its_scene_is_refused(grid: EnvBase, scene: torch.Tensor | None, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        grid.reset(given(grid, **({} if scene is None else {"scene": scene})), set_state=True)
+
+
+def test_some_rows_are_reset_while_the_others_keep_their_scene(grid: EnvBase) -> None:
+    td = grid.reset()
+    before = td.clone()
+    td["_reset"] = torch.tensor([[True], [False], [False], [True]])
+    after = grid.reset(td)
+    for key in ("scene", "state", "pixels"):
+        assert torch.equal(after[key][1:3], before[key][1:3])
+
+
+def test_an_env_in_several_scenes_is_pickled_by_its_config(grid: EnvBase) -> None:
+    copy = pickle.loads(pickle.dumps(grid))
+    assert len(pickle.dumps(grid)) < 50_000
+    for key in ("scene", "state", "pixels"):
+        assert torch.equal(copy.reset()[key], grid.reset()[key])

@@ -1,0 +1,81 @@
+"""``scene=many scene.paths=[...]``: what belongs to each scene, and what was typed for all of them."""
+
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from splatrl.build import build_one_world, build_world
+from splatrl.configuration import check_config, load_config, place_configs, run_config, save_config
+from splatrl.envs.world import Worlds
+from tests.two_rooms import in_both, overrides, two_rooms
+
+
+def test_each_scene_has_what_its_folder_proposes(tmp_path: Path) -> None:
+    west, east = place_configs(load_config(in_both(tmp_path)))
+    assert (west.robot.height, east.robot.height) == (0.5, 0.65)
+    assert (west.task.goal, east.task.goal) == ([0.5, 1.0, 0.0], [5.5, 0.5, 0.0])
+    assert (west.task.motion.lower, east.task.motion.lower) == ([-1.0, -1.5], [4.0, -1.5])
+    assert [Path(place.scene.path).name for place in (west, east)] == ["west", "east"]
+
+
+def test_what_is_typed_holds_in_all_scenes_wherever_it_stands(tmp_path: Path) -> None:
+    words = in_both(tmp_path)
+    for typed in ([*words, "robot.height=0.6"], ["robot.height=0.6", *words]):
+        assert [place.robot.height for place in place_configs(load_config(typed))] == [0.6, 0.6]
+
+
+def test_scenes_are_folders_files_and_configs_with_or_without_a_seed(tmp_path: Path) -> None:
+    west, _ = two_rooms(tmp_path)
+    words = [*overrides(), "scene=many", f"scene.paths=[{west},backyard:7,backyard]"]
+    places = place_configs(load_config(words))
+    assert [place.scene.get("seed") for place in places] == [None, 7, 0]
+    assert [place.robot.height for place in places] == [0.5, 0.4, 0.4]
+
+
+@pytest.mark.parametrize(
+    ("paths", "message"),
+    [
+        ("[]", r"scene.paths: expected a list such as \[garden/,yard:3\], got \[\]"),
+        ("backyard", "scene.paths: expected a list .* got backyard"),
+        ("[nowhere/]", "scene.paths: expected backyard, .* or a path, got nowhere/"),
+        ("[backyard:x]", "scene.paths: expected .* got backyard:x"),
+    ],
+)
+def test_a_wrong_list_says_what_is_expected(paths: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_config(["scene=many", f"scene.paths={paths}"])
+
+
+def test_a_run_folder_knows_its_scenes(tmp_path: Path) -> None:
+    cfg = load_config(in_both(tmp_path))
+    save_config(cfg, tmp_path)
+    world = build_world(run_config(tmp_path))
+    assert isinstance(world, Worlds) and world.name == "west, east"
+    assert world.digest == build_world(cfg).digest
+
+
+@pytest.mark.parametrize("key", ["scene", "task"])
+def test_a_scene_of_a_strange_run_builds_nothing_else(tmp_path: Path, key: str) -> None:
+    cfg = load_config(in_both(tmp_path))
+    OmegaConf.set_struct(cfg, False)
+    if key == "scene":
+        cfg.scene.places[1].scene._target_ = "os.system"
+    else:  # a reference that is harmless without the scene, and is not with it
+        cfg.task._target_ = "${landmarks.kind}"
+        cfg.landmarks.kind = "splatrl.envs.tasks.Grid"
+        cfg.scene.places[1].landmarks.kind = "os.system"
+    with pytest.raises(ValueError, match=r"_target_: expected a constructor that stands in conf/.*'os.system'"):
+        check_config(cfg)
+
+
+def test_a_scene_cannot_say_whom_to_trust(tmp_path: Path) -> None:
+    cfg = load_config(in_both(tmp_path))
+    OmegaConf.set_struct(cfg, False)
+    cfg.scene.places[1].allow_targets = ["os"]
+    assert [list(place.allow_targets) for place in place_configs(cfg)] == [[], []]
+
+
+def test_commands_for_one_scene_say_so(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="scene: expected one scene for this command, got 2"):
+        build_one_world(load_config(in_both(tmp_path)))
