@@ -124,7 +124,7 @@ def _build_place(cfg: DictConfig, device: torch.device) -> _Place:
         occupancy = instantiate(cfg.collision.occupancy)(scene, *region)
     checker = _constructor(cfg, "collision", device)(occupancy, robot.body)
     planner = checker if device.type == "cpu" else instantiate(cfg.collision.cpu)(occupancy, robot.body)
-    solid = NativeChecker(occupancy, robot.body)
+    solid = checker if isinstance(checker, NativeChecker) else NativeChecker(occupancy, robot.body)
     paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, partial(_fits, scene.bounds, solid))
     return _Place(scene, occupancy, checker, robot, task, paths)
 

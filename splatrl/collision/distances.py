@@ -4,11 +4,12 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 from torch import Tensor
 
 from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.voxel_grid import checked_points
+from splatrl.native import _core
+from splatrl.native.threads import threads_of
 
 
 class DistanceField:
@@ -21,9 +22,9 @@ class DistanceField:
 
     def __init__(self, occupancy: Occupancy) -> None:
         self._occupancy = occupancy
-        self.centers: NDArray[np.float32] = np.full(occupancy.occupied.shape, np.inf, np.float32)
-        if occupancy.count:
-            self.centers[...] = ndimage.distance_transform_edt(~occupancy.occupied, sampling=occupancy.resolution)
+        self.centers: NDArray[np.float32] = np.empty(occupancy.occupied.shape, np.float32)
+        solid = np.ascontiguousarray(occupancy.occupied)
+        _core.find_distances(solid, occupancy.resolution, self.centers, threads_of(None))
 
     def clearance(self, points: Tensor | ArrayLike) -> NDArray[np.float64]:
         """A lower bound on the distance from points to the nearest solid voxel.

@@ -34,6 +34,14 @@ def add_density(
 ) -> None:
     """Add opacity · exp(−½ d²) to the voxels in reach, d from the mean to the box around the voxel along the axes."""
 
+def find_distances(
+    solid: NDArray[np.bool_],  # [X, Y, Z]
+    resolution: float,  # metres
+    distance: NDArray[np.float32],  # [X, Y, Z], written: metres between centres; infinite where nothing is solid
+    threads: int,
+) -> None:
+    """The distance from every voxel to the nearest solid one, exact."""
+
 def build_levels(
     means: Tensor,  # [N, 3] float32, metres, world frame
     axes: Tensor,  # [N, 3, 3] float32, Σ = A Aᵀ

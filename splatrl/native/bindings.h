@@ -6,6 +6,7 @@
 namespace splatrl {
 
 void bind_collision(nanobind::module_& m);
+void bind_distances(nanobind::module_& m);
 void bind_fit(nanobind::module_& m);
 void bind_flat_scene(nanobind::module_& m);
 void bind_interpreter(nanobind::module_& m);

@@ -21,6 +21,7 @@ void bind_isa(nanobind::module_& m) {
 
 NB_MODULE(_core, m) {
     splatrl::bind_collision(m);
+    splatrl::bind_distances(m);
     splatrl::bind_fit(m);
     splatrl::bind_flat_scene(m);
     splatrl::bind_interpreter(m);

@@ -3,6 +3,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 
 from splatrl.collision import DistanceField, Occupancy
 
@@ -25,6 +26,19 @@ def test_clearance_bounds_the_true_distance_from_below_and_by_less_than_its_prom
     assert (bound <= true + 1e-6).all()
     inside = ((points >= lower) & (points < upper)).all(1)
     assert (bound >= true - np.sqrt(3) * 0.1 - 1e-6)[inside].all()
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (5, 1, 7), (17, 33, 16), (40, 21, 31)])
+@pytest.mark.parametrize("share", [0.0, 0.002, 0.1, 0.6, 1.0])
+def test_distances_are_those_of_scipy(shape: tuple[int, int, int], share: float) -> None:
+    occupied = np.random.default_rng(0).random(shape) < share
+    if share == 0.002:
+        occupied[0, 0, -1] = True
+    centers = DistanceField(Occupancy(occupied, (0, 0, 0), 0.07)).centers
+    if occupied.any():
+        np.testing.assert_allclose(centers, ndimage.distance_transform_edt(~occupied, sampling=0.07), rtol=2e-7)
+    else:
+        assert np.isinf(centers).all()
 
 
 def test_clearance_is_zero_in_a_solid_voxel():
