@@ -32,6 +32,7 @@ from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.rollouts import run_episodes, spread_starts
 from splatrl.made_with import made_with
 from splatrl.misfits import check_goal, check_height, check_sprite
+from splatrl.remembered import remembering
 from splatrl.renderers.one_scene import OneScene
 from splatrl.scenes.scene import Bounds, Scene
 from splatrl.several import stacked
@@ -125,7 +126,8 @@ def _build_place(cfg: DictConfig, device: torch.device) -> _Place:
     checker = _constructor(cfg, "collision", device)(occupancy, robot.body)
     planner = checker if device.type == "cpu" else instantiate(cfg.collision.cpu)(occupancy, robot.body)
     solid = checker if isinstance(checker, NativeChecker) else NativeChecker(occupancy, robot.body)
-    paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, partial(_fits, scene.bounds, solid))
+    fits = partial(_fits, scene.bounds, solid)
+    paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, fits, remembering(cfg, occupancy))
     return _Place(scene, occupancy, checker, robot, task, paths)
 
 

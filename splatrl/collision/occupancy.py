@@ -4,6 +4,8 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -208,6 +210,14 @@ class Occupancy(Voxels):
             return (occupancy if flood is None else occupancy.solid(**flood)).to_arrays()
 
         return cls.from_arrays(scene.cached("occupancy", recipe, build, max_voxels // 8 + HEADERS), max_voxels)
+
+    @cached_property
+    def digest(self) -> str:
+        """Fingerprint of what is solid, and where."""
+        frame = [*map(int, (*self.occupied.shape, *self.origin_key)), float(self.resolution)]
+        digest = blake2b(repr(frame).encode(), digest_size=16)
+        digest.update(np.packbits(self.occupied).tobytes())
+        return digest.hexdigest()
 
     def __or__(self, other: "Occupancy") -> "Occupancy":
         """What is solid in either of two grids of one resolution.

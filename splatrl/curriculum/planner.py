@@ -102,6 +102,7 @@ def plan(
     reached: Reached,
     farthest: int | None = None,
     fits: Callable[[Tensor], Tensor] | None = None,
+    find_field: Callable[[PlannedMotion, Checker, Reached], Field] = cost_field,
 ) -> Plan:
     """Find the shortest path from every state to the goal.
 
@@ -116,6 +117,7 @@ def plan(
         farthest: longest path of a start, steps; None for any length.
         fits: body_to_world [S, 4, 4] -> [S] bool, where an episode may begin; None takes what the checker finds free.
             It keeps a robot that can pass through things from beginning inside one.
+        find_field: finds the costs, or remembers them.
 
     Raises:
         ValueError: if no pose is free, the goal is not free, or no start reaches it.
@@ -124,7 +126,7 @@ def plan(
     poses = motion.body_to_world(states)
     free = ~checker.collides(poses)
     at_goal = reached(states)
-    field = None if at_goal is None else cost_field(motion, checker, reached)
+    field = None if at_goal is None else find_field(motion, checker, reached)
     free = free if fits is None else free & fits(poses)
     if at_goal is None or field is None:
         if not free.any():

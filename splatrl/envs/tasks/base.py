@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol, TypeVar
 
 import torch
 from torch import Tensor
@@ -14,6 +14,7 @@ from splatrl.renderers.parts import Parts
 from splatrl.several import rows_of
 from splatrl.values import require_number
 
+Module = TypeVar("Module", bound="TaskModule")
 Memory = Mapping[str, Tensor]
 """What a task remembers of each robot, by key: [B, ...] tensors that travel in the TensorDict."""
 NOTHING: Memory = {}
@@ -167,7 +168,7 @@ class TaskModule(torch.nn.Module):
         require_number("task.max_steps", max_steps, 1, whole=True)
         self.motion, self.max_steps = motion, max_steps
 
-    def at(self, scene: Tensor) -> Self:
+    def at(self: Module, scene: Tensor) -> Module:
         """The task for rows in some scenes; see ``Task.at`` and ``splatrl.several``."""
         return rows_of(self, scene)
 

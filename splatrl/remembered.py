@@ -1,0 +1,57 @@
+"""Costs of shortest paths, found once for a place and kept in the cache."""
+
+import json
+from collections.abc import Callable
+from functools import cache
+from hashlib import blake2b
+from pathlib import Path
+
+import numpy as np
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from splatrl.collision.base import Checker
+from splatrl.collision.occupancy import Occupancy
+from splatrl.curriculum.field import Field, Reached, cost_field
+from splatrl.motions.base import PlannedMotion
+from splatrl.scenes.cache import cached_arrays
+from splatrl.targets import targets
+
+DEPENDS_ON = ("collision", "curriculum", "envs/tasks", "motions", "native")
+"""Rooms whose code costs depend on."""
+
+
+def remembering(cfg: DictConfig, occupancy: Occupancy) -> Callable[[PlannedMotion, Checker, Reached], Field]:
+    """``cost_field``, which takes costs from the cache where task, robot and what is solid are as they were.
+
+    Only of what splatrl itself builds: how the code of another package has changed cannot be known.
+
+    Args:
+        cfg: of one scene.
+        occupancy: what is solid.
+    """
+    parts = OmegaConf.create({"task": cfg.task, "robot": cfg.robot, "checker": cfg.collision.cpu}, parent=cfg)
+    if not all(str(target).startswith("splatrl.") for _, target in targets(parts)):
+        return cost_field
+    plain = OmegaConf.to_container(parts, resolve=True)
+
+    def found(motion: PlannedMotion, checker: Checker, reached: Reached) -> Field:
+        recipe = json.dumps([plain, occupancy.digest, _code()], sort_keys=True)
+        name = f"costs-{blake2b(recipe.encode(), digest_size=16).hexdigest()}"
+        kept = cached_arrays(name, lambda: {"costs": cost_field(motion, checker, reached).cost_to_go.numpy()})
+        costs = kept.get("costs")
+        if costs is None or costs.shape != (len(motion.nodes()),) or costs.dtype != np.float32:
+            return cost_field(motion, checker, reached)
+        return Field(motion, torch.from_numpy(costs))
+
+    return found
+
+
+@cache
+def _code() -> str:
+    """Fingerprint of the code that costs depend on."""
+    digest, package = blake2b(digest_size=16), Path(__file__).parent
+    for room in DEPENDS_ON:
+        for path in sorted([*package.glob(f"{room}/*.py"), *package.glob(f"{room}/collision*.h")]):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()

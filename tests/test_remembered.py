@@ -1,0 +1,72 @@
+"""Costs of shortest paths are found once, and again whenever what they depend on has changed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import splatrl.remembered
+from splatrl.build import build_one_world
+from splatrl.configuration import load_config
+from splatrl.files import cache_dir
+from tests.tiny import tiny_overrides
+
+
+@pytest.fixture
+def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[int]:
+    """One entry for each time that costs are found."""
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path / "cache"))
+    count: list[int] = []
+    original = splatrl.remembered.cost_field
+    monkeypatch.setattr(splatrl.remembered, "cost_field", lambda *parts: count.append(0) or original(*parts))
+    return count
+
+
+def test_a_second_world_takes_the_costs_of_the_first(found: list[int], tmp_path: Path) -> None:
+    cfg = load_config(tiny_overrides(tmp_path))
+    first, again = build_one_world(cfg).plan, build_one_world(cfg).plan
+    assert len(found) == 1
+    assert first.field is not None and again.field is not None
+    assert torch.equal(first.field.cost_to_go, again.field.cost_to_go) and torch.equal(first.distance, again.distance)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "landmarks.goal=[0.0,1.0,0.0]",
+        "robot.body.size=[0.2,0.2,0.2]",
+        "collision=none",
+        "collision.occupancy.fill=null",
+    ],
+)
+def test_another_goal_body_or_place_has_costs_of_its_own(found: list[int], tmp_path: Path, change: str) -> None:
+    words = tiny_overrides(tmp_path)
+    words = [word for word in words if word.partition("=")[0] != change.partition("=")[0]]
+    build_one_world(load_config(tiny_overrides(tmp_path)))
+    build_one_world(load_config([*words, change]))
+    assert len(found) == 2
+
+
+def test_a_damaged_cache_is_found_again(found: list[int], tmp_path: Path) -> None:
+    cfg = load_config(tiny_overrides(tmp_path))
+    first = build_one_world(cfg).plan
+    (kept,) = cache_dir().glob("costs-*.npz")
+    with kept.open("wb") as stream:
+        np.savez(stream, costs=np.zeros(3))
+    again = build_one_world(cfg).plan
+    assert len(found) == 2 and torch.equal(first.distance, again.distance)
+
+
+def test_what_another_package_builds_is_not_remembered(found: list[int], tmp_path: Path) -> None:
+    words = [*tiny_overrides(tmp_path), "task._target_=tests.test_remembered.grid", "allow_targets=[tests]"]
+    for _ in range(2):
+        build_one_world(load_config(words))
+    assert len(found) == 2
+
+
+def grid(**settings: object) -> object:
+    """A task of somebody else's."""
+    from splatrl.envs.tasks import Grid
+
+    return Grid(**settings)  # type: ignore[arg-type]
