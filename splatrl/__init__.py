@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from splatrl.envs.splat_env import SplatEnv
     from splatrl.envs.world import World
     from splatrl.scenes import Gaussians, Scene, backyard, read_scene
+    from splatrl.scenes.yards import yard, yards
 
 _HOMES = {
     "Box": "bodies",
@@ -32,6 +33,8 @@ _HOMES = {
     "env_makers": "build",
     "make_env": "build",
     "read_scene": "scenes",
+    "yard": "scenes.yards",
+    "yards": "scenes.yards",
 }
 
 __all__ = [
@@ -48,6 +51,8 @@ __all__ = [
     "env_makers",
     "make_env",
     "read_scene",
+    "yard",
+    "yards",
 ]
 
 register_ids()

@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 from splatrl.documents import read_config
 from splatrl.files import replacing
 from splatrl.scene_overrides import scene_overrides
+from splatrl.scenes import yards
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.formats.reading import META
 from splatrl.scenes.nerfstudio import antialiased_beside
@@ -261,9 +263,11 @@ def _check_scene(path: Path) -> None:
 def _proposals(overrides: Sequence[str], name: str) -> list[str]:
     """What the chosen scene's folder, or what lies beside its file, proposes for the chosen task, as overrides."""
     paths = [override for override in overrides if override.startswith("scene.path=")]
-    if "scene=file" not in overrides or not paths:
-        return []
     try:
+        if "scene=yard" in overrides:
+            return scene_overrides(yards.proposals(_yard_seed(overrides)), lambda key: True)
+        if "scene=file" not in overrides or not paths:
+            return []
         path = OverridesParser.create().parse_override(paths[-1]).value()
         place = Path(path.text if isinstance(path, QuotedString) else str(path)).expanduser()
         stated = read_description(place) if (place / SCENE_FILE).is_file() else {}
@@ -274,6 +278,16 @@ def _proposals(overrides: Sequence[str], name: str) -> list[str]:
     except HydraException:
         return []  # Hydra itself tells what is wrong with the overrides
     return scene_overrides(stated, lambda key: all(_has(cfg, key) for cfg in configs))
+
+
+def _yard_seed(overrides: Sequence[str]) -> int:
+    """The seed of ``scene=yard``, to which its goal belongs."""
+    seeds = [override.partition("=")[2] for override in overrides if override.startswith("scene.seed=")]
+    if seeds and not re.fullmatch("[0-9]{1,18}", seeds[-1]):
+        raise ValueError(
+            f"scene.seed: expected one whole number from 0, to which the yard's goal belongs, got {seeds[-1]}"
+        )
+    return int(seeds[-1]) if seeds else 0
 
 
 def _has(cfg: DictConfig, key: str) -> bool:

@@ -174,7 +174,8 @@ def test_every_scene_composes_and_sets_the_goal_and_the_height(path: Path) -> No
         cfg = place_configs(load_config(["scene=many", "scene.paths=[backyard]"]))[0]
     else:
         cfg = load_config([f"scene={path.stem}"])
-    assert cfg.scene._target_ == ("splatrl.backyard" if path.stem in ("backyard", "many") else "splatrl.read_scene")
+    made = {"backyard": "splatrl.backyard", "many": "splatrl.backyard", "yard": "splatrl.yard"}
+    assert cfg.scene._target_ == made.get(path.stem, "splatrl.read_scene")
     if path.stem != "file":
         assert len(cfg.task.goal) == 3
         assert cfg.task.motion.height == cfg.robot.height > 0

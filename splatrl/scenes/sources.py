@@ -41,7 +41,7 @@ def backyard(seed: int = 0, clutter: int = 0, bounds: Sequence[Sequence[float]] 
     Raises:
         ValueError: for empty bounds, or a ``clutter`` below 0.
     """
-    corners = YARD if bounds is None else _checked_bounds(bounds)
+    corners = YARD if bounds is None else checked_bounds(bounds)
     return Scene("backyard", backyard_gaussians(seed, clutter), corners)
 
 
@@ -103,7 +103,7 @@ def read_scene(
     return Scene(
         name=name or stated.get("name", fallback),
         gaussians=gaussians,
-        bounds=robust_bounds(gaussians) if corners is None else _checked_bounds(corners),
+        bounds=robust_bounds(gaussians) if corners is None else checked_bounds(corners),
         free=free,
     )
 
@@ -133,7 +133,12 @@ def _transform(own: Mapping[str, Any] | None, given: Mapping[str, Any] | Tensor 
     return similarity(**stated) if stated else None
 
 
-def _checked_bounds(corners: Sequence[Sequence[float]]) -> Bounds:
+def checked_bounds(corners: Sequence[Sequence[float]]) -> Bounds:
+    """A lower and an upper corner as they are, world, metres.
+
+    Raises:
+        ValueError: for anything else, or empty bounds.
+    """
     if not isinstance(corners, Sequence) or [len(c) if isinstance(c, Sequence) else 0 for c in corners] != [3, 3]:
         raise ValueError(f"bounds: expected a lower and an upper corner of 3 metres each, got {corners!r}")
     lower, upper = (_point(corner) for corner in corners)

@@ -15,23 +15,24 @@ from splatrl.scenes.yard.layout import (
     TABLE_POTS,
     TABLE_TOP,
     WOOD_PILE,
+    Solid,
     table_legs,
 )
 from splatrl.scenes.yard.materials import Color, Rng, boards, brickwork, plaster, shades, waves
 from splatrl.scenes.yard.plants import blossoms, shrub
-from splatrl.scenes.yard.surfels import Rectangle, Surfels, faces, join, lathe, painted
+from splatrl.scenes.yard.surfels import Array, Rectangle, Surfels, faces, join, lathe, painted
 
 SAND = ((0.72, 0.58, 0.43), (0.83, 0.72, 0.55))
 PINE = (0.70, 0.53, 0.33)
 
 
-def garden_wall(rng: Rng) -> Surfels:
-    """A free-standing wall, one sand-coloured brick thick, under slabs of stone."""
-    low, high = GARDEN_WALL.low, GARDEN_WALL.high
+def garden_wall(rng: Rng, solid: Solid = GARDEN_WALL, palette: tuple[Color, Color] = SAND) -> Surfels:
+    """A free-standing wall along y, one brick thick, under slabs of stone."""
+    low, high = solid.low, solid.high
     under = (high[0], high[1], high[2] - 0.045)
     long, short = faces(low, under, "+x-x"), faces(low, under, "+y-y")
-    sides = [brickwork(face, rng, (0.145, 0.0575), (4, 2), SAND) for face in long]
-    ends = [boards(face, rng, SAND[1], 0.0575, (0.019, 0.0175), upright=False) for face in short]
+    sides = [brickwork(face, rng, (0.145, 0.0575), (4, 2), palette) for face in long]
+    ends = [boards(face, rng, palette[1], 0.0575, (0.019, 0.0175), upright=False) for face in short]
     cap_low = (low[0] - 0.005, low[1] - 0.005, under[2])
     cap_high = (high[0] + 0.005, high[1] + 0.005, high[2])
     cap = [plaster(face, rng, (0.70, 0.69, 0.66), 0.0155) for face in faces(cap_low, cap_high)]
@@ -96,15 +97,15 @@ def shrub_pot(rng: Rng) -> Surfels:
     )
 
 
-def wood_pile(rng: Rng) -> Surfels:
+def wood_pile(rng: Rng, solid: Solid = WOOD_PILE) -> Surfels:
     """Split logs, stacked: their pale ends look into the yard."""
-    (x0, y0, _), (x1, y1, z1) = WOOD_PILE.low, WOOD_PILE.high
+    (x0, y0, _), (x1, y1, z1) = solid.low, solid.high
     inside = ((x0 + 0.01, y0 + 0.035, 0.0), (x1 - 0.03, y1 - 0.035, z1 - 0.05))
     dark = (0.20, 0.14, 0.10)
     parts = [boards(face, rng, dark, 0.08, (0.03, 0.05)) for face in faces(*inside, "+x-x")]
     for face in faces(*inside, "+y-y+z"):
         parts.append(boards(face, rng, (0.40, 0.30, 0.21), 0.075, (0.025, 0.05), upright=False, contrast=1.6))
-    columns = 5
+    columns = max(1, round((y1 - y0) / 0.088))
     radius = (y1 - y0) / (2 * columns)
     rows = round((z1 - 2 * radius) / (1.74 * radius)) + 1
     for row in range(rows):
@@ -129,35 +130,47 @@ def log(foot: tuple[float, float, float], radius: float, length: float, rng: Rng
 
 def egg(rng: Rng) -> Surfels:
     """The goal: a red egg with a soft shine, on a grey stone."""
+    shell = eggshell(EGG, EGG_RADII, np.array([-0.75, -0.25, 0.6]), rng)
+    (x0, y0, _), (x1, y1, height) = EGG_STONE.low, EGG_STONE.high
+    return join([shell, plinth((x0 + x1) / 2, (y0 + y1) / 2, height, (0.62, 0.61, 0.58), rng)])
+
+
+def eggshell(
+    center: tuple[float, float, float], radii: tuple[float, float, float], to_light: Array, rng: Rng
+) -> Surfels:
+    """A red egg, narrower above, whose soft shine is on the side of the light."""
     angles = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 25)
     pointed = 1 - 0.13 * np.sin(angles)  # narrower above
     outline = [
-        (max(0.002, EGG_RADII[0] * float(np.cos(a) * p)), EGG_RADII[2] * float(np.sin(a)))
+        (max(0.002, radii[0] * float(np.cos(a) * p)), radii[2] * float(np.sin(a)))
         for a, p in zip(angles, pointed, strict=True)
     ]
-    shell = lathe(EGG, outline, 0.0145)
-    to_light = np.array([-0.75, -0.25, 0.6])
+    shell = lathe(center, outline, 0.0145)
     shine = np.clip(shell.normals @ (to_light / np.linalg.norm(to_light)), 0.0, 1.0) ** 14
     red = np.array([0.86, 0.05, 0.06]) * (1 + 0.03 * rng.normal(size=(len(shell), 1)))
-    (x0, y0, _), (x1, y1, height) = EGG_STONE.low, EGG_STONE.high
+    return painted(shell, red + 0.35 * shine[:, None])
+
+
+def plinth(x: float, y: float, height: float, color: Color, rng: Rng) -> Surfels:
+    """The stone under an egg."""
     stone = lathe(
-        ((x0 + x1) / 2, (y0 + y1) / 2, 0.0),
+        (x, y, 0.0),
         [(0.105, 0.0), (0.11, 0.5 * height), (0.09, height - 0.012), (0.07, height), (0.003, height)],
         0.021,
     )
     tone = 0.09 * waves(stone.means, rng, 0.08) + 0.05 * rng.normal(size=len(stone))
-    return join([painted(shell, red + 0.35 * shine[:, None]), painted(stone, shades((0.62, 0.61, 0.58), tone))])
+    return painted(stone, shades(color, tone))
 
 
-def rain_barrel(rng: Rng) -> Surfels:
-    """A green rain barrel beside the shed."""
-    (x0, y0, _), (x1, y1, height) = RAIN_BARREL.low, RAIN_BARREL.high
+def rain_barrel(rng: Rng, solid: Solid = RAIN_BARREL, color: Color = (0.16, 0.40, 0.36)) -> Surfels:
+    """A barrel with dark hoops."""
+    (x0, y0, _), (x1, y1, height) = solid.low, solid.high
     radius = (x1 - x0) / 2
     outline = [(0.86 * radius, 0.0), (radius, 0.5 * height), (0.86 * radius, height), (0.01, height)]
     barrel = lathe(((x0 + x1) / 2, (y0 + y1) / 2, 0.0), outline, 0.055)
     hoop = np.abs(np.abs(barrel.means[:, 2] / height - 0.5) - 0.3) < 0.05
     tone = 0.06 * rng.normal(size=len(barrel)) - 0.4 * hoop
-    return painted(barrel, shades((0.16, 0.40, 0.36), tone))
+    return painted(barrel, shades(color, tone))
 
 
 def bench(rng: Rng) -> Surfels:

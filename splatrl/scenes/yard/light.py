@@ -14,6 +14,26 @@ SUN_COLOR = np.array([1.0, 0.93, 0.78]) * 1.62
 SKY_COLOR = np.array([0.62, 0.74, 0.95]) * 0.9
 GROUND_COLOR = np.array([0.50, 0.52, 0.34]) * 0.35
 """Light that the lawn reflects onto what faces it."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """What light falls on a yard.
+
+    Attributes:
+        sun: [3] unit vector to the sun.
+        sun_color: [3] linear light of the sun on a surface that faces it.
+        sky_color: [3] of the open sky.
+        ground_color: [3] that the ground reflects onto what faces it.
+    """
+
+    sun: Array
+    sun_color: Array
+    sky_color: Array
+    ground_color: Array
+
+
+SUNNY = Light(SUN, SUN_COLOR, SKY_COLOR, GROUND_COLOR)
 PENUMBRA = 0.035
 """Spread of the directions to the sun, whose shadows are averaged."""
 RAYS = 5
@@ -72,13 +92,13 @@ def through_crowns(points: Array, direction: Array, blockers: Occluders) -> Arra
     return share
 
 
-def sunlight(points: Array, blockers: Occluders) -> Array:
+def sunlight(points: Array, blockers: Occluders, sun: Array = SUN) -> Array:
     """Share of the sun's disc that each point sees, [N] in [0, 1]."""
     total = np.zeros(len(points))
     for ray in range(RAYS):
         angle = 2 * np.pi * ray / RAYS
         spread = PENUMBRA * np.array([np.cos(angle), np.sin(angle), 0.3 * np.cos(2 * angle)])
-        direction = (SUN + spread) / np.linalg.norm(SUN + spread)
+        direction = (sun + spread) / np.linalg.norm(sun + spread)
         total += np.where(in_box(points, direction, blockers), 0.0, through_crowns(points, direction, blockers))
     return total / RAYS
 
@@ -104,13 +124,13 @@ def to_srgb(linear: Array) -> Array:
     return np.where(rolled <= 0.0031308, 12.92 * rolled, 1.055 * np.maximum(rolled, 1e-9) ** (1 / 2.4) - 0.055)
 
 
-def lit(part: Surfels, blockers: Occluders) -> Surfels:
-    """The surfels as they look in the light of the yard (Lambert's law, one bounce from the lawn)."""
+def lit(part: Surfels, blockers: Occluders, light: Light = SUNNY) -> Surfels:
+    """The surfels as they look in the light of the yard (Lambert's law, one bounce from the ground)."""
     straight = np.linalg.norm(part.normals, axis=1)
-    facing = np.clip(part.normals @ SUN + (1 - straight), 0.0, 1.0)
-    sun = facing * sunlight(part.means + 0.01 * part.normals, blockers)
+    facing = np.clip(part.normals @ light.sun + (1 - straight), 0.0, 1.0)
+    sun = facing * sunlight(part.means + 0.01 * part.normals, blockers, light.sun)
     up = 0.5 + 0.5 * part.normals[:, 2]
-    sky = (openness(part.means, part.normals, blockers) * up)[:, None] * SKY_COLOR
-    light = sun[:, None] * SUN_COLOR + sky + (1 - up)[:, None] * GROUND_COLOR
-    colors = to_srgb(to_linear(part.colors) * light)
+    sky = (openness(part.means, part.normals, blockers) * up)[:, None] * light.sky_color
+    arriving = sun[:, None] * light.sun_color + sky + (1 - up)[:, None] * light.ground_color
+    colors = to_srgb(to_linear(part.colors) * arriving)
     return Surfels(part.means, part.axes, part.scales, colors, part.normals, part.opacities)

@@ -70,14 +70,19 @@ def blossoms(
     return surfels(points, frames(outward, rng.normal(size=3)), (size, size, 0.7 * size), tone, 0.6 * outward)
 
 
-def tree(spec: Tree, count: int, palette: tuple[Color, Color], rng: Rng) -> Surfels:
+BARK = (0.42, 0.33, 0.25)
+GREENS = ((0.27, 0.42, 0.13), (0.60, 0.60, 0.27))
+"""Of a lawn: fresh and dry."""
+
+
+def tree(spec: Tree, count: int, palette: tuple[Color, Color], rng: Rng, bark_color: Color = BARK) -> Surfels:
     """A tree: bark, branches and a crown of overlapping balls of leaves."""
     top = spec.crown_height
     step = 0.7 * spec.trunk_radius
     profile = [(1.5 * spec.trunk_radius, 0.0), (spec.trunk_radius, 0.25), (0.75 * spec.trunk_radius, top)]
     trunk = lathe((spec.x, spec.y, 0.0), profile, step)
     bark = 0.14 * waves(trunk.means * np.array([1, 1, 0.25]), rng, 0.1) + 0.1 * rng.normal(size=len(trunk))
-    parts = [painted(trunk, shades((0.42, 0.33, 0.25), bark))]
+    parts = [painted(trunk, shades(bark_color, bark))]
     middle, size = np.array([spec.x, spec.y, top]), spec.crown_radius
     centers = ball(middle, 0.62 * size * np.array([1.0, 1.0, 0.8]), 11, rng)[0]
     shares = np.full(len(centers), count // len(centers))
@@ -91,28 +96,29 @@ def tree(spec: Tree, count: int, palette: tuple[Color, Color], rng: Rng) -> Surf
     return join(parts)
 
 
-def grass(points: Array, length: float, rng: Rng) -> Surfels:
+def grass(points: Array, length: float, rng: Rng, greens: tuple[Color, Color] = GREENS) -> Surfels:
     """Blades of grass at points on the lawn, which lean and are lighter at the top.
 
     Args:
         points: [N, 3] feet, metres.
         length: of a blade, metres.
         rng: for lean, length and colour.
+        greens: fresh and dry.
     """
     count = len(points)
     blade = rng.normal(scale=(0.45, 0.45, 0.0), size=(count, 3)) + np.array([0.0, 0.0, 1.0])
     blade /= np.linalg.norm(blade, axis=1, keepdims=True)
     half = 0.5 * length * rng.uniform(0.5, 1.1, count)
     scales = np.stack([0.6 * half, 0.07 * half + 0.0012, np.full(count, 0.0008)], -1)
-    colors = lawn_colors(points, rng) * rng.uniform(0.85, 1.4, (count, 1))
+    colors = lawn_colors(points, rng, greens) * rng.uniform(0.85, 1.4, (count, 1))
     normals = np.broadcast_to(np.array([0.0, 0.0, 0.75]), (count, 3))
     axes = frames(np.cross(blade, rng.normal(size=(count, 3))), blade)
     return surfels(points + half[:, None] * blade, axes, scales, colors, normals, 0.9)
 
 
-def lawn_colors(points: Array, rng: Rng) -> Array:
+def lawn_colors(points: Array, rng: Rng, greens: tuple[Color, Color] = GREENS) -> Array:
     """Greens of a lawn at points on it: large patches, drier spots and fine grain, [N, 3] sRGB."""
     fixed = np.random.default_rng(20)  # blades and the ground beneath them share their patches
     flat = points * np.array([1.0, 1.0, 0.0])
     dry = 0.28 + 0.16 * waves(flat, fixed, 1.6) + 0.12 * waves(flat, fixed, 0.45) + 0.1 * rng.normal(size=len(points))
-    return shades(mixed((0.27, 0.42, 0.13), (0.60, 0.60, 0.27), dry), 0.07 * waves(flat, fixed, 0.2))
+    return shades(mixed(*greens, dry), 0.07 * waves(flat, fixed, 0.2))

@@ -1,0 +1,162 @@
+"""What a generated yard is laid with: lawn, gravel, slabs, bricks or bark, with a path, a terrace and a bed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splatrl.scenes.yard.materials import Rng, mixed, shades, waves
+from splatrl.scenes.yard.plants import grass, lawn_colors
+from splatrl.scenes.yard.sky import RADIUS
+from splatrl.scenes.yard.surfels import THICKNESS, Array, Rectangle, Surfels, join, lathe, painted, surfels
+from splatrl.scenes.yards.style import Style
+
+NEAR = 1.9
+"""Half width of the part that robots see from close by, metres."""
+BLADES = 560
+"""Of grass on a square metre near the robots; half as many elsewhere."""
+Rect = tuple[float, float, float, float]
+"""Lowest and highest x and y of a part of the ground: x0, y0, x1, y1, metres."""
+
+
+@dataclass(frozen=True)
+class Laid:
+    """Where what lies.
+
+    Attributes:
+        outline: of the yard.
+        terrace: laid with something else; empty where x0 = x1.
+        path: [P, 2] points along the middle of a path.
+        width: of the path, metres; 0 stands for stepping stones.
+    """
+
+    outline: Rect
+    terrace: Rect
+    path: Array
+    width: float
+
+
+def within(points: Array, rect: Rect) -> NDArray[np.bool_]:
+    """Which points lie in a rectangle, [N] bool."""
+    x0, y0, x1, y1 = rect
+    return (points[:, 0] > x0) & (points[:, 0] < x1) & (points[:, 1] > y0) & (points[:, 1] < y1)
+
+
+def off_path(points: Array, path: Array) -> Array:
+    """Distance of each point from the middle of a path, [N] metres."""
+    start, way = path[:-1], np.diff(path, axis=0)
+    away = points[:, None, :2] - start
+    along = np.clip((away * way).sum(-1) / (way * way).sum(-1), 0.0, 1.0)
+    return np.linalg.norm(away - along[..., None] * way, axis=-1).min(1)
+
+
+def kinds_at(points: Array, laid: Laid, style: Style) -> NDArray[np.str_]:
+    """What lies at each point, [N] names of ``GROUNDS``."""
+    kinds = np.full(len(points), style.base, dtype="<U8")
+    kinds[within(points, laid.terrace)] = "slabs" if style.base != "slabs" else "bricks"
+    if laid.width:
+        kinds[off_path(points, laid.path) < laid.width / 2] = style.laid
+    return kinds
+
+
+def ground(laid: Laid, style: Style, rng: Rng) -> Surfels:
+    """The ground inside the outline, with grass on what is lawn.
+
+    Small overlapping surfels close the ground: large ones this near a camera would smear over the image.
+    """
+    x0, y0, x1, y1 = laid.outline
+    near = (max(x0, -NEAR), max(y0, -NEAR), min(x1, NEAR), min(y1, NEAR))
+    parts = [] if laid.width else [stepping_stones(laid, style, rng)]
+    for rect, step, blades in ((near, 0.055, BLADES), (laid.outline, 0.1, BLADES / 2)):
+        low_x, low_y, high_x, high_y = rect
+        whole = Rectangle((low_x, low_y, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), high_x - low_x, high_y - low_y)
+        st, size = whole.cells(step)
+        points = whole.points(st)
+        kept = np.ones(len(st), bool) if rect == near else ~within(points, near)
+        kept &= off_stones(points, laid) > 0.12
+        st, points = st[kept], points[kept]
+        parts.append(whole.surfels(st, 1.2 * np.asarray(size), ground_colors(points, laid, style, rng)))
+        count = round(blades * (high_x - low_x) * (high_y - low_y))
+        feet = np.append(rng.uniform((low_x, low_y), (high_x, high_y), (count, 2)), np.zeros((count, 1)), 1)
+        grows = (kinds_at(feet, laid, style) == "lawn") & (off_stones(feet, laid) > 0.17)
+        if rect != near:
+            grows &= ~within(feet, near)
+        if grows.any():
+            parts.append(grass(feet[grows], 0.055 if rect == near else 0.085, rng, style.lawn))
+    return join(parts)
+
+
+def ground_colors(points: Array, laid: Laid, style: Style, rng: Rng) -> Array:
+    """Colours of the ground at points, [N, 3] sRGB."""
+    kinds = kinds_at(points, laid, style)
+    noise = rng.normal(size=len(points))
+    tint = rng.normal(size=(64, 64))
+    colors = lawn_colors(points, rng, style.lawn) * rng.uniform(0.7, 0.95, (len(points), 1))
+    colors[kinds == "gravel"] = mixed(
+        (0.42, 0.40, 0.37), tuple(np.minimum(np.array(style.stone) * 1.3, 0.95)), 0.55 + 0.3 * noise
+    )[kinds == "gravel"]
+    brown = mixed((0.25, 0.17, 0.11), (0.52, 0.36, 0.24), 0.45 + 0.4 * noise)
+    colors[kinds == "bark"] = brown[kinds == "bark"]
+    for name, size, low, high in (
+        ("slabs", (0.44, 0.44), style.stone, tuple(0.86 * v for v in style.stone)),
+        ("bricks", (0.22, 0.11), *style.brick),
+    ):
+        there = kinds == name
+        cell = points[there, :2] / size
+        cell[:, 0] += 0.5 * (np.floor(cell[:, 1]) % 2)
+        index = np.floor(cell).astype(int) % 64
+        joint = ((cell - np.floor(cell)) * size).min(1) < 0.045
+        share = 0.5 + 0.45 * tint[index[:, 0], index[:, 1]]
+        tone = 0.06 * noise[there] - 0.34 * joint
+        colors[there] = np.clip(
+            mixed((low[0], low[1], low[2]), (high[0], high[1], high[2]), share) * (1 + tone)[:, None], 0, 1
+        )
+    return colors * (1 + 0.05 * waves(points, rng, 0.9))[:, None]
+
+
+def off_stones(points: Array, laid: Laid) -> Array:
+    """Distance of each point from the middle of the nearest stepping stone, [N] metres."""
+    if laid.width:
+        return np.full(len(points), np.inf)
+    return np.linalg.norm(points[:, None, :2] - stone_places(laid), axis=-1).min(1)
+
+
+def stone_places(laid: Laid) -> Array:
+    """Middles of stepping stones along the path, [S, 2] metres."""
+    legs = np.linalg.norm(np.diff(laid.path, axis=0), axis=1)
+    along = np.append(0.0, np.cumsum(legs))
+    at = np.arange(0.25, along[-1], 0.5)
+    return np.stack([np.interp(at, along, laid.path[:, axis]) for axis in (0, 1)], -1)
+
+
+def stepping_stones(laid: Laid, style: Style, rng: Rng) -> Surfels:
+    """Flat stones along the path."""
+    parts = []
+    for x, y in stone_places(laid):
+        radius = rng.uniform(0.16, 0.21)
+        disc = lathe((float(x), float(y), 0.016), [(radius, -0.016), (0.93 * radius, 0.0), (0.003, 0.004)], 0.034)
+        tone = 0.07 * waves(disc.means, rng, 0.12) + 0.05 * rng.normal(size=len(disc)) + 0.08 * rng.normal()
+        parts.append(painted(disc, shades(style.stone, tone)))
+    return join(parts)
+
+
+def country(outline: Rect, style: Style, rng: Rng) -> Surfels:
+    """The land outside a yard: rings of ever larger surfels, which fade into the haze of the horizon."""
+    rings: list[Surfels] = []
+    radius = min(-outline[0], -outline[1], outline[2], outline[3])
+    while radius < RADIUS:
+        step = 0.16 * radius
+        around = round(2 * np.pi * radius / step)
+        angles = (np.arange(around) + 0.5 * (len(rings) % 2)) * 2 * np.pi / around
+        points = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(around, -0.02)], -1)
+        margin = 0.45 * step
+        points = points[
+            ~within(points, (outline[0] - margin, outline[1] - margin, outline[2] + margin, outline[3] + margin))
+        ]
+        haze = min(1.0, radius / RADIUS)
+        far = 0.75 * np.array(style.sky.horizon)
+        colors = (1 - haze) * lawn_colors(points, rng, style.lawn) + haze * far
+        if len(points):
+            rings.append(surfels(points, np.eye(3), (0.72 * step, 0.72 * step, THICKNESS), colors))
+        radius += step
+    return join(rings)

@@ -1,0 +1,449 @@
+"""Where everything stands in a generated yard, drawn by its seed.
+
+World frame, metres, ground at z = 0. Robots walk around the origin; the core, a square of 2 × 2 m, is as hard as that
+of the backyard. How far the yard reaches beyond it, and what encloses it, differs on every side.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splatrl.scenes.yard.layout import Solid, Tree
+from splatrl.scenes.yard.materials import Rng
+from splatrl.scenes.yards.ground import Laid, Rect
+from splatrl.scenes.yards.kinds import AT_THE_EDGE, IN_THE_WAY, UNDER_THE_EGG, Kind, Size
+from splatrl.scenes.yards.sides import SIDES
+from splatrl.scenes.yards.solvable import BLOCKED, CELL, HALF, Cells, difficulty, solvable
+from splatrl.scenes.yards.turning import QUARTERS, turned_solid
+
+EGG_HEIGHT = 0.41
+"""Height of the egg's centre, where the robots' cameras are, metres."""
+LONG = ("wall", "clipped", "screen", "bench", "planter")
+"""Kinds of which one stands in the middle, so that there is a way round."""
+FRINGE = 1.4
+"""Half width of the square in which things of the core stand, metres; those of the edge stay outside."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A thing and where it stands.
+
+    Attributes:
+        kind: what it is.
+        size: metres.
+        x: of its middle, metres; so is ``y``.
+        y: metres.
+        quarters: turns from looking towards -y.
+    """
+
+    kind: Kind
+    size: Size
+    x: float
+    y: float
+    quarters: int
+
+    @property
+    def solids(self) -> list[Solid]:
+        """What of it is solid."""
+        return [turned_solid(solid, self.x, self.y, self.quarters) for solid in self.kind.solids(self.size)]
+
+    @property
+    def rect(self) -> Rect:
+        """The ground that it covers."""
+        wide, deep = (across + 2 * self.kind.pad for across in self.size[:2])
+        if self.quarters % 2:
+            wide, deep = deep, wide
+        return self.x - wide / 2, self.y - deep / 2, self.x + wide / 2, self.y + deep / 2
+
+
+@dataclass(frozen=True)
+class Egg:
+    """The egg and what is under it.
+
+    Attributes:
+        x: of its middle, metres; so is ``y``.
+        y: metres.
+        radii: half extents, metres.
+        under: index in ``UNDER_THE_EGG``.
+    """
+
+    x: float
+    y: float
+    radii: tuple[float, float, float]
+    under: int
+
+    @property
+    def foot(self) -> float:
+        """Height of what is under it, a little inside the egg, metres."""
+        return EGG_HEIGHT - self.radii[2] + 0.01
+
+    @property
+    def center(self) -> tuple[float, float, float]:
+        """Its middle, metres."""
+        return self.x, self.y, EGG_HEIGHT
+
+    @property
+    def solid(self) -> Solid:
+        """The box around the egg and what is under it."""
+        reach = max(self.radii[0], 0.13)
+        top = EGG_HEIGHT + self.radii[2]
+        return Solid("egg", (self.x - reach, self.y - reach, 0.0), (self.x + reach, self.y + reach, top))
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the four sides.
+
+    Attributes:
+        name: of ``SIDES``.
+        length: metres.
+        height: metres.
+        x: of its left end, seen from inside, metres; so is ``y``.
+        y: metres.
+        quarters: turns from looking towards -y.
+    """
+
+    name: str
+    length: float
+    height: float
+    x: float
+    y: float
+    quarters: int
+
+    @property
+    def box(self) -> Solid:
+        """Its box before it is turned and shifted."""
+        return Solid(self.name, (0.0, 0.0, 0.0), (self.length, SIDES[self.name].depth, self.height))
+
+    @property
+    def solid(self) -> Solid:
+        """Its box."""
+        return turned_solid(self.box, self.x, self.y, self.quarters)
+
+
+@dataclass(frozen=True)
+class House:
+    """A house beyond the yard.
+
+    Attributes:
+        size: metres.
+        x: of its middle, metres; so is ``y``.
+        y: metres.
+        quarters: turns from looking towards -y.
+    """
+
+    size: Size
+    x: float
+    y: float
+    quarters: int
+
+    @property
+    def solid(self) -> Solid:
+        """The box of its walls."""
+        wide, deep, height = self.size
+        walls = Solid("house", (-wide / 2, -deep / 2, 0.0), (wide / 2, deep / 2, height))
+        return turned_solid(walls, self.x, self.y, self.quarters)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where everything stands.
+
+    Attributes:
+        goal: x and y in metres and yaw in degrees of a pose that looks straight at the egg.
+        egg: the egg.
+        core: things in the robots' way.
+        sides: what encloses the yard: north, west, south, east.
+        edge: things at the edge.
+        beds: strips of flowers.
+        trees: those in the yard, then those beyond it.
+        inside: how many of the trees are in the yard.
+        houses: beyond the yard.
+        laid: what the ground is laid with.
+    """
+
+    goal: tuple[float, float, float]
+    egg: Egg
+    core: tuple[Piece, ...]
+    sides: tuple[Side, ...]
+    edge: tuple[Piece, ...]
+    beds: tuple[Rect, ...]
+    trees: tuple[Tree, ...]
+    inside: int
+    houses: tuple[House, ...]
+    laid: Laid
+
+    @property
+    def outline(self) -> Rect:
+        """The ground inside the sides."""
+        return self.laid.outline
+
+    @property
+    def trunks(self) -> list[Solid]:
+        """Of the trees in the yard."""
+        return [
+            Solid(
+                "trunk",
+                (t.x - t.trunk_radius, t.y - t.trunk_radius, 0),
+                (t.x + t.trunk_radius, t.y + t.trunk_radius, 1.4),
+            )
+            for t in self.trees[: self.inside]
+        ]
+
+    def cells(self) -> Cells:
+        """What of it is solid at the height of the robots' bodies."""
+        x0, y0, x1, y1 = self.outline
+        cells = Cells.empty((x0, y0), (x1, y1))
+        fill(cells, self.core + self.edge, [self.egg.solid, *self.trunks])
+        return cells
+
+
+def fill(cells: Cells, pieces: Sequence[Piece], rounds: list[Solid]) -> None:
+    """Fill the cells of things, and of further round solids."""
+    for piece in pieces:
+        for solid in piece.solids:
+            cells.fill(solid, piece.kind.pad, piece.kind.round)
+    for solid in rounds:
+        cells.fill(solid, 0.015, round_=True)
+
+
+def drawn_core(rng: Rng) -> tuple[tuple[float, float, float], Egg, list[Piece]]:
+    """Draw the goal, the egg and what stands in the way."""
+    quarter = int(rng.integers(4))
+    (ahead_x, ahead_y), across = (
+        QUARTERS[quarter],
+        0.2 * int(rng.choice([-3, -2, -1, 1, 2, 3], p=[0.3, 0.15, 0.05, 0.05, 0.15, 0.3])),
+    )
+    along = 0.2 * int(rng.integers(2, 4))
+    goal = (round(ahead_x * along - ahead_y * across, 3), round(ahead_y * along + ahead_x * across, 3))
+    away, scale = rng.uniform(0.62, 0.72), rng.uniform(0.9, 1.12)
+    radii = (0.12 * scale, 0.12 * scale, 0.16 * scale * rng.uniform(0.94, 1.06))
+    egg = Egg(goal[0] + away * ahead_x, goal[1] + away * ahead_y, radii, int(rng.integers(len(UNDER_THE_EGG))))
+    x, y = goal
+    kept = [(x - 0.5, y - 0.5, x + 0.5, y + 0.5), (egg.x - 0.3, egg.y - 0.3, egg.x + 0.3, egg.y + 0.3)]
+    pieces: list[Piece] = []
+    shut, target = shut_places(kept[1]), rng.uniform(0.20, 0.28)
+    barrier = LONG[int(rng.integers(len(LONG)))]
+    for name in (barrier, *(str(other) for other in rng.permutation(list(IN_THE_WAY)) if other != barrier)):
+        kind = IN_THE_WAY[name]
+        for _ in range(8):
+            piece = drawn_piece(kind, rng, 12 if name == barrier and not pieces else 26)
+            more = shut | shut_places(piece.rect)
+            worth = more.sum() >= shut.sum() + 3 and more.mean() <= BLOCKED[1]
+            if worth and within_square(piece.rect, FRINGE) and off_lattice(piece.rect) and fits(piece.rect, kept, 0.04):
+                pieces.append(piece)
+                kept.append(piece.rect)
+                shut = more
+                break
+        if shut.mean() >= target:
+            break
+    return (*goal, 90.0 * quarter), egg, pieces
+
+
+def shut_places(rect: Rect) -> NDArray[np.bool_]:
+    """Which places of the lattice a body that is square to the rectangle cannot be in: [11, 11]."""
+    at = np.round(0.2 * np.arange(-5, 6), 1)
+    x0, y0, x1, y1 = rect
+    x, y = (at > x0 - HALF) & (at < x1 + HALF), (at > y0 - HALF) & (at < y1 + HALF)
+    return x[:, None] & y[None]
+
+
+def drawn_piece(kind: Kind, rng: Rng, reach: int) -> Piece:
+    """Draw a thing in the core, whose middle is up to ``reach`` cells from the origin.
+
+    Its surfels fill whole cells, so that none of the robots' moves depends on a hair.
+    """
+    wide, deep, height = drawn_size(kind, rng)
+    cells, pads = [max(1, round((across + 2 * kind.pad) / CELL)) for across in (wide, deep)], 2 * kind.pad
+    quarters = int(rng.integers(4))
+    odd = [0.5 * (count % 2) for count in (cells if quarters % 2 == 0 else cells[::-1])]
+    x, y = (CELL * (int(value) + half) for value, half in zip(rng.integers(-reach, reach + 1, 2), odd, strict=True))
+    size = (CELL * cells[0] - pads, CELL * cells[1] - pads, height)
+    return Piece(kind, size, float(x), float(y), quarters)
+
+
+def drawn_size(kind: Kind, rng: Rng) -> Size:
+    """Draw the size of a thing."""
+    least, most = np.array(kind.least), np.array(kind.most)
+    wide, deep, height = (float(v) for v in least + (most - least) * rng.random(3))
+    return (wide, wide if kind.round else deep, height)
+
+
+def fits(rect: Rect, taken: list[Rect], gap: float) -> bool:
+    """Whether a rectangle is clear of others by a gap."""
+    x0, y0, x1, y1 = rect
+    return all(x1 + gap <= a or c + gap <= x0 or y1 + gap <= b or d + gap <= y0 for a, b, c, d in taken)
+
+
+def within_square(rect: Rect, half: float) -> bool:
+    """Whether a rectangle lies in a square around the origin."""
+    return max(map(abs, rect)) <= half
+
+
+def off_lattice(rect: Rect) -> bool:
+    """Whether a body on the lattice, square to it, never just touches a rectangle."""
+    return all(abs(edge / HALF - round(edge / HALF)) > 0.1 for edge in rect)  # the lattice's step is half the body
+
+
+def drawn_outline(rng: Rng) -> Rect:
+    """Draw how far the yard reaches on each side of the core: x0, y0, x1, y1, metres."""
+    x0, y0, x1, y1 = np.round(FRINGE + 0.3 + 2.3 * rng.random(4) ** 1.3, 1)
+    return -float(x0), -float(y0), float(x1), float(y1)
+
+
+def drawn_sides(outline: Rect, rng: Rng) -> tuple[Side, ...]:
+    """Draw what encloses the yard."""
+    x0, y0, x1, y1 = outline
+    corners = ((x0, y1, x1 - x0), (x0, y0, y1 - y0), (x1, y0, x1 - x0), (x1, y1, y1 - y0))
+    names = [name for name in SIDES if name != "facade"]
+    chosen = [names[i] for i in rng.choice(len(names), 4, replace=False)]
+    if rng.random() < 0.7:
+        chosen[int(rng.integers(4))] = "facade"
+    if rng.random() < 0.5:  # neighbours often share a fence
+        first = int(rng.integers(4))
+        chosen[(first + 2) % 4] = chosen[first] if chosen[first] != "facade" else chosen[(first + 2) % 4]
+    sides = []
+    for quarters, ((x, y, length), name) in enumerate(zip(corners, chosen, strict=True)):
+        sides.append(Side(name, length, float(rng.uniform(*SIDES[name].heights)), x, y, quarters))
+    return tuple(sides)
+
+
+def drawn_edge(outline: Rect, taken: list[Rect], rng: Rng) -> list[Piece]:
+    """Draw things with their backs to the sides."""
+    x0, y0, x1, y1 = outline
+    pieces: list[Piece] = []
+    names = list(AT_THE_EDGE)
+    for name in rng.choice(names, int(rng.integers(6, 11)), replace=False):
+        kind = AT_THE_EDGE[str(name)]
+        for _ in range(6):
+            size, quarters = drawn_size(kind, rng), int(rng.integers(4))
+            back = size[1] / 2 + rng.uniform(0.06, 0.3)
+            middle_x = rng.uniform(x0 + size[0] / 2, x1 - size[0] / 2)
+            middle_y = rng.uniform(y0 + size[0] / 2, y1 - size[0] / 2)
+            x, y = ((middle_x, y1 - back), (x0 + back, middle_y), (middle_x, y0 + back), (x1 - back, middle_y))[
+                quarters
+            ]
+            piece = Piece(kind, size, float(x), float(y), quarters)
+            a, b, c, d = piece.rect
+            if a > x0 and b > y0 and c < x1 and d < y1 and fits(piece.rect, taken, 0.1):
+                pieces.append(piece)
+                taken.append(piece.rect)
+                break
+    return pieces
+
+
+def drawn_beds(outline: Rect, taken: list[Rect], sides: tuple[Side, ...], rng: Rng) -> list[Rect]:
+    """Draw strips of flowers before some of the sides, clear of what stands there."""
+    x0, y0, x1, y1 = outline
+    beds = []
+    for side in sides:
+        if side.name == "facade" or rng.random() < 0.45:
+            continue
+        deep, (start, length) = rng.uniform(0.3, 0.45), (rng.uniform(0.05, 0.4), rng.uniform(0.35, 0.55))
+        low, high = (x0, x1) if side.quarters % 2 == 0 else (y0, y1)
+        a, b = low + start * (high - low), low + (start + length) * (high - low)
+        rect = (
+            (a, y1 - deep, b, y1 - 0.03),
+            (x0 + 0.03, a, x0 + deep, b),
+            (a, y0 + 0.03, b, y0 + deep),
+            (x1 - deep, a, x1 - 0.03, b),
+        )[side.quarters]
+        if fits(rect, taken, 0.02):
+            beds.append(rect)
+            taken.append(rect)
+    return beds
+
+
+def drawn_trees(outline: Rect, taken: list[Rect], rng: Rng) -> tuple[list[Tree], list[Tree]]:
+    """Draw trees in the yard, and beyond it."""
+    x0, y0, x1, y1 = outline
+    inside, beyond = [], []
+    for _ in range(int(rng.integers(0, 4))):
+        for _ in range(8):
+            x, y = rng.uniform((x0 + 0.5, y0 + 0.5), (x1 - 0.5, y1 - 0.5))
+            trunk, crown = rng.uniform(0.06, 0.12), rng.uniform(0.7, 1.1)
+            rect = (x - 0.2, y - 0.2, x + 0.2, y + 0.2)
+            if fits(rect, taken, 0.1):
+                inside.append(Tree(float(x), float(y), trunk, float(rng.uniform(1.9, 2.6)), crown))
+                taken.append(rect)
+                break
+    for _ in range(int(rng.integers(5, 10))):
+        side, off, crown = int(rng.integers(4)), rng.uniform(2.2, 6.0), rng.uniform(1.2, 1.9)
+        x, y = rng.uniform((x0 - 3, y0 - 3), (x1 + 3, y1 + 3))
+        x, y = ((x, y1 + off), (x0 - off, y), (x, y0 - off), (x1 + off, y))[side]
+        beyond.append(Tree(float(x), float(y), 0.2, float(rng.uniform(2.6, 4.2)), crown))
+    return inside, beyond
+
+
+def drawn_houses(outline: Rect, sides: tuple[Side, ...], rng: Rng) -> list[House]:
+    """Draw up to two houses beyond sides that are no houses themselves."""
+    x0, y0, x1, y1 = outline
+    houses = []
+    for side in rng.permutation(4)[: int(rng.integers(1, 3))]:
+        if sides[side].name == "facade":
+            continue
+        size = (float(rng.uniform(5.5, 8.0)), float(rng.uniform(5.0, 7.0)), float(rng.choice([2.9, 3.2, 5.4])))
+        off, along = size[1] / 2 + rng.uniform(3.5, 7.0), rng.uniform(-2.5, 2.5)
+        x, y = ((along, y1 + off), (x0 - off, along), (along, y0 - off), (x1 + off, along))[side]
+        houses.append(House(size, float(x), float(y), int(side)))
+    return houses
+
+
+def drawn_laid(outline: Rect, sides: tuple[Side, ...], rng: Rng) -> Laid:
+    """Draw a path through the yard, and a terrace before the house."""
+    x0, y0, x1, y1 = outline
+    terrace: Rect = (0.0, 0.0, 0.0, 0.0)
+    house = [side.quarters for side in sides if side.name == "facade"]
+    if house and rng.random() < 0.75:
+        deep = rng.uniform(0.9, 1.6)
+        terrace = ((x0, y1 - deep, x1, y1), (x0, y0, x0 + deep, y1), (x0, y0, x1, y0 + deep), (x1 - deep, y0, x1, y1))[
+            house[0]
+        ]
+    middle = rng.uniform(-0.7, 0.7, (2, 2))
+    ends = [(rng.uniform(x0, x1), y1), (x0, rng.uniform(y0, y1)), (rng.uniform(x0, x1), y0), (x1, rng.uniform(y0, y1))]
+    start, end = rng.choice(4, 2, replace=False)
+    corners = np.array([ends[start], middle[0], middle[1], ends[end]])
+    t = np.linspace(0.0, 1.0, 24)[:, None]
+    path = (
+        (1 - t) ** 3 * corners[0]
+        + 3 * t * (1 - t) ** 2 * corners[1]
+        + 3 * t**2 * (1 - t) * corners[2]
+        + t**3 * corners[3]
+    )
+    width = 0.0 if rng.random() < 0.4 else float(rng.uniform(0.45, 0.8))
+    return Laid(outline, terrace, path, width)
+
+
+def drawn_layout(rng: Rng) -> Layout | None:
+    """Draw a layout, or None where the things in its core make it too easy, too hard or impossible."""
+    goal, egg, core = drawn_core(rng)
+    cells = Cells.empty((-FRINGE - 0.1, -FRINGE - 0.1), (FRINGE + 0.1, FRINGE + 0.1))
+    fill(cells, core, [egg.solid])
+    if not solvable(difficulty(cells, goal)):
+        return None
+    outline = drawn_outline(rng)
+    sides = drawn_sides(outline, rng)
+    taken: list[Rect] = [(-FRINGE - 0.1, -FRINGE - 0.1, FRINGE + 0.1, FRINGE + 0.1)]
+    for side in sides:
+        if side.name == "facade":  # nothing stands before its door
+            x0, y0, x1, y1 = outline
+            before = ((x0, y1 - 0.7, x1, y1), (x0, y0, x0 + 0.7, y1), (x0, y0, x1, y0 + 0.7), (x1 - 0.7, y0, x1, y1))
+            taken.append(before[side.quarters])
+    edge = drawn_edge(outline, taken, rng)
+    beds = drawn_beds(outline, taken, sides, rng)
+    inside, beyond = drawn_trees(outline, taken, rng)
+    houses = drawn_houses(outline, sides, rng)
+    apart = [tree for tree in beyond if all(outside(tree, house.solid) for house in houses)]
+    laid = drawn_laid(outline, sides, rng)
+    return Layout(
+        goal, egg, tuple(core), sides, tuple(edge), tuple(beds), tuple(inside + apart), len(inside), tuple(houses), laid
+    )
+
+
+def outside(tree: Tree, solid: Solid) -> bool:
+    """Whether a tree's crown stays out of a solid."""
+    reach = 0.8 * tree.crown_radius
+    (x0, y0, _), (x1, y1, _) = solid.low, solid.high
+    return not (x0 - reach < tree.x < x1 + reach and y0 - reach < tree.y < y1 + reach)

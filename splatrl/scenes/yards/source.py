@@ -1,0 +1,172 @@
+"""Generated yards as scenes: made once, kept in the user's cache directory, and with the places that tasks need."""
+
+import functools
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from hashlib import blake2b
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from splatrl.files import cache_dir
+from splatrl.scenes.cache import Arrays, cached_arrays
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.scene import Bounds, Scene
+from splatrl.scenes.sources import checked_bounds
+from splatrl.scenes.yards.generator import made_yard
+from splatrl.values import require_number
+
+FIELDS = ("means", "quats", "scales", "opacities", "sh")
+HEIGHT = 3.0
+"""Of the bounds, metres."""
+ROBOT_HEIGHT = 0.4
+"""Of the robot that a yard is checked with, metres."""
+CLEARANCE = 0.45
+"""From what encloses a yard to where robots walk, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Yard:
+    """A generated yard, and the places in it that tasks need.
+
+    Attributes:
+        seed: that it was made from.
+        scene: its Gaussians and bounds.
+        goal: x and y in metres and yaw in degrees of a free pose that looks straight at the red egg, on the lattice
+            of the grid task.
+        object: x, y and z of a free place where an apple hangs, metres.
+        egg: x, y and z of the middle of the red egg, metres.
+        walk: lower and upper x and y between which a robot can walk, metres; the grid task takes the 2 × 2 m around
+            the origin.
+        blocked: share of the places in those 2 × 2 m where the body fits at no heading.
+        longest: steps of the grid task from the farthest free pose to the goal.
+    """
+
+    seed: int
+    scene: Scene
+    goal: tuple[float, float, float]
+    object: tuple[float, float, float]
+    egg: tuple[float, float, float]
+    walk: tuple[tuple[float, float], tuple[float, float]]
+    blocked: float
+    longest: int
+
+
+def yard(seed: int = 0, bounds: Sequence[Sequence[float]] | None = None) -> Scene:
+    """A generated yard: other walls, size, paths, trees, furniture, egg and light for every seed.
+
+    It is made in about half a second and kept in the user's cache directory, in 2 to 4 MB. The same seed gives the same
+    bytes. ``yards`` says where its goal is; on the command line ``scene=yard scene.seed=3`` sets it.
+
+    Example:
+        >>> yard(3).name
+        'yard-3'
+
+    Args:
+        seed: from 0.
+        bounds: lower and upper corner, world, metres; None takes what is inside its walls.
+
+    Raises:
+        ValueError: for a seed that is no whole number from 0, or empty bounds.
+    """
+    require_number("scene.seed", seed, 0, 2**63 - 1, whole=True)
+    scene = _yard(seed, _cached(seed)).scene
+    return scene if bounds is None else Scene(scene.name, scene.gaussians, checked_bounds(bounds))
+
+
+def yards(seeds: Iterable[int], workers: int = 1) -> list[Yard]:
+    """Several yards, in the order of their seeds, each with its goal and the other places that tasks need.
+
+    Example:
+        >>> [one.scene.name for one in yards([3, 5])]
+        ['yard-3', 'yard-5']
+
+    Args:
+        seeds: whole numbers from 0.
+        workers: processes that make those which the cache does not hold.
+
+    Raises:
+        ValueError: for a seed or a number of workers that is out of range.
+    """
+    return list(made_yards(seeds, workers))
+
+
+def made_yards(seeds: Iterable[int], workers: int = 1) -> Iterator[Yard]:
+    """``yards``, one after the other as they become ready, so that a progress bar can show them."""
+    wanted = list(seeds)
+    for seed in wanted:
+        require_number("scene.seed", seed, 0, 2**63 - 1, whole=True)
+    require_number("workers", workers, 1, whole=True)
+    missing = [seed for seed in dict.fromkeys(wanted) if not (cache_dir() / f"{_name(seed)}.npz").is_file()]
+    if workers == 1 or len(missing) < 2:
+        yield from (_yard(seed, _cached(seed)) for seed in wanted)
+        return
+    with ProcessPoolExecutor(min(workers, len(missing)), get_context("spawn")) as pool:
+        made = {seed: pool.submit(_cached, seed) for seed in missing}
+        for seed in wanted:
+            yield _yard(seed, made[seed].result() if seed in made else _cached(seed))
+
+
+def proposals(seed: int) -> dict[str, Any]:
+    """What a yard proposes for training in it, by the keys of a ``scene.yaml``."""
+    require_number("scene.seed", seed, 0, 2**63 - 1, whole=True)
+    one = _yard(seed, _cached(seed))
+    return {"goal": list(one.goal), "object": list(one.object)}
+
+
+def _yard(seed: int, arrays: Arrays) -> Yard:
+    x0, y0, x1, y1 = (float(value) for value in arrays["outline"])
+    tensors = {name: torch.from_numpy(arrays[name]) for name in FIELDS}
+    gaussians = Gaussians(**tensors, batch_size=[len(tensors["means"])])
+    bounds: Bounds = ((x0, y0, 0.0), (x1, y1, HEIGHT))
+    blocked, longest = arrays["difficulty"].tolist()
+    return Yard(
+        seed=seed,
+        scene=Scene(f"yard-{seed}", gaussians, bounds),
+        goal=_three(arrays["goal"]),
+        object=_three(arrays["object"]),
+        egg=_three(arrays["egg"]),
+        walk=((x0 + CLEARANCE, y0 + CLEARANCE), (x1 - CLEARANCE, y1 - CLEARANCE)),
+        blocked=blocked,
+        longest=int(longest),
+    )
+
+
+def _three(values: np.ndarray[Any, Any]) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _cached(seed: int) -> Arrays:
+    return cached_arrays(_name(seed), functools.partial(_made, seed))
+
+
+def _made(seed: int) -> Arrays:
+    made = made_yard(seed)
+    layout, found = made.layout, made.found
+    return {
+        **{name: getattr(made.gaussians, name).numpy() for name in FIELDS},
+        "outline": np.array(layout.outline),
+        "goal": np.array(layout.goal),
+        "object": np.array([*made.hanging, ROBOT_HEIGHT]),
+        "egg": np.array(layout.egg.center),
+        "difficulty": np.array([found.blocked, found.longest]),
+    }
+
+
+def _name(seed: int) -> str:
+    return f"yard-{seed}-{_source_digest()}"
+
+
+@functools.cache
+def _source_digest() -> str:
+    """Fingerprint of the generator's own code, so that another version never meets its yards."""
+    digest = blake2b(digest_size=8)
+    for folder in (Path(__file__).parent, Path(__file__).parents[1] / "yard"):
+        for path in sorted(folder.glob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()

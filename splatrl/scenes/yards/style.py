@@ -1,0 +1,181 @@
+"""How a generated yard looks: light, sky and what things are painted in, drawn by its seed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from splatrl.scenes.yard.light import Light
+from splatrl.scenes.yard.materials import Color, Rng
+from splatrl.scenes.yard.sky import SkyLook
+
+Palette = tuple[Color, Color]
+"""Two colours between which leaves or bricks vary."""
+
+
+@dataclass(frozen=True)
+class Mood:
+    """A time of day and a weather.
+
+    Attributes:
+        elevation_deg: least and greatest height of the sun.
+        sun: linear light of the sun.
+        open_sky: linear light of the sky.
+        look: how the sky looks.
+    """
+
+    elevation_deg: tuple[float, float]
+    sun: Color
+    open_sky: Color
+    look: SkyLook
+
+
+MOODS = (
+    Mood((48, 66), (1.62, 1.51, 1.28), (0.56, 0.67, 0.86), SkyLook()),
+    Mood((42, 60), (1.50, 1.42, 1.22), (0.62, 0.70, 0.84), SkyLook((0.86, 0.90, 0.94), (0.42, 0.60, 0.84), clear=-0.2)),
+    Mood(
+        (26, 34), (1.95, 1.36, 0.78), (0.55, 0.58, 0.72), SkyLook((0.98, 0.84, 0.66), (0.42, 0.55, 0.78), (1, 0.9, 0.8))
+    ),
+    Mood((30, 40), (1.6, 1.28, 0.94), (0.60, 0.62, 0.74), SkyLook((0.96, 0.90, 0.82), (0.46, 0.62, 0.84), clear=1.2)),
+    Mood((45, 65), (0.34, 0.34, 0.33), (1.12, 1.16, 1.2), SkyLook((0.85, 0.87, 0.89), (0.70, 0.74, 0.78), clear=-0.6)),
+    Mood((40, 55), (0.85, 0.82, 0.74), (0.88, 0.93, 1.0), SkyLook((0.90, 0.91, 0.91), (0.62, 0.72, 0.84), clear=0.0)),
+)
+"""Noon, scattered clouds, evening, a clear morning, overcast, haze."""
+LAWNS: tuple[Palette, ...] = (
+    ((0.27, 0.42, 0.13), (0.60, 0.60, 0.27)),
+    ((0.20, 0.40, 0.12), (0.40, 0.55, 0.20)),
+    ((0.46, 0.47, 0.20), (0.72, 0.65, 0.38)),
+    ((0.33, 0.50, 0.20), (0.55, 0.66, 0.30)),
+)
+"""Of grass: fresh and dry."""
+LEAVES: tuple[Palette, ...] = (
+    ((0.28, 0.43, 0.14), (0.52, 0.64, 0.25)),
+    ((0.16, 0.33, 0.14), (0.36, 0.52, 0.24)),
+    ((0.13, 0.28, 0.18), (0.28, 0.44, 0.28)),
+    ((0.40, 0.48, 0.16), (0.68, 0.70, 0.28)),
+    ((0.36, 0.42, 0.34), (0.60, 0.64, 0.52)),
+    ((0.62, 0.34, 0.10), (0.86, 0.60, 0.18)),
+    ((0.40, 0.18, 0.18), (0.56, 0.30, 0.25)),
+    ((0.86, 0.62, 0.68), (0.97, 0.86, 0.88)),
+)
+"""The last three are of autumn, of copper beeches and of blossoming cherries."""
+EVERGREEN = 5
+"""So many of ``LEAVES`` are green: hedges and the trees far away are."""
+WOODS: tuple[Color, ...] = (
+    (0.76, 0.55, 0.31),
+    (0.58, 0.40, 0.25),
+    (0.42, 0.28, 0.19),
+    (0.66, 0.63, 0.58),
+    (0.86, 0.86, 0.82),
+    (0.33, 0.42, 0.36),
+    (0.24, 0.24, 0.26),
+)
+PAINTS: tuple[Color, ...] = (
+    (0.16, 0.33, 0.68),
+    (0.20, 0.44, 0.36),
+    (0.88, 0.87, 0.83),
+    (0.90, 0.72, 0.25),
+    (0.48, 0.62, 0.68),
+    (0.30, 0.30, 0.32),
+    (0.62, 0.52, 0.66),
+)
+"""No red: the egg alone is red."""
+PLASTERS: tuple[Color, ...] = (
+    (0.93, 0.87, 0.72),
+    (0.90, 0.90, 0.87),
+    (0.86, 0.70, 0.52),
+    (0.74, 0.80, 0.82),
+    (0.80, 0.78, 0.70),
+    (0.93, 0.80, 0.68),
+    (0.70, 0.76, 0.66),
+)
+BRICKS: tuple[Palette, ...] = (
+    ((0.56, 0.33, 0.25), (0.69, 0.46, 0.35)),
+    ((0.72, 0.58, 0.43), (0.83, 0.72, 0.55)),
+    ((0.44, 0.42, 0.40), (0.62, 0.60, 0.57)),
+    ((0.80, 0.78, 0.74), (0.90, 0.88, 0.84)),
+    ((0.40, 0.27, 0.24), (0.54, 0.38, 0.33)),
+)
+STONES: tuple[Color, ...] = ((0.60, 0.58, 0.54), (0.72, 0.66, 0.55), (0.45, 0.46, 0.48), (0.68, 0.58, 0.50))
+ROOFS: tuple[Color, ...] = ((0.55, 0.30, 0.22), (0.36, 0.35, 0.38), (0.44, 0.36, 0.30), (0.62, 0.44, 0.32))
+BLOSSOMS: tuple[Color, ...] = (
+    (0.96, 0.79, 0.16),
+    (0.95, 0.94, 0.90),
+    (0.55, 0.35, 0.78),
+    (0.93, 0.55, 0.70),
+    (0.40, 0.50, 0.90),
+    (0.97, 0.62, 0.25),
+)
+GROUNDS = ("lawn", "gravel", "slabs", "bricks", "bark")
+"""What a yard may be laid with."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """What a yard is made in.
+
+    Attributes:
+        light: sun and sky on its things.
+        sky: how the sky looks.
+        base: which of ``GROUNDS`` most of it is laid with, and ``laid`` its paths and terrace.
+        laid: another one.
+        lawn: fresh and dry grass.
+        hedge: leaves of hedges.
+        leaves: of three kinds of plants.
+        wood: of fences and furniture.
+        paint: of doors, pots and barrels; two colours.
+        plaster: of two walls.
+        brick: of walls.
+        stone: of rubble, slabs and gravel.
+        roof: tiles.
+        blossoms: three colours.
+    """
+
+    light: Light
+    sky: SkyLook
+    base: str
+    laid: str
+    lawn: Palette
+    hedge: Palette
+    leaves: tuple[Palette, ...]
+    wood: Color
+    paint: tuple[Color, ...]
+    plaster: tuple[Color, ...]
+    brick: Palette
+    stone: Color
+    roof: Color
+    blossoms: tuple[Color, ...]
+
+
+def drawn_style(rng: Rng) -> Style:
+    """Draw a style."""
+    mood = MOODS[rng.integers(len(MOODS))]
+    base = GROUNDS[rng.choice(len(GROUNDS), p=(0.62, 0.13, 0.12, 0.05, 0.08))]
+    laid = GROUNDS[1:4][rng.integers(3)]
+    lawn = LAWNS[rng.integers(len(LAWNS))]
+    under = np.array({"lawn": lawn[0], "bark": (0.36, 0.25, 0.17)}.get(base, (0.52, 0.50, 0.46)))
+    elevation, azimuth = np.radians(rng.uniform(*mood.elevation_deg)), rng.uniform(0, 2 * np.pi)
+    level = np.cos(elevation)
+    sun = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    bounced = 0.3 * under * (np.array(mood.sun) + np.array(mood.open_sky))
+    return Style(
+        light=Light(sun, np.array(mood.sun), np.array(mood.open_sky), bounced),
+        sky=mood.look,
+        base=base,
+        laid=laid if laid != base else "bark",
+        lawn=lawn,
+        hedge=LEAVES[rng.integers(EVERGREEN)],
+        leaves=tuple(LEAVES[i] for i in rng.choice(len(LEAVES), 3, replace=False)),
+        wood=varied(WOODS[rng.integers(len(WOODS))], rng),
+        paint=tuple(varied(PAINTS[i], rng) for i in rng.choice(len(PAINTS), 2, replace=False)),
+        plaster=tuple(varied(PLASTERS[i], rng) for i in rng.choice(len(PLASTERS), 2, replace=False)),
+        brick=BRICKS[rng.integers(len(BRICKS))],
+        stone=varied(STONES[rng.integers(len(STONES))], rng),
+        roof=varied(ROOFS[rng.integers(len(ROOFS))], rng),
+        blossoms=tuple(BLOSSOMS[i] for i in rng.choice(len(BLOSSOMS), 3, replace=False)),
+    )
+
+
+def varied(color: Color, rng: Rng) -> Color:
+    """A colour a little off the given one."""
+    red, green, blue = (float(v) for v in np.clip(np.array(color) * (1 + 0.06 * rng.normal(size=3)), 0.03, 0.97))
+    return red, green, blue

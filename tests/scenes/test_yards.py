@@ -1,0 +1,199 @@
+"""Generated yards: as hard as the backyard, solvable by the checker that moves robots, and each another place."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+import splatrl
+from splatrl.bodies import Box
+from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.collision import NativeChecker, Occupancy
+from splatrl.configuration import load_config
+from splatrl.curriculum.planner import Plan, plan
+from splatrl.envs.tasks import Grid
+from splatrl.motions import LatticeMotion
+from splatrl.renderers import NativeRenderer
+from splatrl.scenes.yard import backyard_obstacles
+from splatrl.scenes.yard.layout import Solid
+from splatrl.scenes.yards import Yard, yard, yards
+from splatrl.scenes.yards.solvable import BLOCKED, LONGEST, Cells, difficulty, footprints, solvable
+
+SEEDS = (0, 3, 10)
+ROUND = ("shrub", "egg", "egg stone", "shrub pot", "rain barrel", "trunk")
+FIELDS = ("means", "quats", "scales", "opacities", "sh")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A cache that begins empty, so that yards are made by the code under test."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SPLATRL_CACHE", str(folder))
+        yield folder
+
+
+@pytest.fixture(scope="module", params=SEEDS)
+def made(request: pytest.FixtureRequest) -> Yard:
+    (one,) = yards([request.param])
+    return one
+
+
+@pytest.fixture(scope="module")
+def task(made: Yard) -> Grid:
+    return Grid(LatticeMotion(0.4, 0.2, 22.5, (-1.0, -1.0), (1.0, 1.0)), made.goal)
+
+
+@pytest.fixture(scope="module")
+def planned(made: Yard, task: Grid) -> Plan:
+    checker = NativeChecker(Occupancy.from_scene(made.scene), Box((0.4, 0.4, 0.1)))
+    return plan(task.motion, checker, task.reached)
+
+
+def all_bytes(scene: splatrl.Scene) -> list[bytes]:
+    return [getattr(scene.gaussians, name).numpy().tobytes() for name in FIELDS]
+
+
+def red(rgb: Tensor) -> Tensor:
+    """Which pixels show the egg: [..., 3] -> [...] bool."""
+    return (rgb[..., 0] > 0.4) & (rgb[..., 1:].amax(-1) < 0.35 * rgb[..., 0])
+
+
+def test_a_yard_is_as_hard_as_the_backyard_for_the_checker_that_moves_robots(made: Yard, planned: Plan) -> None:
+    blocked = (~planned.free.view(121, 16).any(1)).float().mean()
+    assert BLOCKED[0] <= blocked <= BLOCKED[1]
+    assert LONGEST[0] <= planned.distance.max() <= LONGEST[1]
+    assert blocked == pytest.approx(made.blocked) and planned.distance.max() == made.longest
+
+
+def test_every_free_pose_has_a_way_to_the_goal_and_all_poses_next_to_that_are_free(planned: Plan, task: Grid) -> None:
+    assert (planned.distance[planned.free] >= 0).all()
+    reached = task.reached(planned.states)
+    assert reached.sum() == 27 and planned.free[reached].all()
+
+
+def test_the_goal_sees_the_egg_large_and_in_the_middle(made: Yard) -> None:
+    x, y, yaw_deg = made.goal
+    eye, yaw = torch.tensor([x, y, 0.4]), math.radians(yaw_deg)
+    ahead = eye + torch.tensor([math.cos(yaw), math.sin(yaw), 0.0])
+    seen = red(
+        NativeRenderer(made.scene)
+        .render(Cameras(look_at(eye, ahead)[None], intrinsics(math.pi / 2, 64, 64), 64, 64))
+        .rgb[0]
+    )
+    assert seen.float().mean() >= 0.02
+    row, column = seen.nonzero().float().mean(0) + 0.5
+    assert abs(row - 32) < 3 and abs(column - 32) < 3
+    assert math.dist(made.egg[:2], made.goal[:2]) < 0.8
+
+
+def test_an_apple_hangs_free_and_bounds_hold_where_robots_walk(made: Yard) -> None:
+    occupancy = Occupancy.from_scene(made.scene)
+    (ahead,) = torch.eye(4)[None].clone()
+    ahead[:3, 3] = torch.tensor(made.object)
+    assert not NativeChecker(occupancy, Box((0.2, 0.2, 0.2))).collides(ahead[None]).any()
+    (lower, upper), (low, high) = made.scene.bounds, made.walk
+    assert all(a < b < -1.0 and 1.0 < c < d for a, b, c, d in zip(lower, low, high, upper, strict=False))
+    assert lower[2] == 0.0
+
+
+def test_no_view_of_a_robot_has_a_hole(made: Yard, planned: Plan) -> None:
+    poses = planned.motion.body_to_world(planned.starts[:: len(planned.starts) // 12])
+    eyes = poses[:, :3, 3]
+    cameras = Cameras(look_at(eyes, eyes + poses[:, :3, 0]), intrinsics(math.pi / 2, 40, 30), 40, 30)
+    assert NativeRenderer(made.scene).render(cameras).alpha.min() > 0.95
+
+
+def test_it_is_a_valid_scene_of_moderate_size_on_disk(made: Yard, own_cache: Path) -> None:
+    g = made.scene.gaussians
+    assert 30_000 <= len(g.means) <= 120_000
+    assert all(getattr(g, name).isfinite().all() for name in FIELDS)
+    assert (g.scales > 0).all() and (g.opacities > 0.5).all() and (g.opacities <= 1).all()
+    (kept,) = own_cache.glob(f"yard-{made.seed}-*.npz")
+    assert kept.stat().st_size < 30e6
+
+
+def test_a_seed_always_gives_the_same_bytes_and_another_seed_another_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, cached, other = yards([3])[0], yards([3])[0], yards([10])[0]
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
+    again = yard(3)
+    assert all_bytes(first.scene) == all_bytes(again) == all_bytes(cached.scene)
+    assert all_bytes(first.scene) != all_bytes(other.scene)
+    assert first.egg != other.egg and first.scene.bounds != other.scene.bounds
+
+
+def test_processes_make_the_same_yards_in_the_order_of_their_seeds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone = yards([10, 3])
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
+    together = yards([10, 3], workers=2)
+    assert [one.seed for one in together] == [10, 3]
+    for one, same in zip(alone, together, strict=True):
+        assert all_bytes(one.scene) == all_bytes(same.scene) and one.goal == same.goal and one.walk == same.walk
+
+
+def test_the_measure_gives_for_the_backyard_what_the_planner_gives() -> None:
+    cells = Cells.empty((-3.0, -3.0), (3.0, 3.0))
+    for name, low, high in backyard_obstacles():
+        cells.fill(Solid(name, low, high), pad=0.0, round_=name in ROUND)
+    found = difficulty(cells, (0.6, 0.4, 0.0))
+    assert found.blocked == pytest.approx(33 / 121) and found.longest == 24  # as tests/scenes/test_backyard.py plans it
+    assert solvable(found)
+
+
+def test_a_wall_across_the_core_is_not_solvable_and_an_empty_yard_too_easy() -> None:
+    cells = Cells.empty((-2.0, -2.0), (2.0, 2.0))
+    assert not solvable(difficulty(cells, (0.6, 0.0, 0.0)))
+    cells.fill(Solid("wall", (-0.13, -2.0, 0.0), (-0.07, 2.0, 1.0)), pad=0.0)
+    found = difficulty(cells, (0.6, 0.0, 0.0))
+    assert 0.4 < found.connected < 0.6 and 0.4 < found.open < 0.6 and found.goal_free and not solvable(found)
+
+
+def test_a_thing_above_or_below_the_body_is_not_in_its_way_and_a_goal_inside_one_is_not_free() -> None:
+    cells = Cells.empty((-2.0, -2.0), (2.0, 2.0))
+    cells.fill(Solid("step", (-1.0, -1.0, 0.0), (1.0, 1.0, 0.3)), pad=0.0)
+    cells.fill(Solid("arch", (-1.0, -1.0, 0.6), (1.0, 1.0, 0.9)), pad=0.0)
+    assert not cells.solid.any()
+    cells.fill(Solid("pot", (0.5, -0.1, 0.0), (0.7, 0.1, 0.6)), pad=0.0, round_=True)
+    assert not difficulty(cells, (0.6, 0.0, 0.0)).goal_free
+
+
+def test_the_footprint_of_a_turned_body_covers_the_area_of_its_square() -> None:
+    masks = footprints()
+    assert masks[0].sum() == 64  # 0.4 m of cells of 0.05 m, square to the grid
+    assert np.allclose(masks[1:].sum((1, 2)) * 0.05**2, 0.16, rtol=0.45) and (masks[1:].sum((1, 2)) > 64).all()
+
+
+def test_a_config_takes_goal_and_place_from_the_yard_and_the_command_line_has_the_last_word() -> None:
+    (one,) = yards([3])
+    cfg = load_config(["scene=yard", "scene.seed=3"])
+    assert tuple(cfg.landmarks.goal) == one.goal and tuple(cfg.landmarks.object) == one.object
+    cfg = load_config(["scene=yard", "scene.seed=3", "landmarks.goal=[0.2,0.2,90]"])
+    assert list(cfg.landmarks.goal) == [0.2, 0.2, 90] and tuple(cfg.landmarks.object) == one.object
+
+
+@pytest.mark.parametrize("seed", ["1,2", "x", "-1", "1.5"])
+def test_a_seed_that_is_none_is_refused_by_its_key(seed: str) -> None:
+    with pytest.raises(ValueError, match=r"scene\.seed: expected one whole number"):
+        load_config(["scene=yard", f"scene.seed={seed}"])
+
+
+def test_a_negative_seed_and_empty_bounds_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"scene\.seed"):
+        yard(-1)
+    with pytest.raises(ValueError, match="bounds"):
+        yard(3, bounds=[[0, 0, 0], [0, 1, 1]])
+    with pytest.raises(ValueError, match="workers"):
+        yards([3], workers=0)
+
+
+def test_one_yard_is_trained_in_by_two_words(own_cache: Path) -> None:
+    env = splatrl.make_env(["scene=yard", "scene.seed=3"], batch_size=[2])
+    assert env.rollout(2)["pixels"].float().std() > 10
