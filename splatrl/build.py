@@ -1,6 +1,7 @@
 """Builds objects from configs: the one place that knows which node builds what."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from multiprocessing import current_process
@@ -32,6 +33,7 @@ from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.rollouts import run_episodes, spread_starts
 from splatrl.made_with import made_with
 from splatrl.misfits import check_goal, check_height, check_sprite
+from splatrl.native.threads import threads_of
 from splatrl.remembered import remembering
 from splatrl.renderers.one_scene import OneScene
 from splatrl.scenes.scene import Bounds, Scene
@@ -75,7 +77,7 @@ def build_world(cfg: DictConfig) -> World | Worlds:
     cfg = cfg.copy()
     cfg.device = str(device)  # the value of ${device} in nodes
     configs = place_configs(cfg)
-    places = [_build_place(one, device) for one in _watched(configs, "scenes")]
+    places = _build_places(configs, device)
     scenes = [place.scene for place in places]
     renderer = _constructor(configs[0], "renderer", device)(scenes[0] if len(scenes) == 1 else scenes)
     if cfg.renderer.cache is not None and device.type == "cpu":
@@ -111,9 +113,13 @@ def build_one_world(cfg: DictConfig) -> World:
     return world
 
 
-def _watched(configs: Sequence[DictConfig], name: str) -> Iterable[DictConfig]:
-    """Configs, with a progress bar where there are several."""
-    return tqdm(configs, name, unit="scene", dynamic_ncols=True) if len(configs) > 1 else configs
+def _build_places(configs: Sequence[DictConfig], device: torch.device) -> list[_Place]:
+    """Build the scenes of some configs, several side by side and with a progress bar."""
+    if len(configs) == 1:
+        return [_build_place(configs[0], device)]
+    with ThreadPoolExecutor(threads_of(None)) as pool:
+        places = pool.map(partial(_build_place, device=device), configs)
+        return list(tqdm(places, "scenes", len(configs), unit="scene", dynamic_ncols=True))
 
 
 def _build_place(cfg: DictConfig, device: torch.device) -> _Place:

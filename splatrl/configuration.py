@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from hydra.core.override_parser.types import QuotedString
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from tqdm import tqdm
 
 from splatrl.documents import read_config
 from splatrl.files import replacing
@@ -161,7 +163,7 @@ def place_configs(cfg: DictConfig) -> list[DictConfig]:
 
 
 def _places(overrides: Sequence[str], name: str) -> list[str]:
-    """``scene.places`` for what ``scene=many`` lists in ``scene.paths``, as an override; nothing for other scenes.
+    """``scene.places`` for ``scene=yards``, or for what ``scene=many`` lists, as an override; else nothing.
 
     Each is a folder, a splat file, the name of a scene's config, or that name with a seed: ``yard:3``. What it says
     stands behind what was typed, which holds in all scenes.
@@ -169,12 +171,14 @@ def _places(overrides: Sequence[str], name: str) -> list[str]:
     Raises:
         ValueError: for a name that is neither a config nor a path.
     """
-    if "scene=many" not in overrides:
+    if "scene=yards" in overrides:
+        paths = _yard_paths(overrides)
+    elif "scene=many" in overrides:
+        paths = _typed(overrides, "scene.paths", [])
+        if not isinstance(paths, list) or not paths:
+            raise ValueError(f"scene.paths: expected a list such as [garden/,yard:3], got {_text(paths)}")
+    else:
         return []
-    given = ["scene.paths=[]", *(override for override in overrides if override.startswith("scene.paths="))]
-    paths = OverridesParser.create().parse_override(given[-1]).value()
-    if not isinstance(paths, list) or not paths:
-        raise ValueError(f"scene.paths: expected a list such as [garden/,yard:3], got {_text(paths)}")
     typed = {override.partition("=")[0] for override in overrides}
     others = [override for override in overrides if not override.startswith(("scene=", "scene."))]
     places = []
@@ -188,6 +192,25 @@ def _places(overrides: Sequence[str], name: str) -> list[str]:
             place[parsed.key_or_group] = _text(value) if isinstance(value, QuotedString) else value
         places.append({key: value for key, value in place.items() if key not in typed})
     return [f"scene.places=[{','.join(_nested(place) for place in places)}]"]
+
+
+def _yard_paths(overrides: Sequence[str]) -> list[str]:
+    """What ``scene=yards`` stands for in ``scene.paths``; the yards are made, side by side, if they are new."""
+    usual = _scene_node("yards")["scene"]
+    count, first = (_typed(overrides, f"scene.{key}", usual[key]) for key in ("count", "first"))
+    require_number("scene.count", count, 1, 2**20, whole=True)
+    require_number("scene.first", first, 0, 2**62, whole=True)
+    seeds = range(first, first + count)
+    made = yards.made_yards(seeds, len(os.sched_getaffinity(0)))
+    for _ in tqdm(made, "yards", count, unit="yard", dynamic_ncols=True):
+        pass
+    return [f"yard:{seed}" for seed in seeds]
+
+
+def _typed(overrides: Sequence[str], key: str, usual: object) -> Any:
+    """The last value that was typed for a key, or the usual one."""
+    given = [override for override in overrides if override.startswith(f"{key}=")]
+    return OverridesParser.create().parse_override(given[-1]).value() if given else usual
 
 
 def _text(value: object) -> str:

@@ -170,10 +170,8 @@ def test_every_task_builds_an_env_that_steps(path: Path, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_every_scene_composes_and_sets_the_goal_and_the_height(path: Path) -> None:
-    if path.stem == "many":
-        cfg = place_configs(load_config(["scene=many", "scene.paths=[backyard]"]))[0]
-    else:
-        cfg = load_config([f"scene={path.stem}"])
+    several = {"many": ["scene.paths=[backyard]"], "yards": ["scene.count=1"]}
+    cfg = place_configs(load_config([f"scene={path.stem}", *several.get(path.stem, [])]))[0]
     made = {"backyard": "splatrl.backyard", "many": "splatrl.backyard", "yard": "splatrl.yard"}
     assert cfg.scene._target_ == made.get(path.stem, "splatrl.read_scene")
     if path.stem != "file":

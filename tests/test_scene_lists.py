@@ -79,3 +79,20 @@ def test_a_scene_cannot_say_whom_to_trust(tmp_path: Path) -> None:
 def test_commands_for_one_scene_say_so(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="scene: expected one scene for this command, got 2"):
         build_one_world(load_config(in_both(tmp_path)))
+
+
+def test_yards_are_as_many_as_asked_for_each_with_its_own_goal() -> None:
+    words = ["scene=yards", "scene.count=2", "scene.first=3"]
+    places = place_configs(load_config(words))
+    assert [place.scene.seed for place in places] == [3, 4]
+    assert places[0].task.goal != places[1].task.goal and all(len(place.task.goal) == 3 for place in places)
+    one = place_configs(load_config(["scene=many", "scene.paths=[yard:4]"]))[0]
+    assert one.task.goal == places[1].task.goal
+
+
+@pytest.mark.parametrize(
+    ("word", "message"), [("scene.count=0", "scene.count: expected"), ("scene.first=x", "scene.first")]
+)
+def test_a_wrong_number_of_yards_says_so(word: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_config(["scene=yards", word])

@@ -1,12 +1,13 @@
 """Generated yards as scenes: made once, kept in the user's cache directory, and with the places that tasks need."""
 
 import functools
+import sys
+import time
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from hashlib import blake2b
-from multiprocessing import get_context
 from pathlib import Path
+from subprocess import DEVNULL, Popen
 from typing import Any
 
 import numpy as np
@@ -101,14 +102,24 @@ def made_yards(seeds: Iterable[int], workers: int = 1) -> Iterator[Yard]:
     for seed in wanted:
         require_number("scene.seed", seed, 0, 2**63 - 1, whole=True)
     require_number("workers", workers, 1, whole=True)
-    missing = [seed for seed in dict.fromkeys(wanted) if not (cache_dir() / f"{_name(seed)}.npz").is_file()]
+    missing = [seed for seed in dict.fromkeys(wanted) if not _path(seed).is_file()]
     if workers == 1 or len(missing) < 2:
         yield from (_yard(seed, _cached(seed)) for seed in wanted)
         return
-    with ProcessPoolExecutor(min(workers, len(missing)), get_context("spawn")) as pool:
-        made = {seed: pool.submit(_cached, seed) for seed in missing}
+    shares = [missing[number::workers] for number in range(min(workers, len(missing)))]
+    makers = {seed: number for number, share in enumerate(shares) for seed in share}
+    command = [sys.executable, "-m", "splatrl.scenes.yards"]  # a pool would import the caller's script again
+    processes = [Popen([*command, *map(str, share)], stdout=DEVNULL) for share in shares]
+    try:
         for seed in wanted:
-            yield _yard(seed, made[seed].result() if seed in made else _cached(seed))
+            maker = processes[makers[seed]] if seed in makers else None
+            while maker is not None and not _path(seed).is_file() and maker.poll() is None:
+                time.sleep(0.02)
+            yield _yard(seed, _cached(seed))
+    finally:
+        for process in processes:
+            process.terminate()
+            process.wait()
 
 
 def proposals(seed: int) -> dict[str, Any]:
@@ -156,6 +167,10 @@ def _made(seed: int) -> Arrays:
         "egg": np.array(layout.egg.center),
         "difficulty": np.array([found.blocked, found.longest]),
     }
+
+
+def _path(seed: int) -> Path:
+    return cache_dir() / f"{_name(seed)}.npz"
 
 
 def _name(seed: int) -> str:

@@ -1,0 +1,72 @@
+"""Rendered steps of robots spread over many yards, against as many in one of them: python benchmarks/many_scenes.py
+
+Each of ``--yards`` yards has one robot in the mixed batch; alone, each yard has all of them, and the mean over yards
+counts. Also: time to build them from a warm cache, and the memory of the process. Medians of interleaved rounds.
+"""
+
+import argparse
+import time
+from statistics import median
+
+import torch
+from machine import measured_machine
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import EnvBase
+
+from splatrl.build import build_world
+from splatrl.configuration import load_config
+from splatrl.curriculum import Curriculum
+
+
+def resident() -> float:
+    """Memory that the process holds now, GB."""
+    with open("/proc/self/status") as status:
+        line = next(line for line in status if line.startswith("VmRSS"))
+    return int(line.split()[1]) / 2**20
+
+
+def begun(env: EnvBase, scenes: torch.Tensor, curriculum: Curriculum) -> TensorDictBase:
+    """Robots in given scenes, anywhere in the start set, with random actions."""
+    states = curriculum.anywhere(len(scenes), torch.Generator().manual_seed(0), scenes)
+    given = TensorDict({"state": states, "scene": scenes.unsqueeze(1)}, batch_size=env.batch_size)
+    return env.rand_action(env.reset(given, set_state=True))
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--yards", type=int, default=64)
+    parser.add_argument("--rounds", type=int, default=9)
+    options = parser.parse_args()
+    count = options.yards
+    before = resident()
+    words = ["task=fps", "scene=yards", f"scene.count={count}"]
+    build_world(load_config(words))  # warms the cache
+    start = time.perf_counter()
+    world = build_world(load_config(words))
+    built, held = time.perf_counter() - start, resident() - before
+    curriculum = Curriculum([one.plan for one in world.worlds], first=None)
+    env = world.env(count, curriculum)
+    mixed = begun(env, torch.arange(count), curriculum)
+    alone = [begun(env, torch.full((count,), number), curriculum) for number in range(count)]
+    ratios, rates = [], []
+    for _ in range(options.rounds):
+        times = []
+        for td in alone:
+            start = time.perf_counter()
+            env.step(td.clone())
+            times.append(time.perf_counter() - start)
+        start = time.perf_counter()
+        for _ in range(4):
+            env.step(mixed.clone())
+        together = (time.perf_counter() - start) / 4
+        ratios.append(sum(times) / count / together)
+        rates.append(count / together)
+    print(measured_machine())
+    print(f"{count} yards from a warm cache: {built:.1f} s; memory {held:.2f} GB")
+    print(f"mixed batch of {count}: {median(rates):,.0f} rendered steps/s, {median(ratios):.2f} of one yard's")
+    print(f"ratios of {options.rounds} rounds: {min(ratios):.2f} to {max(ratios):.2f}")
+
+
+if __name__ == "__main__":
+    main()
