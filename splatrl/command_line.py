@@ -11,7 +11,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from splatrl.configuration import RUN_CONFIG, is_group, load_config, options, with_scene_paths
+from splatrl.configuration import RUN_CONFIG, composed, is_group, load_config, options, with_scene_paths
 
 OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
 """Options of Hydra that choose a config other than ours."""
@@ -97,7 +97,7 @@ def _check_overrides(name: str, overrides: Sequence[Override], sweeps: bool) -> 
             _check_choice(override.key_or_group, choice)
     chosen = [f"{str(override.input_line).partition('=')[0]}={_choices(override)[0]}" for override in groups]
     try:
-        known = load_config(chosen, name)
+        known = composed(chosen, name)
     except HydraException:
         return  # Hydra itself says what is wrong with a config
     for override in overrides:

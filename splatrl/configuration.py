@@ -15,7 +15,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import QuotedString
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
 
@@ -112,8 +112,13 @@ def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfi
             path.
         name: name of the root config.
     """
+    return composed(with_scene_paths(overrides, name), name)
+
+
+def composed(overrides: Sequence[str], name: str) -> DictConfig:
+    """Compose a config of what Hydra itself understands."""
     with _hydra():
-        return compose(name, with_scene_paths(overrides, name))
+        return compose(name, list(overrides))
 
 
 def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]:
@@ -175,7 +180,7 @@ def _places(overrides: Sequence[str], name: str) -> list[str]:
         paths = _yard_paths(overrides)
     elif "scene=many" in overrides:
         paths = _typed(overrides, "scene.paths", [])
-        if not isinstance(paths, list) or not paths:
+        if not isinstance(paths, list):
             raise ValueError(f"scene.paths: expected a list such as [garden/,yard:3], got {_text(paths)}")
     else:
         return []
@@ -191,7 +196,7 @@ def _places(overrides: Sequence[str], name: str) -> list[str]:
             value = parsed.value()
             place[parsed.key_or_group] = _text(value) if isinstance(value, QuotedString) else value
         places.append({key: value for key, value in place.items() if key not in typed})
-    return [f"scene.places=[{','.join(_nested(place) for place in places)}]"]
+    return [f"scene.places=[{','.join(_nested(place) for place in places)}]"] if places else []
 
 
 def _yard_paths(overrides: Sequence[str]) -> list[str]:
@@ -439,6 +444,8 @@ def check_config(cfg: DictConfig) -> None:
     Raises:
         ValueError: names the keys, what was expected and what came.
     """
+    if isinstance(OmegaConf.select(cfg, "scene.places"), ListConfig) and not cfg.scene.places:
+        raise ValueError("scene.paths: expected some scenes, got none; type scene.paths=[garden/,yard:3]")
     for place in place_configs(cfg):
         _check_targets(place)
         plain = OmegaConf.to_container(place, resolve=False)
