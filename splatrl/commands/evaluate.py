@@ -29,7 +29,7 @@ def evaluate_run(cfg: DictConfig, folder: Path, world: World | Worlds | None = N
     policy, checkpoint = trained.policy, trained.checkpoint
     summary, files = evaluate(trained.world, policy, checkpoint, folder, settings, cfg.seed, cfg.logger.video)
     print("\n".join(summary_lines(summary)))
-    print(f"pictures in {folder}: {', '.join(path.name for path in files)}")
+    print(f"pictures in {folder}: {', '.join(str(path.relative_to(folder)) for path in files)}")
     return summary
 
 

@@ -89,11 +89,11 @@ def scene_bars(names: Sequence[str], success: Sequence[float], path: Path) -> No
     axes.barh(np.arange(len(names)), rates, 0.72, color=BLUE)
     for row, rate in enumerate(rates):
         axes.text(rate + 0.008, row, f"{rate:.0%}", va="center", fontsize=8, color=INK)
-    axes.axvline(float(np.mean(rates)), color=INK, linewidth=1, linestyle="--", label=f"mean {np.mean(rates):.1%}")
+    axes.axvline(float(np.mean(rates)), color=INK, linewidth=1, linestyle="--", zorder=0)
+    axes.set_title(f"goal reached in {len(names)} scenes, {np.mean(rates):.1%} on average", fontsize=11)
     axes.set_yticks(np.arange(len(names)), [names[i] for i in order], fontsize=8)
     axes.set(xlim=(0, 1.08), ylim=(len(names) - 0.4, -0.6), xlabel="success")
     axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0), frameon=False, fontsize=8)
     for side in ("top", "right", "left"):
         axes.spines[side].set_visible(False)
     axes.tick_params(axis="y", length=0)
