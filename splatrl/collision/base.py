@@ -52,3 +52,22 @@ class Checker(Protocol):
             [B] float32 metres, 0 inside an occupied voxel, infinite in an empty occupancy.
         """
         ...
+
+    def ranges(self, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
+        """How far beams from the body's origin go before they enter an occupied voxel.
+
+        Exact: the distance at which the ray enters the voxel's box, rounded to single precision. A voxel holds its
+        lower faces and not its upper ones, and a ray that only touches an edge may pass.
+
+        Args:
+            body_to_world: [B, 4, 4] float32, metres.
+            beams: [R, 3] float32 unit vectors, body frame.
+            reach: metres; what is farther away is not seen.
+
+        Returns:
+            [B, R] float32 metres: 0 from inside an occupied voxel, ``reach`` where nothing is met.
+
+        Raises:
+            ValueError: for a pose that is not rigid, beams that are no unit vectors, or a reach that is not positive.
+        """
+        ...

@@ -1,6 +1,7 @@
 """Collision on a GPU: the grid and the mathematics of ``NativeChecker``, one launch per query."""
 
 import ctypes
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -8,6 +9,7 @@ from torch import Tensor
 from splatrl.bodies import Body, Box, Capsule, Sphere
 from splatrl.collision.native import check_pairs, check_shape, collider, corner_of, refuse
 from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.rays import check_beams, check_reach, room_around
 from splatrl.collision.voxel_grid import checked_points
 from splatrl.faults import FaultFlag
 from splatrl.native.cuda.kernels import CudaKernels, Load, uploaded
@@ -71,6 +73,27 @@ class _Queries(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("start", "end", "fault")),
         *((name, ctypes.c_int) for name in ("count", "at_once")),
+    )
+
+
+class _RayGrid(ctypes.Structure):
+    """``RayGrid`` of rays.h."""
+
+    _fields_ = (
+        ("size", ctypes.c_int * 3),
+        ("resolution", ctypes.c_double),
+        ("inverse", ctypes.c_double),
+        ("corner", ctypes.c_double * 3),
+        ("room", ctypes.c_void_p),
+    )
+
+
+class _Beams(ctypes.Structure):
+    """``Beams`` of cuda/collide.cu."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("poses", "ways", "fault")),
+        *((name, ctypes.c_int) for name in ("along", "count")),
     )
 
 
@@ -155,6 +178,37 @@ class CudaChecker:
         if faults is self._faults_elsewhere and faults.take() is not None:
             checked_points("points", points)
         return metres.to(points.device)
+
+    @torch.compiler.disable
+    def ranges(self, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
+        """How far beams reach, one thread each: see ``Checker.ranges``. A pose that is refused sees nothing but 0.
+
+        The first call copies the grid of rays to the device.
+        """
+        check_shape("body_to_world", body_to_world, (4, 4))
+        check_shape("beams", beams, (3,))
+        poses, ways = self._here(body_to_world), self._here(beams)
+        faults = self._faults_for(body_to_world, beams)
+        check_reach(reach)
+        if faults is self._faults_elsewhere:  # on the device a check would synchronise
+            check_beams(beams)
+        metres = torch.empty(len(poses), len(ways), device=self.device)
+        if metres.numel() > 0:
+            blocks = min(-(-metres.numel() // BLOCK_THREADS), _MOST_BLOCKS)
+            rays = _Beams(poses.data_ptr(), ways.data_ptr(), faults.flag.data_ptr(), len(ways), len(poses))
+            arguments = (self._rays, rays, ctypes.c_double(reach), metres)
+            self._kernels.launch("find_ranges", blocks, BLOCK_THREADS, *arguments)
+        if faults is self._faults_elsewhere and faults.take() is not None:
+            refuse(body_to_world=body_to_world)
+        return metres.to(body_to_world.device)
+
+    @cached_property
+    def _rays(self) -> "_RayGrid":
+        room, resolution = room_around(self.occupancy), self.occupancy.resolution
+        self._room = uploaded(room, self.device)
+        height, *plane = room.shape
+        sizes = (ctypes.c_int * 3)(*plane, height)
+        return _RayGrid(sizes, resolution, 1.0 / resolution, corner_of(self.occupancy), self._room.data_ptr())
 
     def raise_faults(self) -> None:
         """Raise the faults recorded in poses and points since the last call; see ``Faulty``."""

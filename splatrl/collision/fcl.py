@@ -14,6 +14,7 @@ from splatrl.collision.displacement import Displacement, checked_poses
 from splatrl.collision.distances import DistanceField
 from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.octree import encode_octree
+from splatrl.collision.rays import ranges_by_formula
 
 _SLACK = 1e-5
 """Metres by which a body must clear the nearest voxel to be free without asking FCL: far above rounding."""
@@ -101,6 +102,10 @@ class FclChecker:
     def clearance(self, points: Tensor) -> Tensor:
         """A lower bound on the distance to the nearest solid voxel: see ``DistanceField.clearance``."""
         return torch.from_numpy(self._field.clearance(points)).float().to(points.device)
+
+    def ranges(self, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
+        """How far beams reach, every solid voxel tried: see ``ranges_by_formula``."""
+        return ranges_by_formula(self.occupancy, body_to_world, beams, reach)
 
     def _near(self, poses: NDArray[np.float64]) -> list[int]:
         """Rows of poses [M, 4, 4] that FCL has to test."""

@@ -1,6 +1,7 @@
 """Collision in C++: a bit grid and its distance field, exact, thousands of bodies at once."""
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Protocol
 
 import torch
@@ -10,6 +11,7 @@ from splatrl.bodies import Body, Box, Capsule
 from splatrl.collision.displacement import checked_poses
 from splatrl.collision.distances import DistanceField
 from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.rays import check_beams, check_reach, room_around
 from splatrl.collision.voxel_grid import checked_points
 from splatrl.native import _core
 from splatrl.native.threads import threads_of
@@ -113,6 +115,23 @@ class NativeChecker(NativeQueries):
 
     def __reduce__(self) -> tuple[type["NativeChecker"], tuple[Occupancy, Body, int]]:
         return NativeChecker, (self.occupancy, self.body, self.threads)
+
+    @torch.compiler.disable
+    def ranges(self, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
+        """How far beams reach: see ``Checker.ranges``. The first call measures how much room is around each voxel."""
+        poses, ways = _floats("body_to_world", body_to_world, (4, 4)), _floats("beams", beams, (3,))
+        check_beams(ways)
+        check_reach(reach)
+        metres = torch.empty(len(poses), len(ways), dtype=torch.float32)
+        where = poses.data_ptr(), ways.data_ptr(), metres.data_ptr()
+        if self._rays.ranges(*where, len(poses), len(ways), float(reach), self.threads) >= 0:
+            refuse(body_to_world=body_to_world)
+        return _to_device_of(metres, body_to_world)
+
+    @cached_property
+    def _rays(self) -> _core.RayCaster:
+        grid = self.occupancy
+        return _core.RayCaster(room=room_around(grid), corner=corner_of(grid), resolution=grid.resolution)
 
 
 def collider(occupancy: Occupancy, body: Body) -> _core.Collider:

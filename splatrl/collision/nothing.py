@@ -33,3 +33,7 @@ class NoChecker:
     def clearance(self, points: Tensor) -> Tensor:
         """Infinite: [B, 3] -> [B] float32."""
         return torch.full((len(points),), torch.inf, device=points.device)
+
+    def ranges(self, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
+        """The reach: [B, 4, 4], [R, 3] -> [B, R] float32."""
+        return torch.full((len(body_to_world), len(beams)), float(reach), device=body_to_world.device)

@@ -45,7 +45,7 @@ class SeveralCheckers:
             scene: [B] int64, which of the checkers each row of a batch asks.
         """
         if self._native is not None:
-            return _NativeRows(self._native, self.body, scene, self._threads)
+            return _NativeRows(self._native, self.checkers, scene, self._threads)
         return _Rows(self.checkers, scene)
 
     @property
@@ -71,9 +71,13 @@ def _natively(checkers: Sequence[Checker]) -> _core.Colliders | None:
 class _NativeRows(NativeQueries):
     """Queries in C++, each row in the grid of its scene; ``NativeQueries`` has them."""
 
-    def __init__(self, colliders: _core.Colliders, body: Body, scene: Tensor, threads: int):
-        self.body, self.threads = body, threads
-        self.core = _InScenes(colliders, scene)
+    def __init__(self, colliders: _core.Colliders, checkers: Sequence[Checker], scene: Tensor, threads: int):
+        self.body, self.threads = checkers[0].body, threads
+        self.core, self._rows = _InScenes(colliders, scene), _Rows(checkers, scene)
+
+    def ranges(self, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
+        """How far beams reach, one call for each scene; see ``Checker.ranges``."""
+        return self._rows.ranges(body_to_world, beams, reach)
 
 
 class _InScenes:
@@ -120,16 +124,19 @@ class _Rows:
     def clearance(self, points: Tensor) -> Tensor:
         return self._ask(lambda checker: checker.clearance, points)
 
+    def ranges(self, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
+        return self._ask(lambda checker: lambda poses: checker.ranges(poses, beams, reach), body_to_world)
+
     def _ask(self, query: Callable[[Checker], Callable[..., Any]], *values: Tensor) -> Tensor:
         answer: Tensor | None = None
         for number, checker in enumerate(self._checkers):
             mine = self._scene == number
             if mine.device.type != "cpu":
                 asked = query(checker)(*values)
-                answer = asked if answer is None else torch.where(mine, asked, answer)
+                answer = asked if answer is None else torch.where(mine.view(-1, *[1] * (asked.ndim - 1)), asked, answer)
             elif len(rows := mine.nonzero().squeeze(1)):
                 asked = query(checker)(*(value[rows] for value in values))
-                answer = asked.new_empty(len(mine)) if answer is None else answer
+                answer = asked.new_empty(len(mine), *asked.shape[1:]) if answer is None else answer
                 answer[rows] = asked
         assert answer is not None, "no rows, or none in a scene that there is"
         return answer

@@ -9,6 +9,7 @@ from torch import Tensor
 from splatrl.bodies import Body, Box, Capsule
 from splatrl.collision.displacement import Displacement, checked_poses
 from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.rays import ranges_by_formula
 from splatrl.collision.voxel_grid import checked_points
 from splatrl.geometry import quats_to_rotations, rotations_to_quats
 
@@ -104,6 +105,10 @@ class TorchChecker:
             nearest[row] = torch.stack([distances.min() for distances in chunks]).min()
         metres = nearest.float()
         return torch.where(metres > nearest, metres.nextafter(torch.zeros_like(metres)), metres)
+
+    def ranges(self, body_to_world: Tensor, beams: Tensor, reach: float) -> Tensor:
+        """How far beams reach, every solid voxel tried: see ``ranges_by_formula``."""
+        return ranges_by_formula(self.occupancy, body_to_world, beams, reach)
 
     def _parts(self, start: Tensor, end: Tensor) -> tuple[Tensor, Tensor, Tensor, Solid, Tensor]:
         """Cut moves [B] into P parts.

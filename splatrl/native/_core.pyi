@@ -108,6 +108,28 @@ class Colliders:
     def sweeps(self, places: int, start: int, end: int, out: int, count: int, threads: int, /) -> int: ...
     def clearance(self, places: int, points: int, out: int, count: int, threads: int, /) -> int: ...
 
+class RayCaster:
+    """Casts beams against a grid of voxels; poses and beams must be finite, and beams unit vectors."""
+
+    def __init__(
+        self,
+        room: NDArray[np.uint8],  # [Z, X, Y], see ``splatrl.collision.rays.room_around``
+        corner: tuple[float, ...],  # of the grid, metres
+        resolution: float,  # metres
+    ) -> None: ...
+    def ranges(
+        self,
+        poses: int,  # addresses of [B, 4, 4] float32
+        beams: int,  # [R, 3] float32, in the frames of the poses
+        out: int,  # [B, R] float32, metres
+        count: int,
+        along: int,
+        reach: float,
+        threads: int,
+        /,
+    ) -> int:
+        """Returns -1, or the first row that is not a rigid pose."""
+
 class Renderer:
     """Renders into memory that the caller provides; its inputs must be finite."""
 

@@ -8,6 +8,7 @@
 #include "platform.h"
 
 #include "collision.h"
+#include "rays.h"
 #include "rigid.h"
 #include "warp_contact.h"
 
@@ -57,6 +58,38 @@ SPLAT_INLINE void each_query(const Queries& queries, const Settled& settled, con
         }
         __syncthreads();
     }
+}
+
+// Beams of a batch of bodies: ray i is beam i % along of body i / along.
+struct Beams {
+    const float *poses, *ways;  // [count, 4, 4], [along, 3] in the frame of each body
+    int* fault;                 // the lowest body that was refused
+    int along, count;
+};
+
+// The metres from a body along one of its beams to the first solid voxel, at most `reach`.
+HOST_DEVICE inline double range_of(const RayGrid& grid, const float* pose, const float* beam, double reach) {
+    RayAxis<double> axes[3];
+    double squares = 0.0, t = 0.0, last = reach * grid.inverse;
+    for (int i = 0; i < 3; ++i) {
+        const float* row = pose + 4 * i;
+        axes[i].from = (double(row[3]) - grid.corner[i]) * grid.inverse;
+        axes[i].way = double(row[0]) * beam[0] + double(row[1]) * beam[1] + double(row[2]) * beam[2];
+        squares += axes[i].way * axes[i].way;
+    }
+    for (int i = 0; i < 3; ++i) {
+        axes[i].way /= sqrt(squares);
+        axes[i].inverse = inverse_of(axes[i].way);
+        clip(axes[i], double(grid.size[i]), t, last);
+    }
+    for (int i = 0; i < 3; ++i) axes[i].index = index_at(axes[i], t, 0.0, double(grid.size[i] - 1));
+    for (bool ahead = t < last; ahead;) {
+        const size_t layer = size_t(axes[2].index) * grid.size[0] + size_t(axes[0].index);
+        const double room = grid.room[layer * grid.size[1] + size_t(axes[1].index)];
+        if (room == 0.0) return min(t * grid.resolution, reach);
+        ahead = advance(axes, room, grid.size, last, t);
+    }
+    return reach;
 }
 
 struct Matrix {
@@ -145,5 +178,20 @@ extern "C" __global__ void find_clearances(Grid grid, const float* points, int* 
         const bool right = 0.0f * x + 0.0f * y + 0.0f * z == 0.0f;  // finite
         if (!right) atomicMin(fault, int(row));
         metres[row] = right ? clearance_in_metres(grid, place_of(grid, x, y, z)) : 0.0f;
+    }
+}
+
+// metres [bodies, along]
+extern "C" __global__ void find_ranges(RayGrid grid, Beams beams, double reach, float* metres) {
+    const int64_t count = int64_t(beams.count) * beams.along;
+    for (int64_t ray = int64_t(blockIdx.x) * blockDim.x + threadIdx.x; ray < count;
+         ray += int64_t(gridDim.x) * blockDim.x) {
+        const int body = int(ray / beams.along);
+        const float* pose = beams.poses + 16 * size_t(body);
+        const float* beam = beams.ways + 3 * (ray % beams.along);
+        const float off = beam[0] * beam[0] + beam[1] * beam[1] + beam[2] * beam[2] - 1.0f;
+        const bool right = is_pose(pose) && fabs(off) <= 3.0f * ORTHONORMAL;  // no NaN either
+        if (!right) atomicMin(beams.fault, body);
+        metres[ray] = right ? float(range_of(grid, pose, beam, reach)) : 0.0f;
     }
 }
