@@ -1,6 +1,6 @@
 """Builds objects from configs: the one place that knows which node builds what."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -27,6 +27,7 @@ from splatrl.datasets import Demonstrations, read_demonstrations
 from splatrl.device import AUTO, KINDS, chosen_device
 from splatrl.envs.drawing import Drawing
 from splatrl.envs.robot import Robot
+from splatrl.envs.sensors import Sensor
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks import Task
 from splatrl.envs.world import World, Worlds
@@ -38,7 +39,7 @@ from splatrl.remembered import remembering
 from splatrl.renderers.one_scene import OneScene
 from splatrl.scenes.scene import Bounds, Scene
 from splatrl.several import stacked
-from splatrl.training import PPO, Cloner, Trainer, memory_transforms
+from splatrl.training import PPO, Cloner, Trainer, inputs_of, memory_transforms
 from splatrl.values import require_number
 
 
@@ -57,10 +58,11 @@ class _Place(NamedTuple):
         drawing: Drawing,
         transforms: Callable[[], list[Transform]],
         device: torch.device,
+        sensors: Mapping[str, Sensor],
         made_by: Callable[[], World | Worlds] | None = None,
     ) -> World:
         scene, occupancy, checker, robot, task, paths = self
-        return World(scene, occupancy, checker, drawing, robot, task, paths, transforms, device, made_by)
+        return World(scene, occupancy, checker, drawing, robot, task, paths, transforms, device, made_by, sensors)
 
 
 def build_world(cfg: DictConfig) -> World | Worlds:
@@ -84,20 +86,21 @@ def build_world(cfg: DictConfig) -> World | Worlds:
         renderer = instantiate(cfg.renderer.cache)(renderer)
     transforms = partial(_make_transforms, cfg.transforms, cfg.network.get("memory", 0))
     drawing, robot = instantiate(configs[0].drawing)(renderer), places[0].robot
+    sensors = {str(key): instantiate(node) for key, node in (cfg.get("sensors") or {}).items()}
     for place in places:
         check_sprite(drawing, place.robot, place.task)
     made_by = partial(build_world, given)
     if len(places) == 1:
-        return places[0].world(drawing, transforms, device, made_by)
+        return places[0].world(drawing, transforms, device, sensors, made_by)
     worlds = tuple(
-        place.world(instantiate(one.drawing)(OneScene(renderer, number)), transforms, device)
+        place.world(instantiate(one.drawing)(OneScene(renderer, number)), transforms, device, sensors)
         for number, (one, place) in enumerate(zip(configs, places, strict=True))
     )
     tasks = [place.task for place in places if isinstance(place.task, torch.nn.Module)]
     if len(tasks) < len(places):
         raise ValueError(f"task: expected a torch module for several scenes, got {type(places[0].task).__name__}")
     checker, task = SeveralCheckers([place.checker for place in places]), stacked(tasks)
-    return Worlds(worlds, drawing, checker, robot, task, transforms, device, made_by)
+    return Worlds(worlds, drawing, checker, robot, task, transforms, device, made_by, sensors)
 
 
 def build_one_world(cfg: DictConfig) -> World:
@@ -199,7 +202,9 @@ def _start_region(task: Task, body: Body) -> tuple[Tensor, tuple[list[float], li
 def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
     """Build the actor and critic for an env; their initial weights come from PyTorch's global generator."""
     image_shape = env.observation_spec["pixels"].shape[1:]
-    return instantiate(cfg.network)(image_shape, env.action_spec).to(env.device)
+    inputs = inputs_of(cfg.get("inputs") or {}, env.observation_spec)
+    given = {"inputs": inputs} if inputs else {}
+    return instantiate(cfg.network)(image_shape, env.action_spec, **given).to(env.device)
 
 
 def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Trainer:

@@ -16,8 +16,9 @@ from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.drawing.base import Drawing, View
 from splatrl.envs.robot import Robot
+from splatrl.envs.sensors.base import Moment, Sensor
 from splatrl.envs.stateful_env import StatefulEnv
-from splatrl.envs.tasks.base import Outcome, Step, Task
+from splatrl.envs.tasks.base import Anywhere, Outcome, Step, Task
 from splatrl.faults import Faulty
 from splatrl.renderers.parts import in_scenes
 
@@ -41,12 +42,12 @@ class SplatEnv(EnvBase):
     travels in the TensorDict and is given with a ``state``. Checker and task answer for each row's scene (``at``), and
     the renderer's models are the scenes, in the same order.
 
-    Observation: ``pixels`` [B, H, W, 3] uint8, and whatever else the drawing returns. For users, not for the policy:
-        ``state`` (the motion's), ``step_count`` [B, 1] int64, ``episode_return`` [B, 1] float32, ``level`` [B, 1] int64
-        at which the episode began, ``outcome`` [B, 1] int64 (an ``Outcome``), ``goals`` [B, 1] int64 reached in the
-        episode so far, ``success`` [B, 1] bool (whether they are enough for the task), ``free_fraction`` [B, 1] float32
-        (how much of the last move was free; 1 when nothing was touched), and the task's memory, such as ``target``
-        [B, 3] float32, where its object is, world, metres.
+    Observation: ``pixels`` [B, H, W, 3] uint8, and whatever else drawing and ``sensors`` return. For users, not for the
+        policy: ``state`` (the motion's), ``step_count`` [B, 1] int64, ``episode_return`` [B, 1] float32, ``level``
+        [B, 1] int64 at which the episode began, ``outcome`` [B, 1] int64 (an ``Outcome``), ``goals`` [B, 1] int64
+        reached in the episode so far, ``success`` [B, 1] bool (whether they are enough for the task),
+        ``free_fraction`` [B, 1] float32 (how much of the last move was free; 1 when nothing was touched), and what task
+        and sensors remember, such as ``target`` [B, 3] float32, where the task's object is, world, metres.
     Action: the motion's.
     Reward: [B, 1] float32, the task's.
     Termination: the task's.
@@ -67,6 +68,7 @@ class SplatEnv(EnvBase):
         batch_size: [B], the number of robots.
         seed: seed of the env's generator.
         device: device of every tensor that the env takes and returns.
+        sensors: what is observed besides the pixels, by key.
 
     Raises:
         ValueError: for a batch size that is not one positive number, a task whose memory takes the env's keys, or a
@@ -86,13 +88,14 @@ class SplatEnv(EnvBase):
         batch_size: Sequence[int],
         seed: int | None = 0,
         device: torch.device | str = "cpu",
+        sensors: Mapping[str, Sensor] | None = None,
     ):
         if len(batch_size) != 1 or batch_size[0] < 1:
             raise ValueError(f"batch_size: expected one number of at least 1, got {list(batch_size)}")
         super().__init__(device=device, batch_size=torch.Size(batch_size))
         self.drawing, self.checker, self.robot = drawing, checker, robot
         self.scenes = len(checker.checkers) if isinstance(checker, SeveralCheckers) else 1
-        self.task, self.curriculum = task, curriculum
+        self.task, self.curriculum, self.sensors = task, curriculum, dict(sensors or {})
         self.made_by: Callable[..., SplatEnv] | None = None
         self.generator = torch.Generator(self.device)
         self._make_specs()  # before the task moves: specs read its limits, which would synchronise with a GPU
@@ -138,9 +141,12 @@ class SplatEnv(EnvBase):
             "level": count.clone(),
             "goals": count.clone(),
             **self.task.memory_spec,
+            **self._sensor_memory(),
         }
         if self.scenes > 1:
             carried["scene"] = Categorical(self.scenes, shape=(1,), dtype=torch.int64)
+        if taken := {*self.sensors} & (RESERVED | set(self.task.memory_spec)):
+            raise ValueError(f"sensors: expected keys other than the env's own, got {', '.join(sorted(taken))}")
         if taken := set(self.task.memory_spec) & RESERVED:
             raise ValueError(
                 f"task.memory_spec: expected keys other than the env's own, got {', '.join(sorted(taken))}"
@@ -151,6 +157,7 @@ class SplatEnv(EnvBase):
             "success": Categorical(2, shape=(1,), dtype=torch.bool),
             "free_fraction": Bounded(0.0, 1.0, shape=(1,), dtype=torch.float32),
             **self.drawing.specs,
+            **{key: sensor.spec(robot) for key, sensor in self.sensors.items()},
         }
         flag = Categorical(2, shape=(1,), dtype=torch.bool)
         done: dict[str, TensorSpec] = {key: flag.clone() for key in ("done", "terminated", "truncated")}
@@ -183,18 +190,28 @@ class SplatEnv(EnvBase):
         else:
             scene, state = self._starts(seeds)
             level = self.curriculum.level.expand(self.numel(), 1).clone()
-        task = self._at(scene)[0]
-        memory = {**task.begin(state, partial(self.anywhere, scene))}
+        task, checker = self._at(scene)
+        memory = {**task.begin(state, self._chance(scene))}
         if set_state:
             memory |= {key: given[key].clone() for key in memory if given.get(key, None) is not None}
-        poses = task.motion.body_to_world(state)
-        view = self._view(task, scene, state, poses, memory, given.get("camera_offset", None), only)
+        poses, offset = task.motion.body_to_world(state), given.get("camera_offset", None)
+        view = self._view(task, scene, state, poses, memory, offset, only)
+        sensed: dict[str, Tensor] = {}
+        if self.sensors:
+            free = torch.ones(self.numel(), device=self.device)
+            look = partial(self._look, task, scene, state, memory, only)
+            moment = Moment(task.motion.planar(state), poses, free, memory, view.depth, checker, look)
+            begun = {key: value for sensor in self.sensors.values() for key, value in sensor.begin(moment).items()}
+            if set_state:
+                begun |= {key: given[key].clone() for key in begun if given.get(key, None) is not None}
+            sensed = begun | self._sensed(moment._replace(memory=memory | begun))
         count = torch.zeros(self.numel(), 1, dtype=torch.int64, device=self.device)
         values = {
             "pixels": view.pixels,
             **view.shown,
             "state": state,
             **memory,
+            **sensed,
             **({} if scene is None else {"scene": scene.unsqueeze(1)}),
             "level": level,
             "step_count": count,
@@ -266,8 +283,15 @@ class SplatEnv(EnvBase):
         move = task.motion.move(before, action, checker)
         view = self._view(task, scene, move.state, move.body_to_world, memory, tensordict.get("camera_offset", None))
         reward, terminated, outcome, remembered = task.judge(
-            Step(before, action, move, memory, view.pixels), partial(self.anywhere, scene)
+            Step(before, action, move, memory, view.pixels), self._chance(scene)
         )
+        kept = {key: tensordict[key] for key in self._sensor_memory()}
+        sensed: dict[str, Tensor] = {}
+        if self.sensors:
+            look = partial(self._look, task, scene, move.state, memory, None)
+            known = {**memory, **remembered, **kept}
+            where = task.motion.planar(move.state), move.body_to_world, move.free_fraction
+            sensed = self._sensed(Moment(*where, known, view.depth, checker, look))
         step_count = tensordict["step_count"] + 1
         truncated = (step_count >= task.max_steps) & ~terminated
         goals = tensordict["goals"] + (outcome == Outcome.GOAL)
@@ -279,7 +303,8 @@ class SplatEnv(EnvBase):
             "pixels": view.pixels,
             **view.shown,
             "state": move.state,
-            **{key: value.clone() for key, value in remembered.items()},
+            **{key: value.clone() for key, value in (kept | {**remembered}).items()},
+            **sensed,
             **({} if scene is None else {"scene": tensordict["scene"].clone()}),
             "step_count": step_count,
             "episode_return": tensordict["episode_return"] + reward,
@@ -309,7 +334,37 @@ class SplatEnv(EnvBase):
         cameras, parts = self.robot.cameras(body_to_world, camera_offset), task.parts(state, memory)
         if scene is not None:
             parts = in_scenes(scene, parts, body_to_world)
+        if any(sensor.needs_depth for sensor in self.sensors.values()):
+            return self.drawing.draw(cameras, memory, parts, only, depth=True)
         return self.drawing.draw(cameras, memory, parts, only)
+
+    def _look(
+        self,
+        task: Task,
+        scene: Tensor | None,
+        state: Tensor,
+        memory: Mapping[str, Tensor],
+        only: Tensor | None,
+        body_to_world: Tensor,
+    ) -> Tensor:
+        """What robots would see at other poses."""
+        return self._view(task, scene, state, body_to_world, memory, None, only).pixels
+
+    def _sensed(self, moment: Moment) -> dict[str, Tensor]:
+        return {key: sensor.read(moment) for key, sensor in self.sensors.items()}
+
+    def _sensor_memory(self) -> dict[str, TensorSpec]:
+        """Specs of what sensors remember."""
+        found = [sensor.memory_spec(self.robot) for sensor in self.sensors.values()]
+        return {key: spec for specs in found for key, spec in specs.items()}
+
+    @property
+    def remembered(self) -> list[str]:
+        """Keys that an episode must begin anew with: those of sensors, and of a task that chooses its own episodes."""
+        return [*self._sensor_memory(), *(self.task.memory_spec if self.task.chooses_episodes else ())]
+
+    def _chance(self, scene: Tensor | None) -> Anywhere:
+        return Anywhere(partial(self.anywhere, scene), self.generator)
 
     def anywhere(self, scene: Tensor | None = None) -> Tensor:
         """Draw a state for each robot, [B, ...], from the whole start set of its scene [B], whatever the level."""
@@ -324,7 +379,8 @@ class SplatEnv(EnvBase):
     def __reduce__(self) -> tuple[Any, ...]:
         parts = (self.drawing, self.checker, self.robot, self.task, self.curriculum, tuple(self.batch_size))
         if self.made_by is None:
-            return _restored, (type(self), parts, self.device, self.get_extra_state())
+            make = partial(type(self), sensors=self.sensors)
+            return _restored, (make, parts, self.device, self.get_extra_state())
         return _restored, (self.made_by, (self.curriculum,), self.device, self.get_extra_state())
 
     def get_extra_state(self) -> Tensor:

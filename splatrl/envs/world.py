@@ -1,8 +1,8 @@
 """What all envs of one task share, in one scene or in several."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import deepcopy
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import partial
 from hashlib import blake2b
 from typing import Any
@@ -16,6 +16,7 @@ from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum import Curriculum, Plan
 from splatrl.envs.drawing.base import Drawing
 from splatrl.envs.robot import Robot
+from splatrl.envs.sensors import Sensor
 from splatrl.envs.splat_env import SplatEnv
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks.base import Task
@@ -38,6 +39,7 @@ class World:
         device: default device of its envs.
         made_by: makes the same world again, from names and paths. Pickles hold this in place of all the rest, so that
             processes are sent no scenes; None pickles everything.
+        sensors: what is observed besides the pixels, by key.
     """
 
     scene: Scene
@@ -50,6 +52,7 @@ class World:
     make_transforms: Callable[[], list[Transform]]
     device: torch.device
     made_by: "Callable[[], World | Worlds] | None" = None
+    sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self.made_by is None:
@@ -109,6 +112,7 @@ class Worlds:
         make_transforms: makes new transforms for an env, the innermost first.
         device: default device of its envs.
         made_by: see ``World``.
+        sensors: see ``World``.
     """
 
     worlds: tuple[World, ...]
@@ -119,6 +123,7 @@ class Worlds:
     make_transforms: Callable[[], list[Transform]]
     device: torch.device
     made_by: "Callable[[], World | Worlds] | None" = None
+    sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self.made_by is None:
@@ -179,6 +184,7 @@ def _bare_env(
         [num_envs],
         seed,
         device,
+        world.sensors,
     )
     env.made_by = partial(world.bare_env, num_envs)
     return env

@@ -22,6 +22,7 @@ COLORS = {
     Outcome.TIMEOUT: PARTLY,
     Outcome.COLLISION: MISSED,
     Outcome.OUT_OF_BOUNDS: MISSED,
+    Outcome.STOPPED: MISSED,
 }
 
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from splatrl.cameras import Cameras
 from splatrl.curriculum import Plan
 from splatrl.envs.robot import Robot
+from splatrl.envs.tasks.base import Anywhere
 from splatrl.envs.world import World
 from splatrl.evaluation.clip_files import write_clip
 from splatrl.evaluation.walk_looks import Lens, photographed
@@ -261,7 +262,8 @@ def record_walks(
 def seen(walked: Walk, world: World) -> Tensor:
     """What the camera of a walk sees, with what the task places in the picture: [T, H, W, 3] uint8."""
     start = world.plan.starts[:1]
-    begun = world.task.begin(start, lambda: start)  # objects stand where they do in an episode from the first start
+    # Objects stand where they do in an episode from the first start.
+    begun = world.task.begin(start, Anywhere(lambda: start, torch.Generator()))
     images = []
     for rows in torch.arange(len(walked.cameras)).split(BATCH):
         memory = {key: value.cpu().expand(len(rows), *value.shape[1:]) for key, value in begun.items()}

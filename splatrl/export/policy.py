@@ -53,13 +53,17 @@ class StandalonePolicy(nn.Module):
         env: the env in which it acts, with its transforms.
 
     Raises:
-        ValueError: for an env with a transform that can be neither carried over nor left out.
+        ValueError: for a policy that reads something other than ``pixels``, or an env with a transform that can be
+            neither carried over nor left out.
     """
 
     def __init__(self, model: ActorValueOperator, env: EnvBase):
         super().__init__()
         model = deepcopy(model).cpu().eval()
         self.trunk, self.head = model.module[0], model.get_policy_head()
+        reads = self.trunk.module[0].in_keys
+        if list(reads) != ["pixels"]:
+            raise ValueError(f"inputs: expected a policy that reads pixels alone, got one of {', '.join(reads)}")
         for module in self.trunk.modules():
             if isinstance(module, Memory):
                 module.stepwise = True

@@ -2,6 +2,7 @@
 
 from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
 from splatrl.training.cloning import Cloner, CloningSettings
+from splatrl.training.inputs import Input, inputs_of
 from splatrl.training.memory import memory_transforms
 from splatrl.training.networks import actor_critic
 from splatrl.training.ppo import PPO
@@ -12,10 +13,12 @@ __all__ = [
     "PPO",
     "Cloner",
     "CloningSettings",
+    "Input",
     "LossSettings",
     "OptimSettings",
     "Trainer",
     "actor_critic",
+    "inputs_of",
     "load_checkpoint",
     "memory_transforms",
     "save_checkpoint",

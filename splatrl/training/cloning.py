@@ -51,12 +51,17 @@ class Cloner:
     Args:
         model: actor and critic over a shared trunk.
         settings: see ``CloningSettings``.
+
+    Raises:
+        ValueError: for a policy that reads something other than ``pixels``, which demonstrations do not hold.
     """
 
     def __init__(self, model: ActorValueOperator, settings: CloningSettings):
         self.settings, self.parameters = settings, list(model.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, lr=settings.lr)
         pool, trunk, *memory = model.module[0].module
+        if list(pool.in_keys) != ["pixels"]:
+            raise ValueError(f"demos: expected a policy that reads pixels alone, got one of {', '.join(pool.in_keys)}")
         self._pool, self._trunk, self._memory = pool.module, trunk.module, memory
         self._policy, self._value = model.get_policy_head(), model.get_value_head().module
         self._device = self.parameters[0].device

@@ -14,8 +14,12 @@ from splatrl.envs.restart import restart
 from splatrl.training.cuda_graph import CudaGraph
 from splatrl.training.memory import STATE
 
-SEEN = ("pixels", STATE, "is_init")
-"""Keys of an observation that the model reads, where present."""
+
+def seen_by(model: ActorValueOperator) -> tuple[str, ...]:
+    """Keys of an observation that a model reads, where present."""
+    return (*model.module[0].module[0].in_keys, STATE, "is_init")
+
+
 CHOSEN = ("action", "action_log_prob", "state_value")
 """Keys that the model writes."""
 ENDS = ("reward", "done", "terminated", "truncated", "outcome", "goals", "success", "episode_return", "step_count")
@@ -68,9 +72,9 @@ class DeviceCollector:
     """A rollout that stays on the device: policy, step and automatic reset write in place and never synchronise.
 
     Episodes are those of a ``HostCollector`` that resets in every step, whether any episode ended or not. The batch
-    holds what learning and reports read, in tensors that the next batch overwrites: ``SEEN`` (with pixels as uint8),
-    ``CHOSEN``, under ``"next"`` ``ENDS``, and ``next_value``, the critic's value of the observation after the step and
-    before the reset.
+    holds what learning and reports read, in tensors that the next batch overwrites: what the model sees (pixels as
+    uint8), ``CHOSEN``, under ``"next"`` ``ENDS``, and ``next_value``, the critic's value of the observation after the
+    step and before the reset.
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
@@ -89,6 +93,7 @@ class DeviceCollector:
         begin: TensorDictBase | None = None,
     ):
         self.env, self.model, self.critic, self.steps = env, model, model.get_value_operator(), steps
+        self._seen = seen_by(model)
         self._now = (env.reset() if begin is None else begin).clone()
         self._batch = TensorDict(batch_size=[*env.batch_size, steps], device=env.device)
         self._column = torch.zeros(1, dtype=torch.int64, device=env.device)
@@ -116,9 +121,9 @@ class DeviceCollector:
         """Fill one column of the batch, and set what the next one begins with."""
         acted = self.env.step(self.model(self._now.copy()))
         after = acted["next"]
-        seen = after.select(*SEEN, strict=False)
+        seen = after.select(*self._seen, strict=False)
         acted["next_value"] = self.critic(seen)["state_value"]
-        for key in (*SEEN, *CHOSEN, "next_value"):
+        for key in (*self._seen, *CHOSEN, "next_value"):
             if acted.get(key, None) is not None:
                 self._note(key, acted[key])
         for key in ENDS:

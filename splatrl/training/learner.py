@@ -34,6 +34,7 @@ class Learner:
         self.optimizer = torch.optim.Adam(self.parameters, lr=optim.lr, eps=optim.eps, fused=True)
         pool, trunk, *memory = model.module[0].module
         self._pool, self._trunk, self._memory = pool.module, trunk.module, memory
+        self._reads, self._prepared = list(pool.in_keys), list(pool.out_keys)
         self._measured = torch.compile(self._losses) if optim.compile else self._losses
         self._policy, self._value = model.get_policy_head(), model.get_value_head().module
 
@@ -78,17 +79,18 @@ class Learner:
         next_value = torch.cat([value[:, 1:], value[:, -1:]], 1)
         asked = after["truncated"].squeeze(-1).clone()
         asked[:, -1] = True
-        seen = after.select("pixels", STATE, "is_init", strict=False)[asked]
+        seen = after.select(*self._reads, STATE, "is_init", strict=False)[asked]
         next_value[asked] = self.model.get_value_operator()(seen)["state_value"]
         return next_value
 
     def minibatches(self, batch: TensorDictBase) -> Iterator[dict[str, Tensor]]:
         """Every frame once, in random order: [N, ...] each, or with memory whole rows of the batch, [N, T, ...].
 
-        If a batch has no ``image``, its pixels are pooled here.
+        If a batch does not hold what the part without weights makes, such as ``image``, it is made here.
         """
-        view = "image" if "image" in batch.keys() else "pixels"  # noqa: SIM118, a TensorDict is no dict
-        frames: dict[str, Any] = {key: batch[key] for key in (view, "action", "action_log_prob")}
+        made = all(key in batch.keys() for key in self._prepared)  # noqa: SIM118, a TensorDict is no dict
+        view = self._prepared if made else self._reads
+        frames: dict[str, Any] = {key: batch[key] for key in (*view, "action", "action_log_prob")}
         frames |= {key: batch[key].squeeze(-1) for key in ("advantage", "value_target")}
         size = self.loss.mini_batch_size
         if self._memory:
@@ -99,8 +101,9 @@ class Learner:
         count, device = len(frames["action"]), frames["action"].device
         for rows in torch.randperm(count, device=device).split(size):
             some = {key: value.index_select(0, rows) for key, value in frames.items()}
-            if view == "pixels":
-                some["image"] = self._pool(some.pop("pixels"))
+            if not made:
+                found = self._pool(*(some.pop(key) for key in self._reads))
+                some |= zip(self._prepared, found if isinstance(found, tuple) else (found,), strict=True)
             yield some
 
     def step(self, frames: dict[str, Tensor]) -> Tensor:
@@ -123,7 +126,7 @@ class Learner:
         return torch.full((), self.entropy_coeff, device=device) if self.optim.compile else self.entropy_coeff
 
     def _hidden(self, frames: dict[str, Tensor]) -> Tensor:
-        hidden = self._trunk(frames["image"])
+        hidden = self._trunk(*(frames[key] for key in self._prepared))
         for module in self._memory:
             known = {"features": hidden, **{key: frames[key] for key in (STATE, "is_init")}}
             with set_recurrent_mode(True):

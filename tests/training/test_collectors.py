@@ -11,9 +11,9 @@ from torchrl.modules import ActorValueOperator
 from splatrl.envs.restart import restart
 from splatrl.faults import FaultFlag
 from splatrl.training import PPO, actor_critic, load_checkpoint, save_checkpoint
-from splatrl.training.collectors import CHOSEN, ENDS, SEEN, DeviceCollector, HostCollector, device_collector
+from splatrl.training.collectors import CHOSEN, ENDS, DeviceCollector, HostCollector, device_collector
 from splatrl.training.cuda_graph import CudaGraph
-from splatrl.training.memory import Memory
+from splatrl.training.memory import STATE, Memory
 from tests.envs.contract import base_env
 from tests.envs.devices import NoHostReads, NoTransfers, Painter, pretend_device
 from tests.envs.test_device import WORLDS, made, whole_overlay
@@ -64,7 +64,9 @@ def reset_in_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def assert_same_frames(batch: TensorDictBase, expected: TensorDictBase) -> None:
     """Assert that everything in a device's batch equals the same entry of TorchRL's batch."""
-    keys = [key for key in (*SEEN, *CHOSEN) if key in set(batch.keys())] + [("next", key) for key in ENDS]
+    keys = [key for key in ("pixels", STATE, "is_init", *CHOSEN) if key in set(batch.keys())] + [
+        ("next", key) for key in ENDS
+    ]
     assert {"pixels", "action"} <= set(keys)
     for key in keys:
         assert torch.equal(batch[key], expected[key]), key

@@ -3,11 +3,12 @@
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
+import torch
 from torch import Tensor
 from torchrl.data import TensorSpec
 
 from splatrl.cameras import Cameras
-from splatrl.renderers.base import Renderer
+from splatrl.renderers.base import Renderer, to_pixels
 from splatrl.renderers.parts import Parts
 
 NO_MEMORY: Mapping[str, Tensor] = {}
@@ -19,10 +20,12 @@ class View(NamedTuple):
     Attributes:
         pixels: [B, H, W, 3] uint8.
         shown: further observations about each image, by key, as ``Drawing.specs`` describes them.
+        depth: [B, H, W] float32, metres along the optical axis, infinite where nothing is seen; None unless asked for.
     """
 
     pixels: Tensor
     shown: Mapping[str, Tensor]
+    depth: Tensor | None = None
 
 
 class Drawing(Protocol):
@@ -45,6 +48,7 @@ class Drawing(Protocol):
         memory: Mapping[str, Tensor] = NO_MEMORY,
         parts: Parts | None = None,
         only: Tensor | None = None,
+        depth: bool = False,
     ) -> View:
         """Draw the views of cameras.
 
@@ -53,6 +57,7 @@ class Drawing(Protocol):
             memory: what the task remembers about each robot, [B, ...] by key, such as the position of its ``target``.
             parts: placed models of each robot's world; None is the scene alone.
             only: [B] bool, which views to draw; the others are zero. None draws all.
+            depth: whether to give the depth as well.
         """
         ...
 
@@ -78,6 +83,19 @@ class SceneDrawing:
         memory: Mapping[str, Tensor] = NO_MEMORY,
         parts: Parts | None = None,
         only: Tensor | None = None,
+        depth: bool = False,
     ) -> View:
         """Draw the views of cameras; see ``Drawing``."""
-        return View(self.renderer.pixels(cameras, parts, only), {})
+        if not depth:
+            return View(self.renderer.pixels(cameras, parts, only), {})
+        rgb, metres, alpha = self.renderer.render(cameras, parts, only)
+        return View(to_pixels(rgb), {}, solid_depth(metres, alpha))
+
+
+HAZE = 0.5
+"""A pixel with less alpha than this counts as empty."""
+
+
+def solid_depth(depth: Tensor, alpha: Tensor) -> Tensor:
+    """The depth of what is seen, infinite where a pixel is nearly empty: [B, H, W] each."""
+    return torch.where(alpha < HAZE, torch.inf, depth)

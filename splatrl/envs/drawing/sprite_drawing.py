@@ -9,14 +9,11 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
 from splatrl.cameras import Cameras
-from splatrl.envs.drawing.base import NO_MEMORY, View
+from splatrl.envs.drawing.base import HAZE, NO_MEMORY, View, solid_depth
 from splatrl.envs.drawing.billboard import overlay
 from splatrl.envs.drawing.sprite import Sprite, load_sprite
 from splatrl.renderers.base import Renderer, to_pixels
 from splatrl.renderers.parts import Parts
-
-HAZE = 0.5
-"""A pixel with less alpha than this counts as empty, so it does not hide a sprite."""
 
 
 class SpriteDrawing:
@@ -67,21 +64,22 @@ class SpriteDrawing:
         memory: Mapping[str, Tensor] = NO_MEMORY,
         parts: Parts | None = None,
         only: Tensor | None = None,
+        depth: bool = False,
     ) -> View:
         """Draw the views of cameras; see ``Drawing``.
 
         Raises:
             ValueError: if neither ``position`` nor the task says where the sprite is.
         """
-        rgb, depth, alpha = self.renderer.render(cameras, parts, only)
+        rgb, metres, alpha = self.renderer.render(cameras, parts, only)
         sprite, position = self._on(rgb.device)
         target = memory.get("target") if position is None else position
         if target is None:
             raise ValueError("drawing.position: expected x, y and z in metres for a task without a target, got None")
-        solid = depth.masked_fill(alpha < HAZE, 0.0)
+        solid = metres.masked_fill(alpha < HAZE, 0.0)
         view = (to_pixels(rgb), solid, cameras.camera_to_world, cameras.K[0])
         pixels, share = overlay(*view, target, sprite, self.size, self.near, only)
-        return View(pixels, {"sprite_share": share})
+        return View(pixels, {"sprite_share": share}, solid_depth(metres, alpha) if depth else None)
 
     def _on(self, device: torch.device) -> tuple[Sprite, Tensor | None]:
         """Sprite and position on a device, copied there once and kept, since a captured graph keeps reading them."""

@@ -18,8 +18,23 @@ Module = TypeVar("Module", bound="TaskModule")
 Memory = Mapping[str, Tensor]
 """What a task remembers of each robot, by key: [B, ...] tensors that travel in the TensorDict."""
 NOTHING: Memory = {}
-Anywhere = Callable[[], Tensor]
-"""Draws a state for each robot from the whole start set, whatever the level: [B, ...]."""
+
+
+@dataclass(frozen=True)
+class Anywhere:
+    """Draws a state for each robot from the whole start set, whatever the level: [B, ...].
+
+    Attributes:
+        states: draws them.
+        generator: the env's own, for what else a task draws.
+    """
+
+    states: Callable[[], Tensor]
+    generator: torch.Generator
+
+    def __call__(self) -> Tensor:
+        """Draw a state for each robot."""
+        return self.states()
 
 
 class Outcome(IntEnum):
@@ -30,6 +45,8 @@ class Outcome(IntEnum):
     COLLISION = 2
     OUT_OF_BOUNDS = 3
     TIMEOUT = 4
+    STOPPED = 5
+    """The robot said that it was at its goal, and was not."""
 
 
 class Step(NamedTuple):
@@ -91,11 +108,13 @@ class Task(Protocol):
         max_steps: an episode is truncated after this many steps.
         goals_for_success: None for a task whose episodes end at their goal, and so succeed; a number for one whose
             episodes go on, and succeed with at least so many goals. Curricula and tests go by it.
+        chooses_episodes: whether starts belong to goals of their own, so that tests take ``NavigationTask.episodes``.
     """
 
     motion: PlannedMotion
     max_steps: int
     goals_for_success: int | None
+    chooses_episodes: bool
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:
@@ -162,6 +181,7 @@ class TaskModule(torch.nn.Module):
 
     motion: PlannedMotion
     goals_for_success: int | None = None
+    chooses_episodes = False
 
     def __init__(self, motion: PlannedMotion, max_steps: int):
         super().__init__()

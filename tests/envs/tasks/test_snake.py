@@ -9,6 +9,7 @@ from torch import Tensor
 
 from splatrl.envs import SplatEnv
 from splatrl.envs.tasks import Outcome, Snake, Step
+from splatrl.envs.tasks.base import Anywhere
 from splatrl.evaluation import run_episodes, summarise
 from splatrl.motions import Move
 from tests.envs.contract import base_env
@@ -37,8 +38,10 @@ def test_nothing_that_a_robot_does_ends_the_episode() -> None:
     free, inside = torch.tensor([1.0, 0.5, 1.0]), torch.tensor([True, True, False])
     move = Move(state, task.motion.body_to_world(state), free, inside)
     grey = torch.zeros(3, 2, 5, 3, dtype=torch.uint8)
-    memory = task.begin(state, lambda: state)
-    verdict = task.judge(Step(state, torch.zeros(3, dtype=torch.int64), move, memory, grey), lambda: state)
+    memory = task.begin(state, Anywhere(lambda: state, torch.Generator()))
+    verdict = task.judge(
+        Step(state, torch.zeros(3, dtype=torch.int64), move, memory, grey), Anywhere(lambda: state, torch.Generator())
+    )
     assert not verdict.terminated.any()
     assert verdict.outcome.flatten().tolist() == [Outcome.RUNNING, Outcome.COLLISION, Outcome.OUT_OF_BOUNDS]
     assert verdict.reward.flatten().tolist() == pytest.approx([-0.2, -10.0, -10.0])

@@ -1,0 +1,47 @@
+"""A depth camera."""
+
+import torch
+from torch import Tensor
+from torchrl.data import Bounded, TensorSpec
+
+from splatrl.envs.robot import Robot
+from splatrl.envs.sensors.base import Moment, PlainSensor
+from splatrl.values import require_number
+
+
+class Depth(PlainSensor):
+    """Depth of each pixel of the robot's own view, [B, H, W, 1] float32, as Habitat's ``depth``.
+
+    Metres along the optical axis, clipped to the range of the camera and, if ``normalize``, scaled so that the range is
+    [0, 1] (Habitat's ``min_depth``, ``max_depth`` and ``normalize_depth``). Where nothing is seen it is the farthest.
+
+    Args:
+        nearest: of the camera's range, metres.
+        farthest: of the camera's range, metres.
+        normalize: whether to scale the range to [0, 1].
+
+    Raises:
+        ValueError: for a range that is empty or not finite.
+    """
+
+    needs_depth = True
+
+    def __init__(self, nearest: float = 0.0, farthest: float = 10.0, normalize: bool = True):
+        require_number("sensors.depth.nearest", nearest, 0.0, 1e6)
+        require_number("sensors.depth.farthest", farthest, 0.0, 1e6)
+        if not nearest < farthest:
+            raise ValueError(f"sensors.depth: expected nearest below farthest, got {nearest} and {farthest}")
+        self.nearest, self.farthest, self.normalize = nearest, farthest, normalize
+
+    def spec(self, robot: Robot) -> TensorSpec:
+        """One channel of the robot's image."""
+        low, high = (0.0, 1.0) if self.normalize else (self.nearest, self.farthest)
+        return Bounded(low, high, shape=(robot.image_height, robot.image_width, 1), dtype=torch.float32)
+
+    def read(self, moment: Moment) -> Tensor:
+        """Depth of each pixel."""
+        assert moment.depth is not None, "the env draws depth where a sensor needs it"
+        depth = moment.depth.clamp(self.nearest, self.farthest)
+        if self.normalize:
+            depth = ((depth - self.nearest) / (self.farthest - self.nearest)).clamp(0.0, 1.0)
+        return depth.unsqueeze(-1)

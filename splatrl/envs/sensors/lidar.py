@@ -1,0 +1,52 @@
+"""A lidar."""
+
+import math
+
+import torch
+from torch import Tensor
+from torchrl.data import Bounded, TensorSpec
+
+from splatrl.envs.robot import Robot
+from splatrl.envs.sensors.base import Moment, PlainSensor
+from splatrl.values import require_number
+
+
+class Lidar(PlainSensor):
+    """A planar scan from the body's centre: [B, beams] float32 metres, ``reach`` where nothing is met.
+
+    Beams go counter-clockwise, as in ROS's ``sensor_msgs/LaserScan``: the first looks half the field to the right of
+    the body's +x. A field of 360° has no beam twice.
+
+    Args:
+        beams: number of them.
+        field_deg: angle between the first and the last, degrees; of a whole turn, that over which they are spread.
+        reach: range, metres.
+        elevation_deg: angle of all beams above the body's plane, degrees.
+
+    Raises:
+        ValueError: for a number out of range.
+    """
+
+    def __init__(self, beams: int = 64, field_deg: float = 360.0, reach: float = 10.0, elevation_deg: float = 0.0):
+        require_number("sensors.lidar.beams", beams, 1, 2**20, whole=True)
+        require_number("sensors.lidar.field_deg", field_deg, 0.0, 360.0)
+        require_number("sensors.lidar.reach", reach, 1e-3, 1e6)
+        require_number("sensors.lidar.elevation_deg", elevation_deg, -90.0, 90.0)
+        self.reach = float(reach)
+        gaps = beams if field_deg == 360.0 else max(beams - 1, 1)
+        azimuth = torch.deg2rad(torch.arange(beams, dtype=torch.float64) * field_deg / gaps - field_deg / 2)
+        up = math.radians(elevation_deg)
+        level = torch.stack([azimuth.cos(), azimuth.sin()], 1) * math.cos(up)
+        self._beams = {torch.device("cpu"): torch.cat([level, torch.full((beams, 1), math.sin(up))], 1).float()}
+
+    def spec(self, robot: Robot) -> TensorSpec:
+        """A range for each beam."""
+        count = len(self._beams[torch.device("cpu")])
+        return Bounded(0.0, self.reach, shape=(count,), dtype=torch.float32)
+
+    def read(self, moment: Moment) -> Tensor:
+        """The ranges."""
+        device = moment.body_to_world.device
+        if device not in self._beams:  # copied there once, since each copy would block the host
+            self._beams[device] = self._beams[torch.device("cpu")].to(device)
+        return moment.checker.ranges(moment.body_to_world, self._beams[device], self.reach)

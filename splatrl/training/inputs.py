@@ -1,0 +1,119 @@
+"""What a network reads: images and vectors, by key."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torchrl.data import Composite
+
+from splatrl.training.heads import orthogonal
+from splatrl.training.trunk import GAIN, PoolPixels, Trunk
+
+ENCODINGS = ("image", "plain", "angle", "polar")
+
+
+class Input(NamedTuple):
+    """An observation that a network reads.
+
+    Attributes:
+        encoding: ``image`` [H, W, C], uint8 or floats in [0, 1], joined with other images as channels; ``plain``,
+            numbers as they are; ``angle``, radians, as cosine and sine; ``polar``, rho and phi, as log(1 + rho), cosine
+            and sine.
+        shape: of one robot's observation.
+    """
+
+    encoding: str
+    shape: tuple[int, ...]
+
+    @property
+    def size(self) -> int:
+        """How many numbers a vector is encoded as."""
+        return math.prod(self.shape) * {"plain": 1, "angle": 2}.get(self.encoding, 1) + (self.encoding == "polar")
+
+
+def inputs_of(named: Mapping[str, str], spec: Composite) -> dict[str, Input]:
+    """The inputs that a config names, with the shapes that an env gives them.
+
+    Args:
+        named: encoding by key.
+        spec: observation spec of the env, batched.
+
+    Raises:
+        ValueError: for a key that is not observed, another encoding, or a shape that it does not fit.
+    """
+    found = {}
+    for key, encoding in named.items():
+        if encoding not in ENCODINGS:
+            raise ValueError(f"inputs.{key}: expected one of {', '.join(ENCODINGS)}, got {encoding}")
+        if key not in spec.keys():  # noqa: SIM118, a spec is no dict
+            raise ValueError(f"inputs.{key}: expected an observation, got none of that name; type sensors=[...]")
+        shape = tuple(spec[key].shape[1:])
+        fits = {"image": len(shape) == 3, "polar": shape == (2,)}.get(encoding, len(shape) == 1)
+        if not fits:
+            raise ValueError(f"inputs.{key}: expected what can be read as {encoding}, got a shape of {list(shape)}")
+        found[key] = Input(encoding, shape)
+    sides = {one.shape[:2] for one in found.values() if one.encoding == "image"}
+    if len(sides) > 1:
+        raise ValueError(f"inputs: expected images of one size, got {sorted(sides)}")
+    return found
+
+
+class Prepare(nn.Module):
+    """The part of a network without weights: pools and joins images, and encodes vectors.
+
+    Args:
+        inputs: what is read, in the order of the arguments of ``forward``.
+        pool: side of the cells over which images are averaged, pixels.
+    """
+
+    def __init__(self, inputs: Mapping[str, Input], pool: int):
+        super().__init__()
+        self.encodings = [one.encoding for one in inputs.values()]
+        self.pool = PoolPixels(pool)
+
+    def forward(self, *observed: Tensor) -> tuple[Tensor, ...]:
+        """The joined image [..., H // pool, W // pool, C] in [-0.5, 0.5], if there is one, and the vector [..., V]."""
+        images = [one for one, how in zip(observed, self.encodings, strict=True) if how == "image"]
+        pooled = [self.pool(one if one.dtype == torch.uint8 else 255.0 * one) for one in images]
+        vectors = [_encoded(one, how) for one, how in zip(observed, self.encodings, strict=True) if how != "image"]
+        joined = [torch.cat(pooled, -1)] if pooled else []
+        return (*joined, *([torch.cat(vectors, -1)] if vectors else []))
+
+
+def _encoded(values: Tensor, how: str) -> Tensor:
+    """A vector as a network reads it: [..., n] -> [..., size]."""
+    values = values.float()
+    if how == "angle":
+        return torch.cat([values.cos(), values.sin()], -1)
+    if how == "polar":
+        rho, phi = values[..., :1], values[..., 1:]
+        return torch.cat([rho.log1p(), phi.cos(), phi.sin()], -1)
+    return values
+
+
+class JoinedTrunk(nn.Module):
+    """Convolutions over the image, if there is one, beside a dense layer over the vector, joined by another.
+
+    Args:
+        image_shape: (H, W, C) after pooling; None reads vectors alone.
+        vector: numbers of the vector; 0 reads images alone.
+        channels: see ``Trunk``.
+        features: size of each part and of the output.
+    """
+
+    def __init__(self, image_shape: tuple[int, int, int] | None, vector: int, channels: Sequence[int], features: int):
+        super().__init__()
+        self.seen = None if image_shape is None else Trunk(*image_shape, channels, features)
+        self.told = _dense(vector, features) if vector else None
+        self.joined = _dense(((self.seen is not None) + (self.told is not None)) * features, features)
+
+    def forward(self, *prepared: Tensor) -> Tensor:
+        """What ``Prepare`` gives -> [..., features] float32."""
+        layers = [layer for layer in (self.seen, self.told) if layer is not None]
+        return self.joined(torch.cat([layer(one) for layer, one in zip(layers, prepared, strict=True)], -1))
+
+
+def _dense(given: int, features: int) -> nn.Sequential:
+    return nn.Sequential(orthogonal(nn.Linear(given, features), GAIN), nn.ReLU(inplace=True))

@@ -1,0 +1,68 @@
+"""The parts of a network that read images."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from splatrl.training.heads import orthogonal
+
+GAIN = 2**0.5
+"""Orthogonal-initialisation gain for layers followed by a ReLU."""
+
+
+class PoolPixels(nn.Module):
+    """Averages uint8 images over square cells: the part of the network without weights, which runs once per frame.
+
+    Args:
+        pool: side of a cell, pixels.
+    """
+
+    def __init__(self, pool: int):
+        super().__init__()
+        self.pool = nn.AvgPool2d(pool)
+
+    def forward(self, pixels: Tensor) -> Tensor:
+        """Pool images: [..., H, W, C] uint8 -> [..., H // pool, W // pool, C] float32 in [−0.5, 0.5]."""
+        images = pixels.reshape(-1, *pixels.shape[-3:]).permute(0, 3, 1, 2).float()
+        images = (self.pool(images) / 255.0 - 0.5).permute(0, 2, 3, 1)
+        return images.reshape(*pixels.shape[:-3], *images.shape[1:])
+
+
+class Trunk(nn.Module):
+    """A small convolutional network over images, batched or not.
+
+    Args:
+        height: height of the image, pixels.
+        width: width of the image, pixels.
+        depth: channels of the image, 3 for each stacked frame.
+        channels: output channels of the two convolutions.
+        features: size of the output.
+
+    Raises:
+        ValueError: for an image that is too small for the convolutions, or other than two of them.
+    """
+
+    def __init__(
+        self, height: int, width: int, depth: int = 3, channels: Sequence[int] = (16, 32), features: int = 128
+    ):
+        super().__init__()
+        if min(height, width) < 8:
+            raise ValueError(f"image: expected sides of at least 8 · pool pixels, got {height} × {width} after pooling")
+        if len(channels) != 2:
+            raise ValueError(f"network.channels: expected two numbers, got {list(channels)}")
+        first, second = channels
+        self.convolutions = nn.Sequential(
+            orthogonal(nn.Conv2d(depth, first, 4, stride=2), GAIN),
+            nn.ReLU(inplace=True),
+            orthogonal(nn.Conv2d(first, second, 3, stride=2), GAIN),
+            nn.ReLU(inplace=True),
+        )
+        flat = self.convolutions(torch.zeros(1, depth, height, width)).numel()
+        self.dense = nn.Sequential(orthogonal(nn.Linear(flat, features), GAIN), nn.ReLU(inplace=True))
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Encode images: [..., H, W, C] float32 -> [..., features] float32."""
+        images = image.reshape(-1, *image.shape[-3:]).permute(0, 3, 1, 2)  # channels last in memory is faster
+        found = self.convolutions(images).permute(0, 2, 3, 1).flatten(1)
+        return self.dense(found).reshape(*image.shape[:-3], -1)

@@ -1,0 +1,169 @@
+"""Sensors: worked out by hand, and in the env's contract."""
+
+import math
+from functools import cache
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+from torchrl.envs.utils import check_env_specs
+
+import splatrl
+from splatrl.collision import NativeChecker, Occupancy
+from splatrl.curriculum import Curriculum
+from splatrl.envs import SplatEnv
+from splatrl.envs.drawing import SceneDrawing
+from splatrl.envs.sensors import Compass, Contact, Depth, Gps, Heading, ImageGoal, Lidar, Moment, PointGoal, Sensor
+from splatrl.renderers import ReferenceRenderer
+from tests.envs.contract import EnvContract
+from tests.tiny import BLOCK, BODY, HEIGHT, tiny_gaussians, tiny_overrides, tiny_plan, tiny_robot, tiny_task
+
+QUARTER = math.pi / 2
+
+
+@cache
+def block() -> NativeChecker:
+    """The block in the middle of the tiny room, with walls at 1.5 m and 2 m."""
+    lower = [[-BLOCK, -BLOCK, 0.0], [1.5, -2.0, 0.0], [-1.6, -2.0, 0.0], [-1.5, 2.0, 0.0], [-1.5, -2.1, 0.0]]
+    upper = [[BLOCK, BLOCK, 1.0], [1.6, 2.0, 1.0], [-1.5, 2.0, 1.0], [1.5, 2.1, 1.0], [1.5, -2.0, 1.0]]
+    return NativeChecker(Occupancy.from_boxes(lower, upper, 0.05), BODY)
+
+
+def all_sensors() -> dict[str, Sensor]:
+    return {
+        "depth": Depth(farthest=4.0),
+        "gps": Gps(),
+        "compass": Compass(),
+        "heading": Heading(),
+        "contact": Contact(),
+        "lidar": Lidar(beams=8),
+    }
+
+
+def sensing_env(batch: tuple[int, ...], seed: int = 0, **sensors: Sensor) -> SplatEnv:
+    drawing = SceneDrawing(_renderer())
+    curriculum = Curriculum(tiny_plan(), None)
+    chosen = sensors or all_sensors()
+    return SplatEnv(drawing, block(), tiny_robot(), tiny_task(), curriculum, batch, seed, sensors=chosen)
+
+
+@cache
+def _renderer() -> ReferenceRenderer:
+    return ReferenceRenderer(tiny_gaussians())
+
+
+def moment(planar: list[list[float]], **memory: Tensor) -> Moment:
+    rows = torch.tensor(planar, dtype=torch.float64)
+    unused = torch.zeros(len(rows), 4, 4)
+    return Moment(rows, unused, torch.ones(len(rows)), memory, None, block(), lambda poses: poses)
+
+
+class TestContract(EnvContract):
+    def make(self, batch_size: tuple[int], seed: int = 0) -> SplatEnv:
+        return sensing_env(batch_size, seed)
+
+
+def test_gps_is_metres_ahead_and_to_the_right_of_the_start() -> None:
+    # Habitat: [-z, x] in the frame of the start, in which forward is -z and right is x.
+    start = torch.tensor([[1.0, 2.0, 0.0], [1.0, 2.0, QUARTER], [1.0, 2.0, math.pi]])
+    gone = Gps().read(moment([[4.0, 2.5, 1.0]] * 3, episode_start=start))
+    torch.testing.assert_close(gone, torch.tensor([[3.0, -0.5], [0.5, 3.0], [-3.0, 0.5]]))
+
+
+def test_compass_is_the_turn_to_the_left_since_the_start_and_heading_that_from_x() -> None:
+    start = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 0.3], [0.0, 0.0, 6.0]])
+    now = moment([[0.0, 0.0, QUARTER], [0.0, 0.0, 0.1], [0.0, 0.0, 0.2]], episode_start=start)
+    expected = torch.tensor([[QUARTER], [-0.2], [0.2 - 6.0 + math.tau]])
+    torch.testing.assert_close(Compass().read(now), expected)
+    heading = Heading().read(moment([[0.0, 0.0, 1.5 * math.pi], [0.0, 0.0, 0.1]]))
+    torch.testing.assert_close(heading, torch.tensor([[-QUARTER], [0.1]]))
+
+
+def test_pointgoal_is_the_straight_distance_and_the_azimuth_to_the_left() -> None:
+    goal = torch.tensor([[3.0, 4.0, 0.0], [0.0, -2.0, 0.0], [0.0, -2.0, 0.0]])
+    told = PointGoal().read(moment([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, math.pi]], goal=goal))
+    torch.testing.assert_close(told, torch.tensor([[5.0, math.atan2(4, 3)], [2.0, -QUARTER], [2.0, QUARTER]]))
+    with pytest.raises(ValueError, match="task=pointnav"):
+        PointGoal().read(moment([[0.0, 0.0, 0.0]]))
+
+
+def test_depth_is_clipped_and_scaled_and_far_where_nothing_is() -> None:
+    metres = torch.tensor([[[0.5, 2.0, 7.0, torch.inf]]])
+    seen = moment([[0.0, 0.0, 0.0]])._replace(depth=metres)
+    assert Depth(1.0, 5.0).read(seen)[0, 0, :, 0].tolist() == [0.0, 0.25, 1.0, 1.0]
+    assert Depth(1.0, 5.0, normalize=False).read(seen)[0, 0, :, 0].tolist() == [1.0, 2.0, 5.0, 5.0]
+    assert Depth().spec(tiny_robot()).shape == (12, 16, 1)
+
+
+def test_the_depth_of_a_wall_is_how_far_it_is() -> None:
+    env = sensing_env((1,), depth=Depth(normalize=False))
+    state = torch.tensor([[4, 5, 0]])  # x = 1, y = 1, looking east
+    td = env.reset(TensorDict({"state": state}, [1]), set_state=True)
+    assert float(td["depth"][0, 6, 8, 0]) == pytest.approx(0.4, abs=0.06)  # the red thing at x = 1.4
+    pixels = sensing_env((1,), heading=Heading()).reset(TensorDict({"state": state}, [1]), set_state=True)["pixels"]
+    assert torch.equal(td["pixels"], pixels)
+
+
+def test_lidar_sees_walls_counter_clockwise_from_behind() -> None:
+    env = sensing_env((1,), lidar=Lidar(beams=4))
+    td = env.reset(TensorDict({"state": torch.tensor([[4, 3, 0]])}, [1]), set_state=True)  # (1, 0), looking east
+    torch.testing.assert_close(td["lidar"], torch.tensor([[0.8, 2.0, 0.5, 2.0]]), atol=1e-5, rtol=0)
+    turned = env.reset(TensorDict({"state": torch.tensor([[4, 3, 2]])}, [1]), set_state=True)  # looking north
+    torch.testing.assert_close(turned["lidar"], torch.tensor([[2.0, 0.5, 2.0, 0.8]]), atol=1e-5, rtol=0)
+    half = Lidar(beams=3, field_deg=180.0)
+    right, ahead, left = half._beams[torch.device("cpu")]
+    for beam, way in ((right, [0.0, -1.0, 0.0]), (ahead, [1.0, 0.0, 0.0]), (left, [0.0, 1.0, 0.0])):
+        torch.testing.assert_close(beam, torch.tensor(way), atol=1e-6, rtol=0)
+
+
+def test_contact_is_felt_in_the_step_that_touches_and_not_after_a_reset() -> None:
+    env = sensing_env((1,), contact=Contact())
+    td = env.reset(TensorDict({"state": torch.tensor([[3, 3, 0]])}, [1]), set_state=True)  # x = 0.5, beside the block
+    assert not td["contact"].any()
+    after = env.step(td.set("action", torch.tensor([1])))["next"]  # towards -x
+    assert after["contact"].all() and after["contact"].dtype == torch.bool
+    assert not env.reset(env.step_mdp(env.step(td)), set_state=False)["contact"].any()
+
+
+def test_an_episode_goes_on_from_where_it_began_when_it_is_branched() -> None:
+    env = sensing_env((3,))
+    torch.manual_seed(0)
+    batch = env.rollout(3, break_when_any_done=False)
+    now = batch[:, -1].select("state", "episode_start")
+    again = env.reset(now.clone(), set_state=True)
+    for key in ("gps", "compass", "depth", "lidar"):
+        assert torch.equal(again[key], batch[key][:, -1])
+    assert (batch["gps"][:, -1] != 0).any()
+
+
+def test_sensors_are_chosen_in_the_config(tmp_path) -> None:
+    env = splatrl.make_env([*tiny_overrides(tmp_path), "sensors=[lidar,compass]", "sensors.lidar.beams=5"], [2])
+    check_env_specs(env, seed=0)
+    assert env.reset()["lidar"].shape == (2, 5)
+    plain = splatrl.make_env(tiny_overrides(tmp_path), [2])
+    assert not {"lidar", "compass", "depth", "episode_start"} & set(plain.observation_spec.keys())
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: Depth(2.0, 1.0), "sensors.depth"),
+        (lambda: Lidar(beams=0), "sensors.lidar.beams"),
+        (lambda: Lidar(reach=0.0), "sensors.lidar.reach"),
+        (lambda: sensing_env((1,), pixels=Depth()), "sensors: expected keys other than the env's own, got pixels"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_its_key(make, key) -> None:
+    with pytest.raises(ValueError, match=key):
+        make()
+
+
+def test_imagegoal_is_what_the_camera_sees_at_the_goal() -> None:
+    goal = torch.tensor([[0.5, 1.0, 0.0]])
+    asked = moment([[0.0, 0.0, 0.0]], goal=goal)
+    asked.body_to_world[:, 2, 3] = HEIGHT
+    pose = ImageGoal().begin(asked)["imagegoal"][0]  # look hands the pose back
+    expected = torch.eye(4)
+    expected[:3, 3] = torch.tensor([0.5, 1.0, HEIGHT])
+    torch.testing.assert_close(pose, expected)
