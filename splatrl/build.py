@@ -29,7 +29,7 @@ from splatrl.envs.drawing import Drawing
 from splatrl.envs.robot import Robot
 from splatrl.envs.sensors import Sensor
 from splatrl.envs.stateful_env import StatefulEnv
-from splatrl.envs.tasks import Task
+from splatrl.envs.tasks import NavigationTask, Task
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.rollouts import run_episodes, spread_starts
 from splatrl.made_with import made_with
@@ -135,7 +135,11 @@ def _build_place(cfg: DictConfig, device: torch.device) -> _Place:
     checker = _constructor(cfg, "collision", device)(occupancy, robot.body)
     planner = checker if device.type == "cpu" else instantiate(cfg.collision.cpu)(occupancy, robot.body)
     solid = checker if isinstance(checker, NativeChecker) else NativeChecker(occupancy, robot.body)
-    fits = partial(_fits, scene.bounds, solid)
+    fits: Callable[[Tensor], Tensor] = partial(_fits, scene.bounds, solid)
+    if isinstance(task, NavigationTask):
+        with _key("task"):
+            task.settle(planner, fits)
+        fits = partial(_connected, task, fits)
     paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, fits, remembering(cfg, occupancy))
     return _Place(scene, occupancy, checker, robot, task, paths)
 
@@ -167,6 +171,11 @@ def _fits(bounds: Bounds, solid: Checker, body_to_world: Tensor) -> Tensor:
     lower, upper = (body_to_world.new_tensor(corner[:2]) for corner in bounds)
     place = body_to_world[:, :2, 3]
     return ((place >= lower) & (place <= upper)).all(1) & ~solid.collides(body_to_world)
+
+
+def _connected(task: NavigationTask, fits: Callable[[Tensor], Tensor], body_to_world: Tensor) -> Tensor:
+    """Whether a robot could begin at poses, and reach the goals of a navigation task: [S, 4, 4] -> [S] bool."""
+    return fits(body_to_world) & task.geodesics.grounds[0].connected(body_to_world[:, :2, 3])
 
 
 def _make_transforms(nodes: DictConfig, memory: int) -> list[Transform]:
@@ -229,10 +238,12 @@ def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Train
     def test() -> dict[str, float]:
         test_env.set_seed(cfg.logger.test_seed)  # a test depends on the policy alone, not on the tests before it
         policy, seed = model.get_policy_operator(), cfg.logger.test_seed
-        episodes = run_episodes(test_env, policy, starts.state, seed=seed, scene=starts.scene)
+        episodes = run_episodes(test_env, policy, starts.state, seed=seed, scene=starts.scene, memory=starts.memory)
         result = {"success": episodes.success.double().mean().item()}
         if world.task.goals_for_success is not None:
             result["goals"] = episodes.goals.double().mean().item()
+        if measures := episodes.navigation():
+            result["spl"] = measures["spl"]
         return result
 
     logger, checkpoint = cfg.logger, cfg.checkpoint

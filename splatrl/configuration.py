@@ -87,7 +87,7 @@ EXAMPLES = {
 }
 """What to type for values that people forget."""
 
-PATHS = ("scene.path", "collision.occupancy.cloud", "demos")
+PATHS = ("scene.path", "collision.occupancy.cloud", "demos", "evaluation.episodes")
 """Keys that hold a path, which is made absolute in a run folder."""
 
 

@@ -10,7 +10,10 @@ import gymnasium
 if TYPE_CHECKING:
     from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
 
-TASKS = ("grid", "fps", "apple", "sim2real", "snake", "drive", "circle", "polar_plane", "hemisphere", "poster")
+TASKS: tuple[str, ...] = (
+    *("grid", "fps", "apple", "sim2real", "snake", "drive", "circle", "polar_plane", "hemisphere", "poster"),
+    *("pointnav", "imagenav"),
+)
 """Tasks in conf/task, each with an id."""
 
 

@@ -329,7 +329,7 @@ def test_a_task_without_goal_states_is_planned_trained_and_evaluated(
     assert torch.equal(plan.start_rows, plan.free.nonzero().squeeze(1)) and 0 < len(plan.start_rows) < len(plan.free)
     build_trainer(cfg, world, tmp_path).fit()
     summary = evaluate_run(cfg, tmp_path, world)
-    assert not {"spl", "spl_argmax", "mean_shortest"} & summary.keys()
+    assert not {"step_spl", "step_spl_argmax", "mean_shortest"} & summary.keys()
     assert summary["success_rate"] == 0 and summary["collision_rate"] + summary["timeout_rate"] == 1
     assert 0 < summary["mean_return"] <= 8
     assert (tmp_path / "learning_curve.png").exists() and not (tmp_path / "starts.png").exists()
@@ -348,7 +348,7 @@ def test_a_snake_is_tested_by_its_apples(tmp_path: Path, capsys: pytest.CaptureF
     (row,) = trainer.history
     assert trainer.best == (row["test_success"], row["test_goals"]) and row["test_goals"] >= 2 * row["test_success"]
     summary = evaluate_run(cfg, tmp_path, world)
-    assert summary["mean_goals"] > summary["success_rate"] and "spl" not in summary
+    assert summary["mean_goals"] > summary["success_rate"] and "step_spl" not in summary
     assert f"{summary['mean_goals']:.2f} goals an episode" in capsys.readouterr().out
 
 

@@ -53,7 +53,7 @@ def test_a_run_of_the_package_from_the_command_line(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "return" in done.stdout and "SPL" not in done.stdout  # there is no goal, so there are no paths
     report = json.loads((tmp_path / "evaluation.json").read_text())
-    assert report["frames"] == 1024 and report["mean_return"] > 0 and "spl" not in report
+    assert report["frames"] == 1024 and report["mean_return"] > 0 and "step_spl" not in report
     assert (tmp_path / "rollouts.mp4").stat().st_size > 1000
     config = (tmp_path / "config.yaml").read_text()
     assert all(name in config for name in ("explorer.tasks.Explore", "explorer.transforms.Grey", "explorer.networks"))

@@ -40,7 +40,7 @@ def run(cfg: DictConfig) -> None:
     check_config(cfg)
     folder = Path(cfg.run)
     own = run_config(folder, cfg.allow_targets)
-    for key in ("checkpoint", "starts", "repeats", "seed"):
+    for key in ("checkpoint", "starts", "repeats", "seed", "episodes"):
         if cfg[key] is not None:
             OmegaConf.update(own, f"evaluation.{key}", cfg[key])
     own.logger.video = cfg.video

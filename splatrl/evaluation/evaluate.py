@@ -7,11 +7,13 @@ from typing import Any
 from tensordict.nn import TensorDictModuleBase
 from tqdm import tqdm
 
+from splatrl.envs.tasks import NavigationTask
 from splatrl.envs.world import World, Worlds
+from splatrl.evaluation.episode_sets import EPISODES, write_episodes
 from splatrl.evaluation.figures import learning_curve, scene_bars
 from splatrl.evaluation.pictures import Pictures
 from splatrl.evaluation.report import by_scene, summarise, write_json
-from splatrl.evaluation.rollouts import run_episodes, spread_starts
+from splatrl.evaluation.rollouts import given_episodes, run_episodes, spread_starts
 
 EPISODES_IN_VIDEO = 4
 SCENES_SHOWN = 4
@@ -28,6 +30,7 @@ class EvaluationSettings:
         repeats: sampled episodes from each start.
         batch_size: number of robots in parallel.
         seed: seed of the sampling.
+        episodes: file of episodes for a navigation task; None draws them, and writes them into the run folder.
     """
 
     checkpoint: str
@@ -35,6 +38,7 @@ class EvaluationSettings:
     repeats: int
     batch_size: int
     seed: int
+    episodes: str | None = None
 
 
 def evaluate(
@@ -60,13 +64,17 @@ def evaluate(
     Returns:
         The content of ``evaluation.json``, and the pictures' files.
     """
-    plans, starts = [one.plan for one in world.worlds], spread_starts(world, settings.starts)
+    plans = [one.plan for one in world.worlds]
+    if settings.episodes is None:
+        starts = spread_starts(world, settings.starts)
+    else:
+        world, starts = given_episodes(world, Path(settings.episodes))
     repeated = starts.repeated(settings.repeats)
     count, total = len(starts.state), len(repeated.state) + len(starts.state)
     env = world.env(min(settings.batch_size, len(repeated.state)))
     with tqdm(total=total, unit="episode", desc="evaluate", dynamic_ncols=True) as bar:
         sampled, argmax = (
-            run_episodes(env, policy, chosen.state, how, settings.seed, bar.update, chosen.scene)
+            run_episodes(env, policy, chosen.state, how, settings.seed, bar.update, chosen.scene, chosen.memory)
             for chosen, how in ((repeated, True), (starts, False))
         )
     ends = all(plan.field is not None for plan in plans) and world.task.goals_for_success is None
@@ -85,6 +93,10 @@ def evaluate(
     if len(names) > 1:
         summary["scenes"] = by_scene(names, sampled, argmax)
     write_json(folder / "evaluation.json", summary)
+    if isinstance(world.task, NavigationTask) and settings.episodes is None:
+        scenes = [names[0 if starts.scene is None else int(starts.scene[row])] for row in range(count)]
+        height, radius = world.robot.height, world.task.success_distance
+        write_episodes(folder / EPISODES, starts.state, starts.memory, scenes, height, radius)
     files = [folder / "learning_curve.png"]
     learning_curve(checkpoint["history"], files[0])
     if len(names) > 1:
@@ -105,11 +117,17 @@ def evaluate(
 def summary_lines(summary: dict[str, Any]) -> list[str]:
     """The results of an evaluation, in words."""
     rates = [f"success {summary['success_rate']:.3f} (argmax {summary['success_rate_argmax']:.3f})"]
-    rates.append(f"SPL {summary['spl']:.3f}" if "spl" in summary else f"return {summary['mean_return']:.1f}")
+    by_steps = f"SPL by steps {summary['step_spl']:.3f}" if "step_spl" in summary else ""
+    by_distance = f"SPL {summary['spl']:.3f}, soft SPL {summary['soft_spl']:.3f}" if "spl" in summary else ""
+    rates.append(by_distance or by_steps or f"return {summary['mean_return']:.1f}")
     if summary["mean_goals"] > summary["success_rate"]:  # in tasks that go on after a goal
         rates.append(f"{summary['mean_goals']:.2f} goals an episode")
-    rates.append(f"collisions {summary['collision_rate']:.3f}")
-    where = f"over {summary['evaluated_starts']:,} of {summary['start_poses']:,} start poses"
+    if "spl" in summary:
+        rates.append(f"{summary['collisions']:.1f} collisions an episode, {summary['distance_to_goal']:.2f} m left")
+        where = f"over {summary['evaluated_starts']:,} episodes with goals of their own"
+    else:
+        rates.append(f"collisions {summary['collision_rate']:.3f}")
+        where = f"over {summary['evaluated_starts']:,} of {summary['start_poses']:,} start poses"
     level = f"curriculum level {summary['level']}"
     return [
         f"{', '.join(rates)} {where}",

@@ -22,8 +22,9 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> d
             end at a goal.
 
     Returns:
-        Rates in [0, 1], mean numbers of goals, mean returns and mean lengths; if there are shortest paths, also SPL and
-        their mean length. Keys of the second set end in ``_argmax``.
+        Rates in [0, 1], mean numbers of goals, mean returns and mean lengths; of navigation tasks the measures of
+        ``Episodes.navigation``; if there are shortest paths in steps, also ``step_spl`` and their mean length. Keys of
+        the second set end in ``_argmax``.
     """
     summary: dict[str, float] = {}
     for suffix, episodes in (("", sampled), ("_argmax", argmax)):
@@ -36,9 +37,10 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> d
             f"mean_return{suffix}": episodes.episode_return.mean().item(),
             f"mean_length{suffix}": episodes.length.double().mean().item(),
         }
+        summary |= {f"{key}{suffix}": value for key, value in episodes.navigation().items()}
         if shortest is not None:
             repeats = len(episodes.outcome) // len(shortest)
-            summary[f"spl{suffix}"] = episodes.spl(shortest.repeat_interleave(repeats))
+            summary[f"step_spl{suffix}"] = episodes.step_spl(shortest.repeat_interleave(repeats))
     summary["episodes"] = len(sampled.outcome)
     if shortest is not None:
         summary["mean_shortest"] = shortest.double().mean().item()

@@ -1,8 +1,10 @@
 """Episodes from given starts, and their statistics."""
 
-from collections.abc import Callable, Iterator
+import copy
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
@@ -11,8 +13,15 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from splatrl.envs.tasks import Outcome
+from splatrl.envs.nesting import layers
+from splatrl.envs.tasks import NavigationTask, Outcome
 from splatrl.envs.world import World, Worlds
+from splatrl.evaluation.episode_sets import places_of, read_episodes
+
+MEASURES = ("distance_to_goal", "start_distance", "path_length", "collisions")
+"""Observations of navigation tasks from which its measures are made."""
+EPISODES_SEED = 3000
+"""Of the starts and goals of tests."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +36,8 @@ class Episodes:
         goals: [N] int64, reached in the episode.
         success: [N] bool, whether they were enough for the task.
         scene: [N] int64, the scene of each; None in an env of one.
+        measures: of navigation, by name, [N] each: ``distance_to_goal``, ``start_distance``, ``path_length``, metres,
+            and ``collisions``; empty for other tasks.
     """
 
     start: Tensor
@@ -36,20 +47,39 @@ class Episodes:
     goals: Tensor
     success: Tensor
     scene: Tensor | None = None
+    measures: Mapping[str, Tensor] = field(default_factory=dict)
 
     def of(self, scene: int) -> "Episodes":
         """Those of one scene."""
         if self.scene is None:
             return self
         mine = self.scene == scene
-        return Episodes(*(getattr(self, field.name)[mine] for field in fields(self)))
+        columns = {each.name: getattr(self, each.name)[mine] for each in fields(self) if each.name != "measures"}
+        return replace(self, **columns, measures={key: value[mine] for key, value in self.measures.items()})
 
     def rate(self, outcome: Outcome) -> float:
         """Share of the episodes that ended with an outcome."""
         return (self.outcome == outcome).double().mean().item()
 
-    def spl(self, shortest: Tensor) -> float:
-        """Success weighted by path length (Anderson et al. 2018, eq. 1).
+    def navigation(self) -> dict[str, float]:
+        """The measures of navigation by Habitat's names, means over the episodes; nothing for other tasks.
+
+        ``success``, of those that stopped at their goal. ``spl``, success weighted by path length (Anderson et al.
+        2018, eq. 1): start distance / max(start distance, path length), 0 without success. ``soft_spl`` (Datta et al.
+        2020), the same with the share of the start distance by which the robot came nearer in place of success.
+        ``distance_to_goal`` where it ended and ``collisions``, as a number. Distances are those of the shortest way.
+        """
+        if not self.measures:
+            return {}
+        far, start, path = (self.measures[key].double() for key in MEASURES[:3])
+        ratio = start / torch.maximum(start, path).clamp_min(1e-9)
+        progress = (1.0 - far / start.clamp_min(1e-9)).clamp_min(0.0)
+        means = {"success": self.success.double(), "spl": self.success * ratio, "soft_spl": progress * ratio}
+        means |= {"distance_to_goal": far, "collisions": self.measures["collisions"].double()}
+        return {key: values.mean().item() for key, values in means.items()}
+
+    def step_spl(self, shortest: Tensor) -> float:
+        """Success weighted by path length (Anderson et al. 2018, eq. 1), with lengths in steps.
 
         Args:
             shortest: [N] int64, steps of the shortest path from each start.
@@ -70,28 +100,79 @@ class Chosen(NamedTuple):
     Attributes:
         state: [N, D].
         scene: [N] int64, the scene of each; None in a world of one.
-        distance: [N] int64, steps of the shortest path from each.
+        distance: [N] int64, steps of the shortest path from each; unused where episodes have goals of their own.
+        memory: what tasks with goals of their own remember where each begins, by key.
     """
 
     state: Tensor
     scene: Tensor | None
     distance: Tensor
+    memory: Mapping[str, Tensor] = {}
 
     def repeated(self, times: int) -> "Chosen":
         """Each of them some times in a row."""
-        state, scene, distance = self
-        scene = None if scene is None else scene.repeat_interleave(times)
-        return Chosen(state.repeat_interleave(times, 0), scene, distance.repeat_interleave(times))
+        scene = None if self.scene is None else self.scene.repeat_interleave(times, 0)
+        memory = {key: value.repeat_interleave(times, 0) for key, value in self.memory.items()}
+        return Chosen(self.state.repeat_interleave(times, 0), scene, self.distance.repeat_interleave(times, 0), memory)
+
+
+def given_episodes(world: World | Worlds, path: Path) -> tuple[World | Worlds, Chosen]:
+    """The episodes of a file, and the world with a task that knows the ways to their goals.
+
+    Raises:
+        ValueError: for a task without goals of its own for each episode, starts that are not free, or a file that
+            ``read_episodes`` or ``Geodesics.with_goals`` refuses.
+    """
+    task = world.task
+    if not isinstance(task, NavigationTask):
+        raise ValueError(f"evaluation.episodes: expected a task such as task=pointnav, got {type(task).__name__}")
+    state, goal, scene = read_episodes(path, [one.name for one in world.worlds])
+    for number, one in enumerate(world.worlds):
+        mine = (scene == number).nonzero().squeeze(1)
+        blocked = one.plan.checker.collides(one.task.motion.body_to_world(state[mine]))
+        if blocked.any() or not one.task.motion.inside(state[mine]).all():
+            raise ValueError(f"{path}: expected starts where the robot fits, got others in scene {one.name}")
+    task = copy.copy(task)
+    task._modules = dict(task._modules)
+    try:
+        task.geodesics, rows = task.geodesics.with_goals(places_of(goal), scene.numpy())
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    memory = task.episode(state, rows, goal[:, 2:])
+    chosen = Chosen(state, scene if len(world.worlds) > 1 else None, torch.zeros(len(state), dtype=torch.int64), memory)
+    return replace(world, task=task, made_by=None), chosen
 
 
 def spread_starts(world: World | Worlds, most: int) -> Chosen:
-    """Starts evenly spaced over the start set, or over that of each scene, which has an equal share of them."""
+    """Starts evenly spaced over the start set, or over that of each scene, which has an equal share of them.
+
+    Where a task has goals of its own for each episode, starts and goals are drawn by a seed.
+    """
+    if world.task.chooses_episodes:
+        return _drawn_episodes(world, most)
     plans = [one.plan for one in world.worlds]
     rows = [spread(plan.start_rows, max(1, most // len(plans))) for plan in plans]
     scene = torch.arange(len(plans)).repeat_interleave(torch.tensor([len(own) for own in rows]))
     states = torch.cat([plan.states[own] for plan, own in zip(plans, rows, strict=True)])
     distance = torch.cat([plan.distance[own] for plan, own in zip(plans, rows, strict=True)])
     return Chosen(states, scene if len(plans) > 1 else None, distance)
+
+
+def _drawn_episodes(world: World | Worlds, most: int) -> Chosen:
+    """Starts and goals for tests, as many in each scene."""
+    count = max(1, most // len(world.worlds))
+    drawn: list[dict[str, Tensor]] = []
+    for number, one in enumerate(world.worlds):
+        task = one.task
+        assert isinstance(task, NavigationTask), "other tasks do not choose episodes"
+        drawn.append(task.episodes(one.plan.starts.cpu(), count, EPISODES_SEED + number))
+        if len(world.worlds) > 1:  # rows of goals are those of all scenes together
+            assert isinstance(world.task, NavigationTask)
+            drawn[-1]["goal_row"] = drawn[-1]["goal_row"] + world.task.geodesics.begins[number].cpu()
+    episodes = {key: torch.cat([each[key] for each in drawn]) for key in drawn[0]}
+    scene = torch.arange(len(drawn)).repeat_interleave(count)
+    state = episodes.pop("state")
+    return Chosen(state, scene if len(drawn) > 1 else None, torch.zeros(len(state), dtype=torch.int64), episodes)
 
 
 @contextmanager
@@ -115,6 +196,7 @@ def run_episodes(
     seed: int = 0,
     progress: Callable[[int], object] = lambda finished: None,
     scene: Tensor | None = None,
+    memory: Mapping[str, Tensor] | None = None,
 ) -> Episodes:
     """Run one episode from each start; PyTorch's global generator is left as it was.
 
@@ -128,6 +210,7 @@ def run_episodes(
         seed: seed of the sampling.
         progress: called with the number of episodes that just ended.
         scene: [N] int64, the scene of each start, for an env of several.
+        memory: what the task remembers where each begins, [N, ...] by key, such as goals; None draws it.
     """
     count, rows = len(starts), env.numel()
     kept = {
@@ -137,11 +220,17 @@ def run_episodes(
         "goals": torch.int64,
         "success": torch.bool,
     }
+    specs = env.observation_spec
+    measured = [key for key in MEASURES if key in specs.keys()]  # noqa: SIM118, a spec is no dict
+    kept |= {key: specs[key].dtype for key in measured}
     columns = {key: torch.zeros(count, dtype=dtype) for key, dtype in kept.items()}
     episode = torch.arange(rows)  # the episode of each robot; from count on the robot is idle
     waiting = rows
     with acting(sampled, seed, env.device):
-        given = {"state": starts} if scene is None else {"state": starts, "scene": scene.unsqueeze(1)}
+        given = {"state": starts, **(memory or {})}
+        if scene is not None:
+            given["scene"] = scene.unsqueeze(1)
+        given |= _begun(env, given, count)
         first = {key: value[episode.clamp_max(count - 1)] for key, value in given.items()}
         td = env.reset(TensorDict(first, batch_size=[rows], device=env.device), set_state=True)
         while (episode < count).any():
@@ -161,5 +250,20 @@ def run_episodes(
                     td[key] = td[key].index_put((done.to(env.device),), fresh)
                 td["_reset"] = after["done"].clone()
                 td = env.reset(td, set_state=True)
+    measures = {key: columns.pop(key) for key in measured}
     outcome, length, episode_return, goals, success = columns.values()
-    return Episodes(starts, outcome, length, episode_return, goals, success, scene)
+    return Episodes(starts, outcome, length, episode_return, goals, success, scene, measures)
+
+
+def _begun(env: EnvBase, given: Mapping[str, Tensor], count: int) -> dict[str, Tensor]:
+    """What task and sensors remember where episodes begin, for those that begin anew: [N, ...] by key."""
+    base, rows = layers(env)[0], env.numel()
+    keys = [key for key in getattr(base, "remembered", ()) if key not in given]
+    found: dict[str, list[Tensor]] = {key: [] for key in keys}
+    for first in range(0, count if keys else 0, rows):
+        some = torch.arange(first, first + rows).clamp_max(count - 1)
+        asked = TensorDict({key: value[some] for key, value in given.items()}, [rows], device=env.device)
+        td = base.reset(asked, set_state=True)
+        for key in keys:
+            found[key].append(td[key].cpu())
+    return {key: torch.cat(parts)[:count] for key, parts in found.items()}

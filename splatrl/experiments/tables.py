@@ -7,7 +7,7 @@ from typing import Any
 from splatrl.experiments.experiment import Experiment
 from splatrl.experiments.results import Entry, Spread, comparable
 
-RATES = ("success_rate", "success_rate_argmax", "collision_rate", "spl")
+RATES = ("success_rate", "success_rate_argmax", "collision_rate", "step_spl")
 """What is said of a policy that was tested in several scenes."""
 TOTAL = "**all**"
 """Stands for all clips of a scene."""
@@ -35,7 +35,7 @@ def main_table(found: Sequence[Entry]) -> list[str]:
             str(len(entry.runs)),
             f"**{entry.spread('success_rate').percent()}**" if entry.runs else "–",
             entry.spread("success_rate_argmax").percent(),
-            entry.spread("spl").text(3),
+            entry.spread("step_spl").text(3),
             entry.spread("level").text(1) if entry.has_curriculum else "–",
             f"{entry.spread('frames').mean:,.0f}" if entry.runs else "–",
             entry.spread("wall_seconds").text(),
@@ -70,7 +70,7 @@ def _verdict(group: Sequence[Entry]) -> str:
     first = best.spread("success_rate")
     if not others:
         seeds = f"{len(best.runs)} seed{'s' if len(best.runs) > 1 else ''}"
-        spl = best.spread("spl").text(3)
+        spl = best.spread("step_spl").text(3)
         return f"**{place}**: {best.label} reaches {first.percent()}, SPL {spl}, over {seeds}."
     second = others[0].spread("success_rate")
     rest = ", ".join(f"{entry.label} {entry.spread('success_rate').percent()}" for entry in others)
@@ -143,7 +143,7 @@ def transfer_table(tests: Sequence[Mapping[str, Any]], experiment: Experiment) -
                 f"**{spreads['success_rate'].percent()}**",
                 spreads["success_rate_argmax"].percent(),
                 spreads["collision_rate"].percent(),
-                spreads["spl"].text(3) if "spl" in spreads else "–",
+                spreads["step_spl"].text(3) if "step_spl" in spreads else "–",
             ]
         )
     return table(header, rows, words=3)

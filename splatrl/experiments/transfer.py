@@ -18,7 +18,7 @@ from splatrl.runs import load_policy
 
 PLACE = ("scene", "robot", "landmarks", "task", "collision", "renderer")
 """What of a run's config belongs to the place in which it was trained."""
-KEPT = ("success_rate", "success_rate_argmax", "collision_rate", "timeout_rate", "spl")
+KEPT = ("success_rate", "success_rate_argmax", "collision_rate", "timeout_rate", "step_spl")
 
 
 def score_everywhere(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:

@@ -5,6 +5,7 @@ from splatrl.motions.drive import DriveMotion
 from splatrl.motions.finite import FiniteMotion
 from splatrl.motions.forward import ForwardMotion
 from splatrl.motions.lattice import LatticeMotion
+from splatrl.motions.navigate import NavigateMotion
 from splatrl.motions.orbit import OrbitMotion
 from splatrl.motions.planar import PlanarMotion
 
@@ -15,6 +16,7 @@ __all__ = [
     "LatticeMotion",
     "Motion",
     "Move",
+    "NavigateMotion",
     "OrbitMotion",
     "PlanarMotion",
     "PlannedMotion",

@@ -11,6 +11,8 @@ from splatrl.motions.planar import PlanarMotion, along
 
 CELL = 0.05
 """Distance between the positions at which paths are computed, metres."""
+STILL = 0.1
+"""Share of the limits of both velocities below which an action says stop, in tasks in which robots say so."""
 HEADINGS_A_TURN = 4
 """Number of headings at which paths are computed within the largest turn of a time step."""
 
@@ -75,6 +77,10 @@ class DriveMotion(PlanarMotion):
         (back, right), (ahead, left) = self.limits.tolist()
         pairs = [(v, w) for v in sorted({back, 0.0, ahead}) for w in (right, 0.0, left) if (v, w) != (0.0, 0.0)]
         return torch.tensor(pairs, device=self.limits.device)
+
+    def stops(self, action: Tensor) -> Tensor:
+        """Whether both velocities are within a tenth of their limits, as for Habitat: [B, 2] -> [B] bool."""
+        return (action.abs() < STILL * self.limits.abs().amax(0)).all(1)
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
         """Where an unobstructed action leads, possibly outside the bounds.

@@ -68,11 +68,11 @@ def test_a_run_leaves_figures_pictures_and_checkpoints(run: tuple[Path, str]) ->
     assert "success 0." in output or "success 1." in output
     assert str(folder) in output
     summary = json.loads((folder / "evaluation.json").read_text())
-    keys = {"success_rate", "success_rate_argmax", "spl", "collision_rate", "frames", "wall_seconds", "episodes"}
+    keys = {"success_rate", "success_rate_argmax", "step_spl", "collision_rate", "frames", "wall_seconds", "episodes"}
     assert keys <= summary.keys()
     assert summary["frames"] == 1280
     assert summary["episodes"] == summary["start_poses"] > 0
-    assert 0 <= summary["spl"] <= summary["success_rate"] <= 1
+    assert 0 <= summary["step_spl"] <= summary["success_rate"] <= 1
 
 
 def test_a_killed_run_goes_on_as_if_nothing_had_happened(

@@ -22,10 +22,14 @@ def test_rates_are_over_all_episodes_and_paths_repeat_with_their_start() -> None
     argmax = episodes([Outcome.TIMEOUT, Outcome.GOAL], [200, 3])
     summary = summarise(sampled, argmax, torch.tensor([2, 3]))  # starts 0, 0, 1, 1
     assert (summary["success_rate"], summary["mean_goals"]) == (0.5, 1.5)
-    assert summary["spl"] == pytest.approx((2 / 2 + 3 / 6) / 4)
+    assert summary["step_spl"] == pytest.approx((2 / 2 + 3 / 6) / 4)
     assert (summary["collision_rate"], summary["out_of_bounds_rate"], summary["timeout_rate"]) == (0.25, 0.25, 0)
     assert (summary["mean_return"], summary["mean_length"], summary["episodes"]) == (1.5, 4.5, 4)
-    assert (summary["success_rate_argmax"], summary["spl_argmax"], summary["timeout_rate_argmax"]) == (0.5, 0.5, 0.5)
+    assert (summary["success_rate_argmax"], summary["step_spl_argmax"], summary["timeout_rate_argmax"]) == (
+        0.5,
+        0.5,
+        0.5,
+    )
 
 
 def test_json_is_written_whole_or_not_at_all(tmp_path: Path) -> None:

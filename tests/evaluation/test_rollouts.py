@@ -36,7 +36,7 @@ def test_the_planner_reaches_the_goal_from_every_start_in_the_fewest_steps(robot
     episodes = run_episodes(tiny_env([robots], max_steps=50), Planner(), some, progress=finished.append)
     assert episodes.success.all()
     assert torch.equal(episodes.length, shortest)
-    assert episodes.spl(shortest) == 1.0
+    assert episodes.step_spl(shortest) == 1.0
     torch.testing.assert_close(episodes.episode_return, 50 - 0.2 * (shortest - 1).float())
     assert sum(finished) == len(some)
 
@@ -76,6 +76,6 @@ def test_spl_weighs_success_by_the_shortest_over_the_taken_path() -> None:
     length = torch.tensor([4, 8, 20, 1])
     reached = outcome == Outcome.GOAL
     episodes = Episodes(torch.zeros(4, 3), outcome, length, torch.zeros(4), reached.long(), reached)
-    assert episodes.spl(torch.tensor([4, 2, 5, 3])) == pytest.approx((1 + 2 / 8) / 4)
-    assert episodes.spl(torch.tensor([5, 2, 5, 3])) == pytest.approx((1 + 2 / 8) / 4)  # never above 1 each
+    assert episodes.step_spl(torch.tensor([4, 2, 5, 3])) == pytest.approx((1 + 2 / 8) / 4)
+    assert episodes.step_spl(torch.tensor([5, 2, 5, 3])) == pytest.approx((1 + 2 / 8) / 4)  # never above 1 each
     assert episodes.rate(Outcome.TIMEOUT) == 0.25

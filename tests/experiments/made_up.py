@@ -68,6 +68,6 @@ def begin(run: Run, frames: int, tested: Sequence[float] = ()) -> None:
 def finish(run: Run, success: float, seconds: float = 5.0, tested: Sequence[float] = (0.5, 0.95)) -> None:
     """Write what a finished training leaves."""
     begin(run, run.frames, tested)
-    figures = {"success_rate": success, "success_rate_argmax": success / 2, "spl": success - 0.1, "level": 3}
+    figures = {"success_rate": success, "success_rate_argmax": success / 2, "step_spl": success - 0.1, "level": 3}
     figures |= {"frames": run.frames, "wall_seconds": seconds}
     (run.folder / "evaluation.json").write_text(json.dumps(figures))

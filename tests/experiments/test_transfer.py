@@ -41,7 +41,7 @@ def test_every_policy_is_tested_in_every_scene(tmp_path: Path) -> None:
         ("part-a-s0", "part"),
         ("part-a-s0", "room"),
     ]
-    assert all(0 <= row["success_rate"] <= 1 and 0 <= row["spl"] <= 1 for row in rows)
+    assert all(0 <= row["success_rate"] <= 1 and 0 <= row["step_spl"] <= 1 for row in rows)
     assert [row["starts"] for row in rows] == [30, 30, 12, 12]
     assert rows == score_everywhere(runs, tmp_path)
 
@@ -61,9 +61,9 @@ def experiment(folder: Path) -> Experiment:
 
 TESTS = [
     {"run": "hall-with-s0", "place": "yard", "starts": 40, "success_rate": 0.5, "success_rate_argmax": 0.4}
-    | {"collision_rate": 0.1, "spl": 0.3},
+    | {"collision_rate": 0.1, "step_spl": 0.3},
     {"run": "hall-with-s1", "place": "yard", "starts": 40, "success_rate": 0.7, "success_rate_argmax": 0.4}
-    | {"collision_rate": 0.1, "spl": 0.3},
+    | {"collision_rate": 0.1, "step_spl": 0.3},
     {"run": "yard-with-s0", "place": "yard", "starts": 40, "success_rate": 0.9, "success_rate_argmax": 0.8}
     | {"collision_rate": 0.0},
     {"run": "gone-with-s0", "place": "yard", "starts": 1, "success_rate": 0.0},

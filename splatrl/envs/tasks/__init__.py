@@ -5,6 +5,7 @@ from splatrl.envs.tasks.base import Mark, Memory, Outcome, Step, Task, TaskModul
 from splatrl.envs.tasks.drive import Drive
 from splatrl.envs.tasks.fps import Fps
 from splatrl.envs.tasks.grid import Grid
+from splatrl.envs.tasks.navigation import ImageNav, NavigationRewards, NavigationTask, PointNav
 from splatrl.envs.tasks.orbit import Orbit
 from splatrl.envs.tasks.poster import Poster
 from splatrl.envs.tasks.rewards import OutcomeTask, Rewards
@@ -16,11 +17,15 @@ __all__ = [
     "Drive",
     "Fps",
     "Grid",
+    "ImageNav",
     "Mark",
     "Memory",
+    "NavigationRewards",
+    "NavigationTask",
     "Orbit",
     "Outcome",
     "OutcomeTask",
+    "PointNav",
     "Poster",
     "Rewards",
     "Sim2Real",

@@ -184,7 +184,7 @@ def test_an_evaluation_tells_apples_an_episode() -> None:
     starts = torch.tensor([SEEN, [-1.0, -1.0, 0.0], SEEN])
     episodes = run_episodes(env, Straight(), starts, seed=0)
     summary = summarise(episodes, episodes, None)
-    assert summary["mean_goals"] == episodes.goals.double().mean() and "spl" not in summary
+    assert summary["mean_goals"] == episodes.goals.double().mean() and "step_spl" not in summary
     assert summary["success_rate"] == (episodes.goals > 0).double().mean()
     assert (episodes.outcome == Outcome.TIMEOUT).all()
 

@@ -1,0 +1,248 @@
+"""How far goals are from any place on the ground, by the shortest way that a body fits through."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
+from torch import Tensor, nn
+
+from splatrl.collision.base import Checker
+from splatrl.motions.planar import PlanarMotion
+
+WAYS: tuple[tuple[int, int], ...] = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2))
+WAYS += ((3, 1), (1, 3), (3, -1), (1, -3), (3, 2), (2, 3), (3, -2), (2, -3))
+"""Half of the 32 directions in which nodes are joined: a way across open ground is at most 1.3 % too long."""
+MOST_NODES = 4_000_000
+NEAR = 2.0
+"""Cells: nearer than this to a goal, the straight distance holds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """The places where a body fits, on a grid, joined where it fits all the way.
+
+    Attributes:
+        corner: [2] float64, x and y of the first node, metres.
+        shape: nodes along x and y.
+        cell: distance between neighbouring nodes, metres.
+        open: [X · Y] bool, the nodes of the largest connected part.
+        graph: [X · Y, X · Y], metres between joined nodes, each pair once.
+    """
+
+    corner: NDArray[np.float64]
+    shape: tuple[int, int]
+    cell: float
+    open: NDArray[np.bool_]
+    graph: Any
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Ground":
+        return self  # it never changes
+
+    def node(self, places: NDArray[np.float64]) -> NDArray[np.int64]:
+        """The nodes nearest to places: [N, 2] metres -> [N]."""
+        index = np.rint((places - self.corner) / self.cell).astype(np.int64).clip(0, np.array(self.shape) - 1)
+        return index[:, 0] * self.shape[1] + index[:, 1]
+
+    def place(self, nodes: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Where nodes are: [N] -> [N, 2] metres."""
+        return self.corner + self.cell * np.stack(np.divmod(nodes, self.shape[1]), 1)
+
+    def connected(self, places: Tensor) -> Tensor:
+        """Whether places [N, 2] are on the largest connected part, to the nearest node: [N] bool."""
+        return torch.from_numpy(self.open[self.node(places.double().cpu().numpy())]).to(places.device)
+
+    def distances(self, nodes: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Metres from every node to each of some: [N] -> [N, X · Y]. Nodes that are not open take the nearest one's."""
+        found = csgraph.dijkstra(self.graph, directed=False, indices=nodes)
+        away, nearest = ndimage.distance_transform_edt(~self.open.reshape(self.shape), return_indices=True)
+        rows = (nearest[0] * self.shape[1] + nearest[1]).reshape(-1)
+        return (found[:, rows] + self.cell * away.reshape(-1)).astype(np.float32)
+
+
+def ground(
+    motion: PlanarMotion, checker: Checker, cell: float, fits: Callable[[Tensor], Tensor] | None = None
+) -> Ground:
+    """Find where a body fits, and which neighbouring places it fits between, facing the way it goes.
+
+    Args:
+        motion: says where robots may be, and how a state is a pose.
+        checker: tells which poses and moves are free.
+        cell: distance between neighbouring nodes, metres.
+        fits: body_to_world [N, 4, 4] -> [N] bool, where robots may be besides; None is everywhere.
+
+    Raises:
+        ValueError: for no free place, or a grid of more than ``MOST_NODES``.
+    """
+    lower, upper = (bound.double().cpu().numpy() for bound in (motion.lower, motion.upper))
+    x, y = (int(np.floor((high - low) / cell + 1e-6)) + 1 for low, high in zip(lower, upper, strict=True))
+    if x < 2 or y < 2 or x * y > MOST_NODES:
+        raise ValueError(f"task.cell: expected 2 × 2 to {MOST_NODES:,} nodes within the bounds, got {x} × {y}")
+    shape = x, y
+    index = np.stack(np.meshgrid(np.arange(x), np.arange(y), indexing="ij"), -1).reshape(-1, 2)
+
+    def poses(index: NDArray[np.int64], yaw: float) -> Tensor:
+        places = torch.from_numpy(lower + cell * index).float()
+        return motion.body_to_world(torch.cat([places, torch.full((len(places), 1), yaw)], 1))
+
+    stand = poses(index, 0.0)
+    free = ~checker.collides(stand)
+    free_nodes = (free if fits is None else free & fits(stand)).cpu().numpy()
+    if not free_nodes.any():
+        raise ValueError("scene: expected places where the robot fits, got none; try a smaller robot.body")
+    ends: list[NDArray[np.int64]] = []
+    lengths: list[NDArray[np.float64]] = []
+    for way in WAYS:
+        there = index + way
+        inside = ((there >= 0) & (there < shape)).all(1)
+        begin = np.flatnonzero(inside)
+        end = there[begin, 0] * y + there[begin, 1]
+        both = free_nodes[begin] & free_nodes[end]
+        begin, end, yaw = begin[both], end[both], float(np.arctan2(way[1], way[0]))
+        clear = ~checker.sweeps(poses(index[begin], yaw), poses(index[end], yaw)).cpu().numpy()
+        ends.append(np.stack([begin[clear], end[clear]]))
+        lengths.append(np.full(int(clear.sum()), cell * float(np.hypot(*way))))
+    pairs = np.concatenate(ends, 1)
+    graph = sparse.csr_matrix((np.concatenate(lengths), (pairs[0], pairs[1])), (x * y, x * y))
+    _, part = csgraph.connected_components(graph, directed=False)
+    sizes = np.bincount(part, weights=free_nodes)
+    return Ground(lower, shape, cell, free_nodes & (part == sizes.argmax()), graph)
+
+
+class Geodesics(nn.Module):
+    """Distances to some goals of one scene, or of several, by look-up: goals are rows that know their scene.
+
+    Attributes:
+        grounds: of each scene.
+        for_training: how many of the goals of each scene come first and are drawn in training.
+        for_tests: how many come next and are drawn in tests.
+    """
+
+    metres: Tensor  # [sum of X · Y] float32, the fields of all goals one after the other
+    first: Tensor  # [G] int64, where a goal's field begins
+    shape: Tensor  # [G, 2] int64
+    corner: Tensor  # [G, 2] float32
+    goals: Tensor  # [G, 2] float32, x and y
+    begins: Tensor  # [S] int64, the first goal of each scene
+
+    def __init__(self, grounds: Sequence[Ground], goals: Sequence[NDArray[np.int64]], for_training: int):
+        """Find the distances to nodes of each ground."""
+        super().__init__()
+        self.grounds, self.for_training, self.cell = tuple(grounds), for_training, grounds[0].cell
+        self._scene: Tensor | None = None
+        self._nodes = [np.asarray(nodes, np.int64) for nodes in goals]
+        counts = np.array([len(nodes) for nodes in goals])
+        sizes = np.repeat([each.shape[0] * each.shape[1] for each in grounds], counts)
+        fields = [each.distances(nodes).reshape(-1) for each, nodes in zip(grounds, goals, strict=True)]
+        places = [each.place(nodes) for each, nodes in zip(grounds, self._nodes, strict=True)]
+        self._keep("metres", np.concatenate(fields))
+        self._keep("first", np.cumsum(sizes) - sizes)
+        self._keep("shape", np.repeat([each.shape for each in grounds], counts, 0))
+        self._keep("corner", np.repeat([each.corner for each in grounds], counts, 0).astype(np.float32))
+        self._keep("goals", np.concatenate(places).astype(np.float32))
+        self._keep("begins", np.cumsum(counts) - counts)
+        self.for_tests = int(counts.min()) - for_training
+
+    def _keep(self, name: str, values: NDArray[Any]) -> None:
+        self.register_buffer(name, torch.from_numpy(values), persistent=False)
+
+    @classmethod
+    def drawn(cls, place: Ground, for_training: int, for_tests: int, seed: int) -> "Geodesics":
+        """With goals anywhere in the largest connected part of a ground, drawn by a seed.
+
+        Raises:
+            ValueError: for fewer places than goals.
+        """
+        nodes, wanted = np.flatnonzero(place.open), for_training + for_tests
+        if len(nodes) < wanted:
+            raise ValueError(f"task.goals: expected at most {len(nodes)}, the free places there are, got {wanted}")
+        return cls([place], [np.random.default_rng(seed).choice(nodes, wanted, replace=False)], for_training)
+
+    @classmethod
+    def joined(cls, scenes: "Sequence[Geodesics]") -> "Geodesics":
+        """Of several scenes, from one of each."""
+        result = cls.__new__(cls)
+        nn.Module.__init__(result)
+        first = scenes[0]
+        result.grounds = tuple(each.grounds[0] for each in scenes)
+        result.for_training, result.cell, result._scene = first.for_training, first.cell, None
+        result.for_tests = min(each.for_tests for each in scenes)
+        result._nodes = [each._nodes[0] for each in scenes]
+        sizes = torch.tensor([len(each.metres) for each in scenes])
+        shifts = sizes.cumsum(0) - sizes
+        counts = torch.tensor([len(each.goals) for each in scenes])
+        moved = [each.first + shift for each, shift in zip(scenes, shifts, strict=True)]
+        result.register_buffer("metres", torch.cat([each.metres for each in scenes]), persistent=False)
+        result.register_buffer("first", torch.cat(moved), persistent=False)
+        for name in ("shape", "corner", "goals"):
+            result.register_buffer(name, torch.cat([getattr(each, name) for each in scenes]), persistent=False)
+        result.register_buffer("begins", counts.cumsum(0) - counts, persistent=False)
+        return result
+
+    def at(self, scene: Tensor) -> "Geodesics":
+        """The same for rows in some scenes, [B] int64, whose goals are drawn there."""
+        result = nn.Module.__new__(type(self))
+        result.__dict__ = {**self.__dict__, "_scene": scene}
+        return result
+
+    def with_goals(self, places: NDArray[np.float64], scene: NDArray[np.int64]) -> "tuple[Geodesics, Tensor]":
+        """The same with more goals, at places [N, 2] of scenes [N]; also their rows, [N] int64.
+
+        Raises:
+            ValueError: for a place where the robot does not fit, or that is not connected to most others.
+        """
+        nodes, rows = [list(each) for each in self._nodes], np.zeros(len(places), np.int64)
+        for number, (place, own) in enumerate(zip(places, scene, strict=True)):
+            each = self.grounds[int(own)]
+            node = int(each.node(place[None])[0])
+            if not each.open[node] or np.abs(each.place(np.array([node]))[0] - place).max() > each.cell:
+                raise ValueError(f"goal of episode {number}: expected a free place, got {np.round(place, 3).tolist()}")
+            if node not in nodes[int(own)]:
+                nodes[int(own)].append(node)
+            rows[number] = nodes[int(own)].index(node)
+        result = Geodesics(self.grounds, [np.array(own) for own in nodes], self.for_training)
+        return result.to(self.metres.device), torch.from_numpy(rows) + result.begins.cpu()[torch.from_numpy(scene)]
+
+    def distance(self, place: Tensor, goal: Tensor) -> Tensor:
+        """Metres of the shortest way from places to goals, interpolated between nodes.
+
+        Args:
+            place: [B, 2] float32, metres.
+            goal: [B] int64, rows of goals.
+
+        Returns:
+            [B] float32.
+        """
+        shape, straight = self.shape[goal], (place - self.goals[goal]).norm(dim=1)
+        at = (place - self.corner[goal]) / self.cell
+        low = torch.minimum(at.floor().long().clamp_min(0), shape - 2)
+        share = (at - low).clamp(0.0, 1.0)
+        begin = self.first[goal] + low[:, 0] * shape[:, 1] + low[:, 1]
+        found = torch.zeros_like(straight)
+        for x, y in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            weight = (share[:, 0] if x else 1.0 - share[:, 0]) * (share[:, 1] if y else 1.0 - share[:, 1])
+            found = found + weight * self.metres[begin + x * shape[:, 1] + y]
+        return torch.where(straight < NEAR * self.cell, straight, torch.maximum(found, straight))
+
+    def draw(self, place: Tensor, least: float, most: float, generator: torch.Generator, tests: bool = False) -> Tensor:
+        """Draw a goal for each place, at a distance in a range where there is one: [B, 2] -> [B] int64 rows.
+
+        Args:
+            place: [B, 2] float32, metres.
+            least: shortest distance, metres.
+            most: longest distance, metres.
+            generator: draws them; it gives as many numbers in every case.
+            tests: whether to draw from the goals for tests.
+        """
+        count, skipped = (self.for_tests, self.for_training) if tests else (self.for_training, 0)
+        own = torch.arange(skipped, skipped + count, device=place.device)
+        begins = self.begins[:1].expand(len(place)) if self._scene is None else self.begins.index_select(0, self._scene)
+        rows = begins.unsqueeze(1) + own
+        far = self.distance(place.repeat_interleave(count, 0), rows.flatten()).view(len(place), count)
+        drawn = torch.rand(len(place), count, generator=generator, device=place.device)
+        chosen = torch.where((far >= least) & (far <= most), 1.0 + drawn, drawn).argmax(1)
+        return rows.gather(1, chosen.unsqueeze(1)).squeeze(1)

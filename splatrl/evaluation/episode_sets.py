@@ -1,0 +1,150 @@
+"""Sets of navigation episodes in files with Habitat's field names: who starts where, and where to."""
+
+import gzip
+import json
+import math
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from splatrl.documents import parsed_json
+from splatrl.files import refusing, replacing
+
+EPISODES = "episodes.json.gz"
+MOST_BYTES = 2**27
+"""Of a file's unpacked text: some hundred thousand episodes."""
+MOST_EPISODES = 200_000
+FARTHEST = 1e6
+"""Metres of a position, at most."""
+EXPECTED = "Habitat's episodes: a list 'episodes', each with scene_id, start_position, start_rotation and goals"
+
+
+def to_habitat(places: Tensor) -> Tensor:
+    """Positions [N, 3] of the world (z up, yaw 0 along +x) in Habitat's frame (y up, looking along −z)."""
+    x, y, z = places.unbind(1)
+    return torch.stack([-y, z, -x], 1)
+
+
+def from_habitat(places: Tensor) -> Tensor:
+    """Undo ``to_habitat``."""
+    x, y, z = places.unbind(1)
+    return torch.stack([-z, -x, y], 1)
+
+
+def write_episodes(
+    path: Path,
+    state: Tensor,
+    memory: Mapping[str, Tensor],
+    scenes: Sequence[str],
+    height: float,
+    radius: float,
+) -> None:
+    """Write episodes as ``episodes.json.gz``.
+
+    Positions and rotations (x, y, z, w) are in Habitat's frame. The yaw of a goal, which image goals have, is
+    ``info.goal_yaw`` in the world's frame, radians.
+
+    Args:
+        path: file to write.
+        state: [N, 3] starts, x and y in metres and yaw in radians.
+        memory: ``goal`` [N, 3] likewise, and ``start_distance`` [N, 1], metres of the shortest way.
+        scenes: [N] names.
+        height: z of starts and goals, metres.
+        radius: within which a stop is a success, metres.
+    """
+    z = torch.full((len(state), 1), height, dtype=torch.float64)
+    goal = memory["goal"].double()
+    starts, goals = (to_habitat(torch.cat([each[:, :2].double(), z], 1)).tolist() for each in (state, goal))
+    yaws, far = state[:, 2].double().tolist(), memory["start_distance"].double().flatten().tolist()
+    episodes = [
+        {
+            "episode_id": str(number),
+            "scene_id": scenes[number],
+            "start_position": starts[number],
+            "start_rotation": [0.0, math.sin(yaws[number] / 2), 0.0, math.cos(yaws[number] / 2)],
+            "info": {"geodesic_distance": far[number], "goal_yaw": float(goal[number, 2])},
+            "goals": [{"position": goals[number], "radius": radius}],
+        }
+        for number in range(len(state))
+    ]
+    text = json.dumps({"episodes": episodes})
+    with replacing(path) as stream, gzip.GzipFile("", "wb", 9, stream, mtime=0) as packed:  # the same bytes each time
+        packed.write(text.encode())
+
+
+def read_episodes(path: Path, scenes: Sequence[str]) -> tuple[Tensor, Tensor, Tensor]:
+    """Read episodes, which may come from a stranger: they are data.
+
+    Args:
+        path: a file that ``write_episodes`` wrote, or one for Habitat.
+        scenes: names of the scenes there are.
+
+    Returns:
+        Starts [N, 3] float32, x and y in metres and yaw in radians; goals likewise, their yaw 0 where nothing is said
+        of it; and the scene of each, [N] int64.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: for a file that is damaged, too large, of another kind, or about scenes that are not there.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: expected a file of episodes, found none")
+    with refusing(path, EXPECTED):
+        found = parsed_json(str(path), _unpacked(path))
+        rows = found.get("episodes") if isinstance(found, dict) else None
+        if not isinstance(rows, list) or not 0 < len(rows) <= MOST_EPISODES:
+            raise ValueError(f"expected 1 to {MOST_EPISODES:,} episodes")
+        read = [_episode(number, row, scenes) for number, row in enumerate(rows)]
+    start, goal = (torch.tensor([row[which] for row in read], dtype=torch.float32) for which in (0, 1))
+    return start, goal, torch.tensor([row[2] for row in read], dtype=torch.int64)
+
+
+def _unpacked(path: Path) -> bytes:
+    """The text of a file, at most ``MOST_BYTES``."""
+    packed, text = path.read_bytes() if path.stat().st_size <= MOST_BYTES else b"", zlib.decompressobj(wbits=31)
+    content = text.decompress(packed, MOST_BYTES)
+    if not text.eof:
+        raise ValueError(f"expected a whole gzip file of at most {MOST_BYTES:,} bytes unpacked")
+    return content
+
+
+def _episode(number: int, row: Any, scenes: Sequence[str]) -> tuple[list[float], list[float], int]:
+    """Start, goal and scene of an episode."""
+    where = f"episode {number}"
+    if not isinstance(row, dict):
+        raise ValueError(f"{where}: expected keys and values")
+    scene = row.get("scene_id")
+    if scene not in scenes:
+        raise ValueError(f"{where}: expected scene_id to be {' or '.join(scenes)}, got {str(scene)[:80]!r}")
+    goals, info = row.get("goals"), row.get("info") or {}
+    if not isinstance(goals, list) or not goals or not isinstance(goals[0], dict) or not isinstance(info, dict):
+        raise ValueError(f"{where}: expected goals with a position")
+    places = [
+        _numbers(f"{where}.start_position", row.get("start_position"), 3),
+        _numbers(f"{where}.goals[0].position", goals[0].get("position"), 3),
+    ]
+    x, y, z, w = _numbers(f"{where}.start_rotation", row.get("start_rotation"), 4)
+    if abs(math.hypot(x, y, z, w) - 1.0) > 1e-3 or math.hypot(x, z) > 1e-3:
+        raise ValueError(f"{where}.start_rotation: expected a unit quaternion about the y axis")
+    (goal_yaw,) = _numbers(f"{where}.info.goal_yaw", [info.get("goal_yaw", 0.0)], 1)
+    start, goal = from_habitat(torch.tensor(places, dtype=torch.float64))[:, :2].tolist()
+    return [*start, 2.0 * math.atan2(y, w) % math.tau], [*goal, goal_yaw % math.tau], list(scenes).index(str(scene))
+
+
+def _numbers(key: str, values: Any, count: int) -> list[float]:
+    plain = isinstance(values, list) and len(values) == count
+    if not plain or not all(isinstance(one, int | float) and not isinstance(one, bool) for one in values):
+        raise ValueError(f"{key}: expected {count} numbers")
+    if not all(abs(one) <= FARTHEST for one in values):  # NaN is not
+        raise ValueError(f"{key}: expected finite numbers of at most {FARTHEST:g}")
+    return [float(one) for one in values]
+
+
+def places_of(goal: Tensor) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """The positions of goals [N, 3] as ``Geodesics.with_goals`` takes them: [N, 2]."""
+    return goal[:, :2].double().numpy()

@@ -1,0 +1,127 @@
+"""Shortest ways on the ground: worked out by hand, and against an independent search."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from splatrl.bodies import Box, Sphere
+from splatrl.collision import NativeChecker, NoChecker, Occupancy
+from splatrl.curriculum.geodesics import Geodesics, ground
+from splatrl.motions import NavigateMotion
+from splatrl.several import rows_of, stacked
+
+HEIGHT = 0.5
+MOTION = NavigateMotion(HEIGHT, lower=(-1.0, -1.5), upper=(1.0, 1.5))
+RADIUS = 0.1
+
+
+def wall_with_a_door() -> Occupancy:
+    """A wall along x at y = 0 from -1 to 0.5: the way past its end is at x = 0.5."""
+    return Occupancy.from_boxes([[-1.5, -0.05, 0.0]], [[0.5, 0.05, 1.0]], 0.05)
+
+
+def checker(occupancy: Occupancy | None = None) -> NativeChecker:
+    return NativeChecker(occupancy or wall_with_a_door(), Sphere(RADIUS))
+
+
+def geodesics(cell: float = 0.05, **counts: int) -> Geodesics:
+    numbers = {"for_training": 5, "for_tests": 3, "seed": 1} | counts
+    return Geodesics.drawn(ground(MOTION, checker(), cell), **numbers)
+
+
+def to(places: list[list[float]], goals: Geodesics, goal: list[float]) -> torch.Tensor:
+    """Distances from places to a goal that is added."""
+    more, rows = goals.with_goals(np.array([goal]), np.zeros(1, np.int64))
+    return more.distance(torch.tensor(places), rows.expand(len(places)))
+
+
+def test_on_open_ground_it_is_the_straight_distance_within_the_directions_of_the_grid() -> None:
+    open_ground = Geodesics.drawn(ground(MOTION, NoChecker(Occupancy.empty(), Sphere(0.1)), 0.05), 1, 1, 0)
+    generator = torch.Generator().manual_seed(0)
+    places = torch.rand(500, 2, generator=generator) * torch.tensor([2.0, 3.0]) - torch.tensor([1.0, 1.5])
+    found = to(places.tolist(), open_ground, [0.3, -0.2])
+    straight = (places - torch.tensor([0.3, -0.2])).norm(dim=1)
+    assert (found >= straight - 1e-5).all()
+    assert (found <= 1.014 * straight + 0.01).all()
+    near = straight < 0.1
+    assert near.any() and torch.equal(found[near], straight[near])
+
+
+def test_the_way_around_a_wall_passes_its_end() -> None:
+    # Straight to the wall's end, which a body of radius r rounds: the corners (0.5, ±0.05) become quarter circles. From
+    # (0, -0.5) a tangent touches the first of them; the angle that is left to its easternmost point is an arc.
+    away, down = 0.5, 0.45  # from the place to the first corner
+    direct = math.hypot(away, down)
+    tangent = math.sqrt(direct**2 - RADIUS**2)
+    heading = math.atan2(down, away) - math.asin(RADIUS / direct)  # of the tangent, which passes south of the corner
+    arc = RADIUS * (math.pi / 2 - heading)
+    expected = 2 * (tangent + arc) + 0.1
+    found = float(to([[0.0, -0.5]], geodesics(0.025), [0.0, 0.5]))
+    assert found == pytest.approx(expected, rel=0.02)
+
+
+def test_no_way_leads_through_what_the_body_does_not_fit_through() -> None:
+    gap = Occupancy.from_boxes([[-1.5, -0.05, 0.0], [0.65, -0.05, 0.0]], [[0.5, 0.05, 1.0], [1.5, 0.05, 1.0]], 0.05)
+    place = ground(MOTION, checker(gap), 0.05)
+    upper = place.connected(torch.tensor([[0.0, 0.5], [0.0, -0.5]]))
+    assert upper.sum() == 1  # the largest part is on one side
+    inside = place.connected(torch.tensor([[0.0, 0.0]]))
+    assert not inside.any()
+    with pytest.raises(ValueError, match=r"goal of episode 0: expected a free place, got \[0.0, 0.0\]"):
+        Geodesics.drawn(place, 1, 1, 0).with_goals(np.zeros((1, 2)), np.zeros(1, np.int64))
+
+
+def test_a_box_is_taken_along_the_way_it_goes() -> None:
+    lane = Occupancy.from_boxes([[-1.5, 0.2, 0.0], [-1.5, -0.3, 0.0]], [[1.5, 0.3, 1.0], [1.5, -0.2, 1.0]], 0.05)
+    long = NativeChecker(lane, Box((0.6, 0.1, 0.2)))
+    place = ground(NavigateMotion(HEIGHT, lower=(-1.0, -0.1), upper=(1.0, 0.1)), long, 0.05)
+    middle = torch.stack([torch.linspace(-1.0, 1.0, 21), torch.zeros(21)], 1)
+    assert place.connected(middle).all()  # although the box fits nowhere across the lane
+
+
+def test_goals_are_free_seeded_and_drawn_at_the_distance_asked() -> None:
+    goals, again, other = geodesics(), geodesics(), geodesics(seed=2)
+    assert torch.equal(goals.goals, again.goals) and not torch.equal(goals.goals, other.goals)
+    assert goals.grounds[0].connected(goals.goals).all()
+    places = torch.rand(200, 2, generator=torch.Generator().manual_seed(3)) * 0.4 + torch.tensor([0.55, -1.0])
+    rows = goals.draw(places, 0.5, 2.0, torch.Generator().manual_seed(4))
+    assert rows.min() >= 0 and rows.max() < 5
+    everywhere = torch.stack([goals.distance(places, torch.full((200,), row)) for row in range(5)], 1)
+    fits = (everywhere >= 0.5) & (everywhere <= 2.0)
+    chosen = goals.distance(places, rows)
+    assert torch.equal((chosen >= 0.5) & (chosen <= 2.0), fits.any(1)) and fits.any(1).sum() > 100
+    tests = goals.draw(places, 0.0, 9.0, torch.Generator().manual_seed(4), tests=True)
+    assert tests.min() >= 5 and tests.max() < 8
+
+
+def test_several_scenes_keep_their_goals_apart() -> None:
+    one, other = geodesics(), geodesics(seed=5)
+    both = stacked([one, other])
+    places = torch.tensor([[0.7, 0.5], [0.7, -0.5], [0.8, 1.0]])
+    scene = torch.tensor([1, 0, 1])
+    rows = rows_of(both, scene).draw(places, 0.2, 5.0, torch.Generator().manual_seed(0))
+    assert torch.equal(rows >= 8, scene == 1)
+    for row, alone in ((0, other), (1, one), (2, other)):
+        mine = int(rows[row]) % 8
+        expected = alone.distance(places[row : row + 1], torch.tensor([mine]))
+        assert torch.equal(both.distance(places[row : row + 1], rows[row : row + 1]), expected)
+    more, added = both.with_goals(np.array([[0.7, 0.5], [0.7, 0.5]]), np.array([1, 0]))
+    assert torch.allclose(more.goals[added], torch.tensor([0.7, 0.5]))
+
+
+def test_a_copy_shares_the_ground() -> None:
+    goals = geodesics()
+    assert copy.deepcopy(goals).grounds[0] is goals.grounds[0]
+
+
+def test_too_many_goals_or_nodes_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"task\.goals: expected at most"):
+        geodesics(for_training=10**5)
+    with pytest.raises(ValueError, match=r"task\.cell"):
+        ground(MOTION, checker(), 0.001)
+    full = Occupancy.from_boxes([[-2.0, -2.0, 0.0]], [[2.0, 2.0, 1.0]], 0.05)
+    with pytest.raises(ValueError, match="expected places where the robot fits"):
+        ground(MOTION, checker(full), 0.05)

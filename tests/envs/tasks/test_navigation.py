@@ -1,0 +1,239 @@
+"""Point-goal and image-goal navigation: episodes and measures worked out by hand."""
+
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import check_env_specs
+
+import splatrl
+from splatrl.bodies import Sphere
+from splatrl.collision import NativeChecker, Occupancy
+from splatrl.curriculum import Curriculum, Plan, plan
+from splatrl.envs import Robot, SplatEnv
+from splatrl.envs.drawing import SceneDrawing
+from splatrl.envs.sensors import Gps, ImageGoal, PointGoal
+from splatrl.envs.tasks import ImageNav, NavigationRewards, NavigationTask, Outcome, PointNav
+from splatrl.evaluation.rollouts import Episodes, run_episodes
+from splatrl.motions import DriveMotion, ForwardMotion, NavigateMotion
+from tests.tiny import BLOCK, HEIGHT, tiny_overrides, tiny_renderer
+
+BOUNDS: dict[str, Any] = {"lower": (-1.0, -1.5), "upper": (1.0, 1.5), "spacing": 0.25, "headings": 4}
+STOP, FORWARD, LEFT, RIGHT = range(4)
+REWARDS = NavigationRewards(progress=1.0, slack=-0.01, success=2.5)
+FEW: dict[str, Any] = {"goals": 8, "test_goals": 4, "nearest": 0.3, "farthest": 9.0, "max_steps": 12}
+
+
+@cache
+def checker() -> NativeChecker:
+    block = Occupancy.from_boxes([[-BLOCK, -BLOCK, 0.0]], [[BLOCK, BLOCK, 1.0]], 0.05)
+    return NativeChecker(block, Sphere(0.1))
+
+
+def task_of(kind: type[NavigationTask] = PointNav, sliding: bool = False, **settings: Any) -> NavigationTask:
+    motion = NavigateMotion(HEIGHT, step=0.25, angle_step_deg=90.0, sliding=sliding, **BOUNDS)
+    task = kind(motion, REWARDS, **(FEW | settings))
+    task.settle(checker())
+    return task
+
+
+@cache
+def paths() -> Plan:
+    task = task_of()
+    return plan(task.motion, checker(), task.reached)
+
+
+def env_of(task: NavigationTask, batch: tuple[int, ...] = (1,), seed: int = 0) -> SplatEnv:
+    robot = Robot(Sphere(0.1), HEIGHT, image_width=16, image_height=12)
+    sensors = {"gps": Gps(), "pointgoal_with_gps_compass": PointGoal()}
+    if isinstance(task, ImageNav):
+        sensors = {"imagegoal": ImageGoal()}
+    curriculum = Curriculum(paths(), None)
+    return SplatEnv(SceneDrawing(tiny_renderer()), checker(), robot, task, curriculum, batch, seed, sensors=sensors)
+
+
+def begin(env: SplatEnv, state: list[float], goal: list[float]) -> TensorDict:
+    """An episode of one robot from a state to a goal, which is added to the task's."""
+    task = env.task
+    task.geodesics, rows = task.geodesics.with_goals(np.array([goal[:2]]), np.zeros(1, np.int64))
+    start = torch.tensor([state])
+    memory = task.episode(start, rows, torch.tensor([goal[2:]]))
+    return env.reset(TensorDict({"state": start, **memory}, [1]), set_state=True)
+
+
+def walk(env: SplatEnv, td: TensorDict, actions: list[int]) -> list[TensorDict]:
+    """What each action leads to."""
+    after = []
+    for action in actions:
+        step = env.step(td.set("action", torch.tensor([action])))
+        after.append(step["next"])
+        td = env.step_mdp(step)
+    return after
+
+
+def test_an_episode_by_hand_turns_walks_and_stops() -> None:
+    env = env_of(task_of())
+    td = begin(env, [0.75, -1.0, 0.0], [0.75, 0.0, 0.0])  # one metre to the left
+    assert td["distance_to_goal"] == td["start_distance"] == pytest.approx(1.0, abs=1e-5)
+    torch.testing.assert_close(td["pointgoal_with_gps_compass"], torch.tensor([[1.0, math.pi / 2]]))
+    after = walk(env, td, [LEFT, FORWARD, FORWARD, FORWARD, FORWARD, STOP])
+    rewards = [float(one["reward"]) for one in after]
+    assert rewards == pytest.approx([-0.01, 0.24, 0.24, 0.24, 0.24, 2.49], abs=1e-4)
+    assert [int(one["outcome"]) for one in after] == [Outcome.RUNNING] * 5 + [Outcome.GOAL]
+    assert [bool(one["terminated"]) for one in after] == [False] * 5 + [True]
+    last = after[-1]
+    assert bool(last["success"]) and float(last["path_length"]) == pytest.approx(1.0, abs=1e-5)
+    torch.testing.assert_close(last["gps"], torch.tensor([[0.0, -1.0]]), atol=1e-5, rtol=0)
+    torch.testing.assert_close(after[0]["pointgoal_with_gps_compass"], torch.tensor([[1.0, 0.0]]), atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize(("walked", "reached"), [(3, False), (4, True)])
+def test_a_stop_is_a_success_only_nearer_than_the_distance(walked: int, reached: bool) -> None:
+    env = env_of(task_of())
+    td = begin(env, [0.75, -1.0, math.pi / 2], [0.75, 0.0, 0.0])
+    last = walk(env, td, [FORWARD] * walked + [STOP])[-1]
+    assert bool(last["terminated"]) and bool(last["success"]) is reached
+    assert int(last["outcome"]) == (Outcome.GOAL if reached else Outcome.STOPPED)
+
+
+def test_the_distance_that_counts_is_that_of_the_way_around() -> None:
+    env = env_of(task_of(success_distance=0.75))
+    td = begin(env, [-0.35, 0.0, 0.0], [0.35, 0.0, 0.0])  # 0.7 m through the block, farther around it
+    assert float(td["distance_to_goal"]) > 0.9
+    assert int(walk(env, td, [STOP])[-1]["outcome"]) == Outcome.STOPPED
+
+
+def test_a_blocked_robot_stays_counts_and_goes_on() -> None:
+    env = env_of(task_of())
+    td = begin(env, [0.5, 0.0, math.pi], [0.75, 1.0, 0.0])  # looking at the block
+    after = walk(env, td, [FORWARD, FORWARD, RIGHT, FORWARD])
+    assert [int(one["collisions"]) for one in after] == [1, 2, 2, 2]
+    assert [int(one["outcome"]) for one in after] == [Outcome.COLLISION] * 2 + [Outcome.RUNNING] * 2
+    assert not any(bool(one["done"]) for one in after)
+    assert torch.equal(after[1]["state"], td["state"]) and float(after[1]["path_length"]) == 0.0
+    edge = walk(env, begin(env, [1.0, 1.0, 0.0], [0.75, 0.0, 0.0]), [FORWARD])[-1]  # out of the bounds
+    assert int(edge["collisions"]) == 1 and not bool(edge["done"])
+
+
+def test_a_sliding_robot_goes_on_along_what_it_touches() -> None:
+    state, action = torch.tensor([[0.4, 0.0, 0.75 * math.pi], [0.4, 0.0, math.pi]]), torch.tensor([FORWARD, FORWARD])
+    stays = task_of().motion.move(state, action, checker())
+    slides = task_of(sliding=True).motion.move(state, action, checker())
+    assert torch.equal(stays.state, state)
+    along = 0.25 / math.sqrt(2)
+    torch.testing.assert_close(slides.state[0], torch.tensor([0.4, along, 0.75 * math.pi]))
+    torch.testing.assert_close(slides.state[1], state[1], atol=1e-6, rtol=0)  # straight into the wall
+    assert torch.equal(slides.free_fraction, stays.free_fraction) and (slides.free_fraction < 1).all()
+
+
+def test_an_episode_without_a_stop_is_cut_off() -> None:
+    env = env_of(task_of(max_steps=3))
+    last = walk(env, begin(env, [0.75, -1.0, 0.0], [0.75, 0.0, 0.0]), [LEFT, RIGHT, LEFT])[-1]
+    assert bool(last["truncated"]) and int(last["outcome"]) == Outcome.TIMEOUT and not bool(last["success"])
+
+
+def test_a_drive_stops_where_both_velocities_are_small() -> None:
+    motion = DriveMotion(HEIGHT, linear=(-0.25, 0.5), angular_deg=90.0)
+    small, turn = 0.049, 0.09 * math.pi / 2
+    actions = torch.tensor([[small, 0.0], [0.06, 0.0], [0.0, turn], [0.0, 0.2], [-small, -turn], [-0.1, 0.0]])
+    assert motion.stops(actions).tolist() == [True, False, True, False, True, False]
+
+
+def episodes(success: list[bool], far: list[float], start: list[float], path: list[float], hits: list[int]) -> Episodes:
+    count = len(success)
+    zeros = torch.zeros(count, dtype=torch.int64)
+    measures = {"distance_to_goal": far, "start_distance": start, "path_length": path}
+    named = {key: torch.tensor(values) for key, values in measures.items()} | {"collisions": torch.tensor(hits)}
+    return Episodes(zeros, zeros, zeros, zeros.float(), zeros, torch.tensor(success), None, named)
+
+
+def test_the_measures_of_episodes_worked_out_by_hand() -> None:
+    # The shortest way; a way twice as long; a stop half way; one that went away; a start at the goal's distance.
+    found = episodes(
+        [True, True, False, False, True],
+        [0.1, 0.0, 2.0, 5.0, 0.15],
+        [4.0, 3.0, 4.0, 4.0, 1.0],
+        [3.9, 6.0, 2.0, 1.0, 0.9],
+        [0, 3, 1, 0, 1],
+    ).navigation()
+    soft = [0.975, 0.5, 0.5, 0.0, 0.85]
+    assert found == pytest.approx(
+        {
+            "success": 3 / 5,
+            "spl": (1.0 + 0.5 + 0.0 + 0.0 + 1.0) / 5,
+            "soft_spl": sum(soft) / 5,
+            "distance_to_goal": 7.25 / 5,
+            "collisions": 1.0,
+        }
+    )
+
+
+def test_other_tasks_have_no_measures_of_navigation() -> None:
+    zeros = torch.zeros(2, dtype=torch.int64)
+    assert Episodes(zeros, zeros, zeros, zeros.float(), zeros, zeros.bool()).navigation() == {}
+
+
+def test_run_episodes_begins_each_anew_with_its_goal() -> None:
+    task = task_of(max_steps=40)
+    drawn = task.episodes(paths().starts, 7, seed=3)
+    state = drawn.pop("state")
+
+    def towards(td: TensorDict) -> TensorDict:
+        """Turn to the goal, go there by quarter turns, and stop near it."""
+        rho, phi = td["pointgoal_with_gps_compass"].unbind(1)
+        action = torch.where(phi.abs() <= math.pi / 4 + 1e-4, FORWARD, torch.where(phi > 0, LEFT, RIGHT))
+        return td.set("action", torch.where(rho < 0.15, STOP, action))
+
+    found = run_episodes(env_of(task, (3,)), towards, state, memory=drawn)
+    alone = []
+    for row in torch.arange(7).split(1):
+        memory = {key: value[row] for key, value in drawn.items()}
+        alone.append(run_episodes(env_of(task, (1,)), towards, state[row], memory=memory))
+    for key, values in found.measures.items():
+        assert torch.allclose(values, torch.cat([one.measures[key] for one in alone]), atol=1e-5), key
+    assert torch.equal(found.measures["start_distance"], drawn["start_distance"].squeeze(1))
+    assert torch.equal(found.length, torch.cat([one.length for one in alone]))
+    assert found.success.any()
+
+
+def test_episodes_for_tests_are_seeded_and_have_goals_of_their_own() -> None:
+    task = task_of()
+    one, again, other = (task.episodes(paths().starts, 20, seed) for seed in (1, 1, 2))
+    assert all(torch.equal(one[key], again[key]) for key in one)
+    assert not torch.equal(one["state"], other["state"])
+    assert (one["goal_row"] >= 8).all() and (one["start_distance"] >= 0.3).all()
+    with pytest.raises(ValueError, match="found 0 of 20"):
+        task_of(nearest=50.0, farthest=60.0).episodes(paths().starts, 20, 1)
+
+
+def test_an_episode_of_imagenav_shows_what_is_seen_at_the_goal() -> None:
+    env = env_of(task_of(ImageNav, success_distance=1.0), (3,))
+    check_env_specs(env, seed=0)
+    td = env.reset()
+    there = torch.cat([td["goal"][:, :2], td["goal"][:, 2:] % math.tau], 1)
+    seen = env.reset(TensorDict({"state": there}, [3]), set_state=True)["pixels"]
+    assert torch.equal(td["imagegoal"], seen)
+    batch = env.rollout(5, break_when_any_done=False)
+    goes_on = ~batch["next", "done"][:, :, 0]
+    assert torch.equal(batch["imagegoal"][goes_on], batch["next", "imagegoal"][goes_on])
+
+
+@pytest.mark.parametrize("task", ["pointnav", "imagenav"])
+@pytest.mark.parametrize("motion", ["navigate", "drive"])
+def test_the_configured_tasks_keep_their_specs(task: str, motion: str, tmp_path) -> None:
+    given = [*tiny_overrides(tmp_path, task), "task.goals=5", "task.test_goals=3", "task.nearest=0.3"]
+    env = splatrl.make_env([*given, f"motion@task.motion={motion}", "robot.body.radius=0.1"], [3])
+    check_env_specs(env, seed=0)
+    env.set_seed(5)
+    first = env.reset()
+    env.set_seed(5)
+    assert torch.equal(first["goal"], env.reset()["goal"])
+
+
+def test_a_motion_that_cannot_stop_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"task\.motion: expected one that can stop"):
+        PointNav(ForwardMotion(HEIGHT))  # type: ignore[arg-type]

@@ -1,0 +1,115 @@
+"""Files of navigation episodes: written, read back, and refused in one line where they are wrong."""
+
+import gzip
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from splatrl.evaluation import episode_sets
+from splatrl.evaluation.episode_sets import from_habitat, read_episodes, to_habitat, write_episodes
+
+STATE = torch.tensor([[1.0, 2.0, 0.5], [-0.5, 0.25, 3.0]])
+MEMORY = {
+    "goal": torch.tensor([[3.0, -1.0, 0.25], [0.0, 1.5, 4.0]]),
+    "start_distance": torch.tensor([[4.5], [2.0]]),
+}
+
+
+def written(folder: Path) -> Path:
+    path = folder / "episodes.json.gz"
+    write_episodes(path, STATE, MEMORY, ["yard", "kitchen"], 0.4, 0.2)
+    return path
+
+
+def content(path: Path) -> Any:
+    return json.loads(gzip.decompress(path.read_bytes()))
+
+
+def test_a_file_has_habitats_fields_in_habitats_frame(tmp_path: Path) -> None:
+    first = content(written(tmp_path))["episodes"][0]
+    assert first["episode_id"] == "0" and first["scene_id"] == "yard"
+    assert first["start_position"] == pytest.approx([-2.0, 0.4, -1.0])  # ours: ahead is x, left is y
+    assert first["start_rotation"] == pytest.approx([0.0, math.sin(0.25), 0.0, math.cos(0.25)])
+    assert first["goals"] == [{"position": pytest.approx([1.0, 0.4, -3.0]), "radius": 0.2}]
+    assert first["info"]["geodesic_distance"] == pytest.approx(4.5)
+
+
+def test_what_is_written_is_read_back_and_has_the_same_bytes_each_time(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    state, goal, scene = read_episodes(path, ["kitchen", "yard"])
+    torch.testing.assert_close(state, STATE)
+    torch.testing.assert_close(goal, MEMORY["goal"])
+    assert scene.tolist() == [1, 0]
+    (tmp_path / "again").mkdir()
+    assert path.read_bytes() == written(tmp_path / "again").read_bytes()
+
+
+def test_the_frames_are_each_others_inverse() -> None:
+    places = torch.randn(10, 3, generator=torch.Generator().manual_seed(0))
+    assert torch.equal(from_habitat(to_habitat(places)), places)
+    assert torch.equal(to_habitat(torch.eye(3)), torch.tensor([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "match"),
+    [
+        ("scene_id", "moon", "episode 0: expected scene_id to be yard or kitchen, got 'moon'"),
+        ("scene_id", ["x"], "scene_id"),
+        ("start_position", [0.0, 1.0], r"episode 0.start_position: expected 3 numbers"),
+        ("start_position", [0.0, 1.0, math.nan], r"start_position"),
+        ("start_position", [0.0, 1.0, 1e30], r"start_position: expected finite numbers"),
+        ("start_position", ["0", 1.0, 2.0], r"start_position: expected 3 numbers"),
+        ("start_rotation", [1.0, 0.0, 0.0, 0.0], r"start_rotation: expected a unit quaternion about the y axis"),
+        ("start_rotation", [0.0, 0.0, 0.0, 0.0], r"start_rotation"),
+        ("goals", [], "goals"),
+        ("goals", [{"position": None}], r"goals\[0\].position: expected 3 numbers"),
+        ("info", {"goal_yaw": "north"}, r"info.goal_yaw"),
+    ],
+)
+def test_a_wrong_episode_is_refused_in_one_line_by_its_field(key: str, value: Any, match: str, tmp_path: Path) -> None:
+    path = written(tmp_path)
+    wrong = content(path)
+    wrong["episodes"][0][key] = value
+    path.write_bytes(gzip.compress(json.dumps(wrong).encode()))
+    with pytest.raises(ValueError, match=match) as caught:
+        read_episodes(path, ["yard", "kitchen"])
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"no gzip",
+        gzip.compress(b"{"),
+        gzip.compress(b"[]"),
+        gzip.compress(b'{"episodes": []}'),
+        gzip.compress(b'{"episodes": [1]}'),
+        gzip.compress(b"[" * 100_000),
+        gzip.compress(b'{"episodes": [{}]}')[:-9],
+    ],
+    ids=["empty", "text", "cut", "list", "none", "number", "nested", "truncated"],
+)
+def test_a_damaged_file_is_refused_in_one_line(data: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "episodes.json.gz"
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=r"episodes\.json\.gz") as caught:
+        read_episodes(path, ["yard"])
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_unpacks_to_more_than_it_may_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(episode_sets, "MOST_BYTES", 1000)
+    path = tmp_path / "episodes.json.gz"
+    path.write_bytes(gzip.compress(b" " * 100_000 + b'{"episodes": []}'))
+    with pytest.raises(ValueError, match="at most 1,000 bytes"):
+        read_episodes(path, ["yard"])
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="expected a file of episodes"):
+        read_episodes(tmp_path / "none.json.gz", ["yard"])

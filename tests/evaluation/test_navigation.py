@@ -1,0 +1,57 @@
+"""A navigation policy from training to its evaluation on a saved set of episodes."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from splatrl.build import build_world
+from splatrl.commands.evaluate import evaluate_run
+from splatrl.commands.train import train
+from splatrl.configuration import load_config, run_config
+from tests.tiny import tiny_overrides
+
+MEASURES = ("success", "spl", "soft_spl", "distance_to_goal", "collisions")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training of a few steps with a lidar, a compass and the point goal."""
+    folder = tmp_path_factory.mktemp("run")
+    few = ["env.num_envs=4", "collector.frames_per_batch=32", "collector.total_frames=64", "loss.mini_batch_size=16"]
+    few += ["logger.num_test_episodes=4", "evaluation.starts=6", "logger.video=false", "loss.ppo_epochs=1"]
+    few += ["task.goals=5", "task.test_goals=4", "task.nearest=0.3", "task.cell=0.1", "robot.body.radius=0.1"]
+    cfg = load_config([*tiny_overrides(folder, "pointnav"), "sensors=[lidar,compass,pointgoal,depth]", *few])
+    train(cfg, folder)
+    return folder
+
+
+def test_the_report_has_habitats_measures_and_the_episodes_are_kept(run: Path) -> None:
+    report = json.loads((run / "evaluation.json").read_text())
+    for key in (*MEASURES, *(f"{key}_argmax" for key in MEASURES)):
+        assert report[key] >= 0.0, key
+    assert report["success"] == report["success_rate"] and report["spl"] <= report["success"]
+    assert "step_spl" not in report
+    assert (run / "episodes.json.gz").is_file()
+
+
+def test_the_saved_episodes_give_the_same_report_again(run: Path) -> None:
+    before = json.loads((run / "evaluation.json").read_text())
+    cfg = run_config(run)
+    cfg.evaluation.episodes = str(run / "episodes.json.gz")
+    after = evaluate_run(cfg, run)
+    assert after["evaluated_starts"] == 6
+    for key in ("success_argmax", "spl_argmax", "soft_spl_argmax", "distance_to_goal_argmax", "mean_length_argmax"):
+        assert after[key] == pytest.approx(before[key], abs=1e-4), key
+
+
+def test_a_file_of_episodes_for_another_task_or_place_is_refused(run: Path, tmp_path: Path) -> None:
+    cfg = run_config(run)
+    world = build_world(cfg)
+    from splatrl.evaluation.rollouts import given_episodes
+
+    path = run / "episodes.json.gz"
+    assert len(given_episodes(world, path)[1].state) == 6
+    other = build_world(load_config(tiny_overrides(tmp_path)))
+    with pytest.raises(ValueError, match=r"evaluation\.episodes: expected a task such as task=pointnav, got Grid"):
+        given_episodes(other, path)
