@@ -41,6 +41,15 @@ OPTIONS = sorted(
     if path.relative_to(conf_dir()).parts[0] not in NOT_OF_TRAIN
 )
 TASK_OF = {"transforms/sprite/apple": "apple", "motion/drive": "fps", "motion/forward": "fps", "motion/orbit": "circle"}
+TASK_OF |= {
+    f"{group}/{option}": "pointnav"
+    for group, option in (
+        ("motion", "navigate"),
+        ("rewards", "navigation"),
+        ("sensors", "pointgoal"),
+        ("sensors", "imagegoal"),
+    )
+}
 """A task other than grid, for the options that do not work with grid."""
 PACKAGES = {"motion": "motion@task.motion", "rewards": "rewards@task.rewards"}
 """How a group is named on the command line if its name alone does not determine its package."""
@@ -50,7 +59,8 @@ PACKAGES = {"motion": "motion@task.motion", "rewards": "rewards@task.rewards"}
 def test_every_option_of_every_group_builds_an_env_that_steps(option: Path, tmp_path: Path) -> None:
     group = PACKAGES.get(str(option.parent), option.parent.as_posix())
     task = TASK_OF.get(option.as_posix(), "grid")
-    env = make_env([*tiny_overrides(tmp_path, task), f"{group}={option.name}"], batch_size=[2])
+    chosen = f"[{option.name}]" if group == "sensors" else option.name
+    env = make_env([*tiny_overrides(tmp_path, task), f"{group}={chosen}"], batch_size=[2])
     assert env.rollout(2)["next", "reward"].shape[0] == 2
 
 

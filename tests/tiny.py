@@ -214,4 +214,6 @@ def tiny_overrides(folder: Path, task: str = "grid") -> list[str]:
             "task.motion.step=0.5",
             "task.motion.angle_step_deg=45.0",
         ]
+    if task in ("pointnav", "imagenav"):
+        bounds += ["task.goals=5", "task.test_goals=4", "task.nearest=0.3", "task.cell=0.1", "robot.body.radius=0.1"]
     return overrides if task in ("circle", "polar_plane", "hemisphere") else [*overrides, *bounds]

@@ -1,0 +1,69 @@
+"""Navigation and sensors with several scenes in one batch: each row is what it would be in its scene alone."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import check_env_specs
+
+import splatrl
+from splatrl.build import build_world
+from splatrl.configuration import load_config
+from splatrl.envs.world import World, Worlds
+from splatrl.evaluation.episode_sets import write_episodes
+from splatrl.evaluation.rollouts import given_episodes, run_episodes, spread_starts
+from tests.two_rooms import in_both, overrides, two_rooms
+
+FEW = ["task.goals=5", "task.test_goals=4", "task.nearest=0.3", "task.cell=0.1", "robot.body.radius=0.1"]
+FEW += ["sensors=[depth,gps,lidar,pointgoal,imagegoal]", "sensors.lidar.beams=6"]
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> World | Worlds:
+    return build_world(load_config([*in_both(tmp_path_factory.mktemp("both"), "pointnav"), *FEW]))
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> list[EnvBase]:
+    rooms = two_rooms(tmp_path_factory.mktemp("alone"))
+    return [splatrl.make_env([*overrides("pointnav"), f"scene={room}", *FEW], [1]) for room in rooms]
+
+
+def test_every_row_is_what_it_would_be_in_its_scene_alone(both: World | Worlds, alone: list[EnvBase]) -> None:
+    env = both.env(8, seed=3)
+    check_env_specs(env, seed=0)
+    torch.manual_seed(0)
+    mixed = env.rollout(6, break_when_any_done=False)
+    assert set(mixed["scene"].flatten().tolist()) == {0, 1}
+    begins = both.task.geodesics.begins
+    for step in mixed[:, ::2].flatten():
+        scene = int(step["scene"])
+        given = step.unsqueeze(0).exclude("next", "scene").clone()
+        given["goal_row"] = given["goal_row"] - begins[scene]
+        now = alone[scene].reset(given, set_state=True)
+        for key in ("depth", "gps", "lidar", "pointgoal_with_gps_compass", "imagegoal"):
+            assert torch.equal(now[key][0], step[key]), key
+        now["action"] = step["action"].unsqueeze(0)
+        after = alone[scene].step(now)["next"]
+        for key in ("reward", "distance_to_goal", "path_length", "collisions", "lidar", "terminated"):
+            assert torch.equal(after[key][0], step["next", key]), key
+
+
+def test_episodes_are_drawn_in_each_scene_written_and_read_back(both: World | Worlds, tmp_path: Path) -> None:
+    chosen = spread_starts(both, 6)
+    assert chosen.scene is not None and chosen.scene.tolist() == [0, 0, 0, 1, 1, 1]
+    names = [one.name for one in both.worlds]
+    path = tmp_path / "episodes.json.gz"
+    write_episodes(path, chosen.state, chosen.memory, [names[int(row)] for row in chosen.scene], 0.5, 0.2)
+    world, again = given_episodes(both, path)
+    torch.testing.assert_close(again.memory["start_distance"], chosen.memory["start_distance"], atol=1e-4, rtol=0)
+    torch.testing.assert_close(again.memory["goal"], chosen.memory["goal"], atol=1e-4, rtol=0)
+
+    def ahead(td):
+        return td.set("action", torch.ones(len(td), dtype=torch.int64))
+
+    one = run_episodes(both.env(4), ahead, chosen.state, scene=chosen.scene, memory=chosen.memory)
+    other = run_episodes(world.env(4), ahead, again.state, scene=again.scene, memory=again.memory)
+    torch.testing.assert_close(one.measures["distance_to_goal"], other.measures["distance_to_goal"], atol=1e-3, rtol=0)
+    assert set(one.of(1).measures) == set(one.measures) and len(one.of(1).measures["collisions"]) == 3
