@@ -44,6 +44,7 @@ TASK_OF = {"transforms/sprite/apple": "apple", "motion/drive": "fps", "motion/fo
 TASK_OF |= {
     f"{group}/{option}": "pointnav"
     for group, option in (
+        ("robot", "round"),
         ("motion", "navigate"),
         ("rewards", "navigation"),
         ("sensors", "pointgoal"),
