@@ -184,6 +184,7 @@ def test_run_episodes_begins_each_anew_with_its_goal() -> None:
 
     def towards(td: TensorDict) -> TensorDict:
         """Turn to the goal, go there by quarter turns, and stop near it."""
+        assert (td["gps"][td["step_count"].squeeze(1) == 0] == 0.0).all()  # what sensors remember begins anew too
         rho, phi = td["pointgoal_with_gps_compass"].unbind(1)
         action = torch.where(phi.abs() <= math.pi / 4 + 1e-4, FORWARD, torch.where(phi > 0, LEFT, RIGHT))
         return td.set("action", torch.where(rho < 0.15, STOP, action))
