@@ -143,7 +143,7 @@ def transfer_table(tests: Sequence[Mapping[str, Any]], experiment: Experiment) -
                 f"**{spreads['success_rate'].percent()}**",
                 spreads["success_rate_argmax"].percent(),
                 spreads["collision_rate"].percent(),
-                spreads["step_spl"].text(3) if "step_spl" in spreads else "–",
+                next((spreads[key].text(3) for key in ("spl", "step_spl") if key in spreads), "–"),
             ]
         )
     return table(header, rows, words=3)
@@ -168,11 +168,11 @@ def _transfers(
 ) -> dict[tuple[str, str, str], list[Mapping[str, Any]]]:
     """The tests by place, scene of training and label, in the order of the experiment's scenes."""
     runs = {run.folder.name: run for run in experiment.runs}
-    scenes = list(dict.fromkeys(run.scene for run in experiment.runs))
+    scenes = list(dict.fromkeys([*(run.scene for run in experiment.runs), *(row["place"] for row in tests)]))
     groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
     for row in tests:
         run = runs.get(row["run"])
-        if run is not None and row["place"] in scenes:
+        if run is not None:
             groups.setdefault((row["place"], run.scene, run.label), []).append(row)
     return dict(sorted(groups.items(), key=lambda group: tuple(scenes.index(name) for name in group[0][:2])))
 

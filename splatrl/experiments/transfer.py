@@ -10,15 +10,15 @@ from tqdm import tqdm
 
 from splatrl.build import build_one_world
 from splatrl.configuration import run_config
-from splatrl.envs.world import World
+from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.report import summarise
-from splatrl.evaluation.rollouts import run_episodes, spread
+from splatrl.evaluation.rollouts import run_episodes, spread_starts
 from splatrl.experiments.experiment import Run
 from splatrl.runs import load_policy
 
 PLACE = ("scene", "robot", "landmarks", "task", "collision", "renderer")
 """What of a run's config belongs to the place in which it was trained."""
-KEPT = ("success_rate", "success_rate_argmax", "collision_rate", "timeout_rate", "step_spl")
+KEPT = ("success_rate", "success_rate_argmax", "collision_rate", "timeout_rate", "step_spl", "spl", "soft_spl")
 
 
 def score_everywhere(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
@@ -50,7 +50,7 @@ def placed(cfg: DictConfig, place: DictConfig) -> DictConfig:
     return cfg
 
 
-def tested(folder: Path, cfg: DictConfig, world: World) -> dict[str, Any]:
+def tested(folder: Path, cfg: DictConfig, world: World | Worlds) -> dict[str, Any]:
     """Rates of a run's policy in a world, over its start set.
 
     Args:
@@ -59,10 +59,12 @@ def tested(folder: Path, cfg: DictConfig, world: World) -> dict[str, Any]:
         world: built from it.
     """
     torch.set_num_threads(cfg.threads)
-    policy = load_policy(folder, cfg=cfg, world=world).policy
-    rows = spread(world.plan.start_rows, cfg.evaluation.starts)
-    starts = world.plan.states[rows]
-    env = world.env(min(cfg.evaluation.batch_size, len(starts)))
-    sampled, argmax = (run_episodes(env, policy, starts, way, cfg.evaluation.seed) for way in (True, False))
-    summary = summarise(sampled, argmax, None if world.plan.field is None else world.plan.distance[rows])
-    return {"starts": len(starts), **{key: summary[key] for key in KEPT if key in summary}}
+    policy, starts = load_policy(folder, cfg=cfg, world=world).policy, spread_starts(world, cfg.evaluation.starts)
+    env = world.env(min(cfg.evaluation.batch_size, len(starts.state)))
+    sampled, argmax = (
+        run_episodes(env, policy, starts.state, way, cfg.evaluation.seed, scene=starts.scene, memory=starts.memory)
+        for way in (True, False)
+    )
+    paths = all(one.plan.field is not None for one in world.worlds)
+    summary = summarise(sampled, argmax, starts.distance if paths else None)
+    return {"starts": len(starts.state), **{key: summary[key] for key in KEPT if key in summary}}

@@ -1,0 +1,44 @@
+"""Policies are tested in places that their training never saw."""
+
+import json
+from pathlib import Path
+
+from omegaconf import OmegaConf
+
+from splatrl.configuration import load_config
+from splatrl.experiments import Run, planned
+from splatrl.experiments.generalise import PLACES, choose_places, score_in_places
+from splatrl.experiments.tables import transfer_table
+from tests.experiments.made_up import NODE, SCENES, compose
+from tests.experiments.trained import save_run
+from tests.two_rooms import overrides, two_rooms
+
+
+def test_places_are_those_whose_files_are_given(tmp_path: Path) -> None:
+    choose_places(tmp_path, {"backyard": ["scene=backyard"], "yards": ["scene=yards"]})
+    assert json.loads((tmp_path / PLACES).read_text()) == {"backyard": ["scene=backyard"]}
+
+
+def test_a_policy_is_tested_in_several_scenes_at_once_and_in_one(tmp_path: Path) -> None:
+    west, east = two_rooms(tmp_path)
+    words = [*overrides("fps"), "evaluation.starts=16"]
+    cfg = load_config([*words, f"scene={west}"])
+    save_run(tmp_path / "west-a-s0", cfg, 2)
+    config = OmegaConf.to_container(cfg)
+    assert isinstance(config, dict)
+    settings = {str(key): value for key, value in config.items()}
+    run = Run("west", "a", "an arm", 0, tmp_path / "west-a-s0", (f"scene={west}", *words), settings)
+    places = {"backyard": ["scene=many", f"scene.paths=[{west},{east}]"], "kitchen": [f"scene={east}"]}
+    choose_places(tmp_path, places)
+    rows = score_in_places([run], tmp_path)
+    assert [(row["place"], row["starts"]) for row in rows] == [("backyard", 16), ("kitchen", 16)]
+    assert rows == score_in_places([run], tmp_path)
+    assert all(0 <= row["success_rate"] <= 1 for row in rows)
+
+
+def test_the_table_shows_places_in_which_nothing_was_trained(tmp_path: Path) -> None:
+    experiment = planned("tried", NODE, SCENES, tmp_path, compose)
+    row = {"run": experiment.runs[0].folder.name, "place": "unseen", "starts": 12, "success_rate": 0.5}
+    row |= {"success_rate_argmax": 0.4, "collision_rate": 0.1, "spl": 0.25}
+    lines = "\n".join(transfer_table([row], experiment))
+    assert "unseen" in lines and "0.250" in lines
