@@ -144,6 +144,21 @@ def _build_place(cfg: DictConfig, device: torch.device) -> _Place:
     return _Place(scene, occupancy, checker, robot, task, paths)
 
 
+def check_place(cfg: DictConfig, bounds: Bounds) -> None:
+    """Refuse a robot below a scene, or a goal where no robot walks, without building the rest of the world.
+
+    Args:
+        cfg: the whole config.
+        bounds: of the scene, world, metres.
+
+    Raises:
+        ValueError: names the key, what was expected and what came.
+    """
+    robot, task = instantiate(cfg.robot), instantiate(cfg.task)
+    check_height(bounds, task)
+    _start_region(task, robot.body)
+
+
 @contextmanager
 def _key(key: str) -> Iterator[None]:
     """Put the key of a config before what its constructor refuses."""

@@ -26,6 +26,7 @@ MAIN_KEYS = {
     "export": "run",
     "record": "scene",
     "replay": "demos",
+    "view": "scene",
 }
 """What a word alone probably is the value of."""
 MOST_NEAR = 3

@@ -390,7 +390,7 @@ def run_config(folder: Path, allow_targets: Sequence[str] = ()) -> DictConfig:
     try:
         cfg.allow_targets = list(allow_targets)
         _check_sections(cfg, load_config())
-        _check_targets(cfg)
+        check_constructors(cfg)
     except (OmegaConfBaseException, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
     return cfg
@@ -431,7 +431,7 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
     return merged
 
 
-def _check_targets(cfg: DictConfig) -> None:
+def check_constructors(cfg: DictConfig) -> None:
     """Check targets against the configs on our search path, and on that of a Hydra that runs: ``--config-dir``."""
     outer = GlobalHydra.instance().hydra
     with _hydra() as loader:
@@ -449,7 +449,7 @@ def check_config(cfg: DictConfig) -> None:
     if isinstance(OmegaConf.select(cfg, "scene.places"), ListConfig) and not cfg.scene.places:
         raise ValueError("scene.paths: expected some scenes, got none; type scene.paths=[garden/,yard:3]")
     for place in place_configs(cfg):
-        _check_targets(place)
+        check_constructors(place)
         plain = OmegaConf.to_container(place, resolve=False)
         needed = sorted(_missing(plain)) or sorted(_unset_landmarks(plain))
         if needed:

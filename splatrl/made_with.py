@@ -11,7 +11,7 @@ from splatrl.configuration import PATHS
 from splatrl.native import _core
 
 SPEED_ONLY = {"threads", "renderer.threads", "resume", "collector.cuda_graph", "optim.compile"}
-SPEED_ONLY |= {"resume_changed", "allow_targets"}
+SPEED_ONLY |= {"resume_changed", "allow_targets", "view"}
 """Keys of a config that do not change the results."""
 FREE = ("device:", "scene.path:", "scene.name:", "logger.", "checkpoint.", "evaluation.", "collector.total_frames:")
 """How lines of ``differences`` begin that a resumed run may have: a scene is known by its content."""

@@ -41,6 +41,7 @@ ORDER = [
     {"build"},
     {"gymnasium_ids"},
     {"runs"},
+    {"viewer"},
     {"experiments"},
     {"commands"},
 ]

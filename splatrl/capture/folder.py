@@ -18,7 +18,7 @@ from splatrl.capture.suggestions import Suggestions, place_proposals, seen_by_ca
 from splatrl.capture.world import Placed
 from splatrl.collision.point_clouds import write_points
 from splatrl.scenes import read_gaussians, write_gaussians
-from splatrl.scenes.description import SCENE_FILE, SMALL_SPLAT, SPLAT, write_description
+from splatrl.scenes.description import PATH, SCENE_FILE, SMALL_SPLAT, SPLAT, write_description
 from splatrl.scenes.gaussians import Gaussians
 
 FREE, REPORT, CAMERAS = "free.ply", "report.html", "cameras.png"
@@ -69,6 +69,7 @@ def write_scene(
             draw_goals(gaussians, found.goals, area.robot_height, fresh / GOALS)
         if area.free.count:
             write_points(fresh / FREE, area.free.centers())
+        write_points(fresh / PATH, placed.reconstruction.camera_to_world[:, :3, 3].float().numpy())
         proposals = _proposals(placed, area, found, quality)
         write_description(fresh, splat, name, FRAME, area.bounds, proposals=proposals)
         pictures = [file for file in (COMPARISON, MAP, GOALS, CAMERAS) if (fresh / file).exists()]
@@ -128,7 +129,7 @@ def _whole(folder: Path) -> Iterator[Path]:
         yield fresh
         if folder.exists():
             (folder / SCENE_FILE).unlink(missing_ok=True)
-            for old in (SPLAT, SMALL_SPLAT, FREE):  # they may not come anew
+            for old in (SPLAT, SMALL_SPLAT, FREE, PATH):  # they may not come anew
                 (folder / old).unlink(missing_ok=True)
             for file in sorted(fresh.iterdir(), key=lambda file: file.name == SCENE_FILE):
                 os.replace(file, folder / file.name)

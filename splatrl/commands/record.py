@@ -1,6 +1,7 @@
 """``splatrl-record``: record demonstrations of a task into a folder."""
 
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import hydra
@@ -12,10 +13,15 @@ from splatrl.build import build_one_world
 from splatrl.command_line import command_line
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import check_config, conf_dir, save_config
-from splatrl.datasets import planner_episodes, write_demonstrations, write_lerobot
+from splatrl.datasets import Demonstrations, planner_episodes, write_demonstrations, write_lerobot
+from splatrl.envs.world import World
 from splatrl.files import new_folder
+from splatrl.values import require_number
+from splatrl.viewer.driver import Takes
+from splatrl.viewer.driving import Driving
+from splatrl.viewer.page import Page
 
-BY = ("planner",)
+BY = ("planner", "keys")
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="record")
@@ -33,8 +39,7 @@ def run(cfg: DictConfig) -> None:
     torch.set_num_threads(cfg.threads)
     cfg.device = "cpu"  # so that a replay gives the same bytes anywhere
     world = build_one_world(cfg)
-    with tqdm(unit="frame", desc="record", dynamic_ncols=True) as bar:
-        found = planner_episodes(world, cfg.episodes, cfg.seed, bar.update)
+    found = driven(cfg, world) if cfg.by == "keys" else planned(cfg, world)
     with new_folder(folders["out"]) as folder:
         save_config(cfg, folder)
         write_demonstrations(folder, found, {"by": cfg.by, "seed": cfg.seed, "scene": world.digest})
@@ -44,6 +49,29 @@ def run(cfg: DictConfig) -> None:
             write_lerobot(folder, found, task)
         print(f"{folders['lerobot']}: the same as a LeRobotDataset v3.0")
     print(f"{folders['out']}: {len(found.starts):,} episodes, {len(found):,} frames")
+
+
+def planned(cfg: DictConfig, world: World) -> Demonstrations:
+    """Let the planner walk."""
+    with tqdm(unit="frame", desc="record", dynamic_ncols=True) as bar:
+        return planner_episodes(world, cfg.episodes, cfg.seed, bar.update)
+
+
+def driven(cfg: DictConfig, world: World) -> Demonstrations:
+    """Let a person drive in the browser until there are enough episodes, or they end it there or by an interrupt."""
+    require_number("episodes", cfg.episodes, 1, 10**6, whole=True)
+    page = Page(world.scene, cfg.host, cfg.port)
+    print(f"{page.address}: drive to the goal {cfg.episodes} times; Ctrl-C writes what there is", flush=True)
+    try:
+        takes = Takes(world)
+        driving = Driving(page, world, cfg.seed, takes, cfg.episodes)
+        with suppress(KeyboardInterrupt):
+            while not driving.finished.wait(1.0):
+                pass
+        driving.finished.set()  # so that no episode is added any more
+        return takes.demonstrations()
+    finally:
+        page.close()
 
 
 def main() -> None:

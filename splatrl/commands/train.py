@@ -1,6 +1,8 @@
 """``splatrl-train``: train a policy, evaluate it, and leave pictures in the run folder."""
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -21,8 +23,12 @@ from splatrl.configuration import (
     save_config,
 )
 from splatrl.device import device_line
+from splatrl.envs.world import World, Worlds
 from splatrl.files import alone_in
 from splatrl.made_with import check_made_with
+from splatrl.training import Trainer
+from splatrl.viewer.page import Page
+from splatrl.viewer.training import TrainingView
 
 INTERRUPTED = 130
 
@@ -67,8 +73,27 @@ def train(cfg: DictConfig, folder: Path) -> float:
     if resume:
         trainer.resume((lambda then: None) if cfg.resume_changed else partial(check_made_with, trainer.made_with))
         save_config(cfg, folder)
-    trainer.fit()
+    with watched(cfg, world, trainer):
+        trainer.fit()
     return float(evaluate_run(cfg, folder, world)["success_rate"])
+
+
+@contextmanager
+def watched(cfg: DictConfig, world: World | Worlds, trainer: Trainer) -> Iterator[None]:
+    """A block in which the training is shown in a browser, if ``cfg.view`` says so."""
+    if not cfg.view:
+        yield
+        return
+    if not isinstance(world, World):
+        raise ValueError(f"view: expected one scene to show, got {len(world.worlds)}; type view=false")
+    page = Page(world.scene)
+    view = TrainingView(page, world, trainer)
+    print(f"{page.address}: the training", flush=True)
+    try:
+        yield
+    finally:
+        view.close()
+        page.close()
 
 
 def main() -> None:

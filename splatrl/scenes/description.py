@@ -16,6 +16,8 @@ from splatrl.scenes.scene import Bounds
 SCENE_FILE = "scene.yaml"
 SPLAT, SMALL_SPLAT = "splat.ply", "splat.spz"
 """Names of the splat file in a folder that splatrl writes whole."""
+PATH = "path.ply"
+"""Name of a point cloud in a captured folder: where the camera was at each image, in order, world, metres."""
 SCENE_KEYS = ("splat", "name", "world_from_splat", "bounds", *PROPOSALS)
 COMMENTS = {
     "axes": "the file's axis that becomes the world's x, y and z (up)",

@@ -47,6 +47,9 @@ class Trainer:
         prepare: called before the first batch of a training, to begin with a policy that knows something; it counts the
             frames that it used in ``ppo.frames``, and returns the first row of the history.
 
+    Attributes:
+        watch: called with each row of the history; it changes nothing of the training.
+
     Raises:
         ValueError: for any other backend, or a name that is no name of a file.
     """
@@ -68,6 +71,7 @@ class Trainer:
         require_number("logger.test_interval", test_interval, 1, whole=True)
         require_number("checkpoint.interval", checkpoint_interval, 1, whole=True)
         self.ppo, self.folder, self.test, self.prepare = ppo, folder, test, prepare
+        self.watch: Callable[[Mapping[str, float]], object] = lambda row: None
         self.made_with = dict(made_with or {})
         self.test_interval, self.checkpoint_interval = test_interval, checkpoint_interval
         self.logger = (
@@ -159,6 +163,7 @@ class Trainer:
 
     def _note(self, row: dict[str, float]) -> None:
         self.history.append(row)
+        self.watch(row)
         if self.logger is not None:
             for key, value in row.items():
                 self.logger.log_scalar(key, value, step=self.ppo.frames)

@@ -80,7 +80,7 @@ def test_a_replay_that_differs_ends_with_an_error(demos: Path, tmp_path: Path, m
 @pytest.mark.parametrize(
     ("module", "arguments", "message"),
     [
-        (record, ["by=me", "out={new}"], "splatrl-record: by: expected planner, got me"),
+        (record, ["by=me", "out={new}"], "splatrl-record: by: expected planner or keys, got me"),
         (record, ["episodes=0", "out={new}"], "splatrl-record: episodes: expected a whole number"),
         (record, ["out={demos}"], "splatrl-record: out: expected a new folder, but .* is there"),
         (record, [], "splatrl-record: out: expected a value, got none"),

@@ -1,0 +1,176 @@
+"""``splatrl-view``: look at a scene or a run in the browser, move its goal and bounds, and drive a robot in it."""
+
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from splatrl.build import build_one_world, check_place
+from splatrl.command_line import command_line
+from splatrl.commands.faults import in_one_line, line
+from splatrl.configuration import (
+    RUN_CONFIG,
+    check_config,
+    check_constructors,
+    conf_dir,
+    place_configs,
+    quoted,
+    run_config,
+)
+from splatrl.envs.world import World
+from splatrl.evaluation.scene_pictures import survey_occupancy
+from splatrl.runs import TrainedPolicy, load_policy
+from splatrl.scene_overrides import CORNERS, TARGETS
+from splatrl.scenes.description import SCENE_FILE
+from splatrl.scenes.scene import Scene
+from splatrl.viewer.driving import Driving
+from splatrl.viewer.page import Page
+from splatrl.viewer.placing import Placing
+from splatrl.viewer.rollout import Rollout
+
+OF_A_RUN = ("run", "evaluation.checkpoint", "host", "port", "device", "allow_targets")
+"""Keys that may be typed with a run, which has its own settings."""
+
+
+@hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="view")
+@in_one_line("splatrl-view")
+def run(cfg: DictConfig) -> None:
+    """Serve the page until it is interrupted."""
+    if cfg.run is None:
+        check_constructors(cfg)
+        own, trained = cfg, None
+    else:
+        own, trained = _config_of_run(cfg, HydraConfig.get().overrides.task)
+    if (count := len(place_configs(own))) > 1 or "_target_" not in own.scene:
+        raise ValueError(f"scene: expected one scene for this command, got {count}; type scene=<one of them>")
+    if own.scene.get("path", "") is None or OmegaConf.is_missing(own.scene, "path"):
+        check_config(own)
+    torch.set_num_threads(own.threads)
+    page = Page(instantiate(own.scene), cfg.host, cfg.port)
+    print(f"{page.address}: {page.scene.name}, {len(page.scene.gaussians):,} Gaussians; Ctrl-C ends it", flush=True)
+    try:
+        stop = furnish(page, own, trained)
+        print("all of the page is there", flush=True)
+        _wait()
+        stop()
+    except KeyboardInterrupt:
+        print()
+    finally:
+        page.close()
+
+
+def _config_of_run(cfg: DictConfig, typed: Sequence[str]) -> tuple[DictConfig, Callable[[World], TrainedPolicy]]:
+    """The config of the run folder ``cfg.run``, and what loads its policy into a world."""
+    keys = [word.partition("=")[0] for word in typed]
+    others = [word for word, key in zip(typed, keys, strict=True) if key not in OF_A_RUN]
+    if others:
+        raise ValueError(f"run={cfg.run}: expected only {', '.join(OF_A_RUN)} beside it, got {', '.join(others)}")
+    folder = Path(cfg.run).expanduser()
+    own = run_config(folder, cfg.allow_targets)
+    own.device = own.device if cfg.device == "auto" else cfg.device
+    if "evaluation.checkpoint" in keys:
+        own.evaluation.checkpoint = cfg.evaluation.checkpoint
+    return own, lambda world: load_policy(folder, cfg=own, world=world)
+
+
+def furnish(
+    page: Page, cfg: DictConfig, trained: Callable[[World], TrainedPolicy] | None = None
+) -> Callable[[], object]:
+    """Add to a page what its config allows for; returns what stops it.
+
+    Args:
+        page: with the scene.
+        cfg: config of a training or a run.
+        trained: loads a policy into the world; None shows none.
+    """
+    scene, gui = page.scene, page.server.gui
+    folder = _folder(cfg)
+    if folder is not None:
+        page.show_path(folder)
+    try:
+        world = build_one_world(cfg)
+    except ValueError as error:
+        if trained is not None:
+            raise
+        print(f"nothing to drive here: {line(error)}", flush=True)
+        gui.add_markdown(f"Nothing to drive here: {line(error)}")
+        page.show_occupancy(survey_occupancy(scene))
+        return lambda: None
+    page.show_occupancy(world.occupancy)
+    page.show_free(world.plan)
+    tabs, stop = gui.add_tab_group(), []
+    if trained is not None:
+        with tabs.add_tab("policy"):
+            rollout = Rollout(page, trained(world))
+            rollout.start()
+            stop.append(rollout.stop)
+    with tabs.add_tab("drive"):
+        Driving(page, world)
+    with tabs.add_tab("place"):
+        Placing(page, world, place_values(cfg, scene), folder, lambda stated: _check(cfg, scene, stated))
+    return lambda: [each() for each in stop]
+
+
+def place_values(cfg: DictConfig, scene: Scene) -> dict[str, Any]:
+    """What can be dragged: ``goal``, ``object``, ``walk`` and ``bounds``, as a ``scene.yaml`` says them."""
+    corners = [OmegaConf.select(cfg, key) for key in CORNERS]
+    values: dict[str, Any] = {"bounds": [list(corner) for corner in scene.bounds]}
+    values["walk"] = None if None in corners else [[float(value) for value in corner] for corner in corners]
+    for key in ("goal", "object"):
+        value = OmegaConf.select(cfg, TARGETS[key][0])
+        values[key] = None if value is None else [float(number) for number in value]
+    return values
+
+
+def _folder(cfg: DictConfig) -> Path | None:
+    """The scene's folder with a ``scene.yaml``; None for files and generated scenes."""
+    path = cfg.scene.get("path")
+    folder = None if path is None else Path(path).expanduser()
+    return folder if folder is not None and (folder / SCENE_FILE).is_file() else None
+
+
+def _check(cfg: DictConfig, scene: Scene, stated: Mapping[str, Any]) -> None:
+    """Refuse a ``scene.yaml`` in which the config's task would not fit."""
+    changed = cfg.copy()
+    for key in ("goal", "object"):
+        OmegaConf.update(changed, TARGETS[key][0], stated.get(key, OmegaConf.select(cfg, TARGETS[key][0])))
+    for target, corner in zip(CORNERS, stated.get("walk", ()), strict=False):
+        OmegaConf.update(changed, target, corner)
+    lower, upper = stated.get("bounds", scene.bounds)
+    check_place(changed, (tuple(lower), tuple(upper)))
+
+
+def _wait() -> None:
+    """Wait for an interrupt."""
+    forever = threading.Event()
+    while not forever.wait(1.0):
+        pass
+
+
+def with_key(arguments: Sequence[str]) -> list[str]:
+    """Arguments whose first plain word is named: ``run=`` where it is a run's folder, and ``scene=`` otherwise."""
+    result = list(arguments)
+    for place, word in enumerate(result):
+        if "=" not in word and not word.startswith(("-", "+", "~")):
+            is_run = (Path(word).expanduser() / RUN_CONFIG).is_file()
+            plain = word.replace("_", "").isalnum()
+            result[place] = f"{'run' if is_run else 'scene'}={word if plain else quoted(word)}"
+            break
+    return result
+
+
+def main() -> None:
+    """Entry point of the command."""
+    sys.argv[1:] = command_line("view", with_key(sys.argv[1:]))
+    run()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,64 @@
+"""Changes single values of a ``scene.yaml``, and leaves the rest of the file as it stands."""
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from splatrl.documents import read_yaml
+from splatrl.files import replacing
+from splatrl.scenes.description import COMMENTS, SCENE_FILE, read_description
+from splatrl.scenes.proposals import check_proposals
+from splatrl.scenes.sources import checked_bounds
+
+
+def edit_description(
+    folder: Path, changes: Mapping[str, Any], check: Callable[[Mapping[str, Any]], object] = lambda stated: None
+) -> Path:
+    """Write values into a folder's ``scene.yaml``; other lines and all comments stay, and the file changes at once.
+
+    Args:
+        folder: a scene's folder.
+        changes: values of ``bounds`` and of ``PROPOSALS``, by key.
+        check: refuses what the file would say, by a ``ValueError``; the file then stays as it was.
+
+    Raises:
+        FileNotFoundError: for a folder without a ``scene.yaml``.
+        ValueError: for values that ``read_scene`` would refuse, or a file that has not a line for each key.
+    """
+    path, stated = folder / SCENE_FILE, read_description(folder)
+    wanted = {**stated, **changes}
+    check_proposals(path, wanted)
+    if "bounds" in changes:
+        checked_bounds(changes["bounds"])
+    check(wanted)
+    text = path.read_text("utf-8")
+    for key, value in changes.items():
+        text = _with(text, key, json.dumps(value))
+    with replacing(path) as stream:
+        stream.write(text.encode())
+        stream.flush()
+        if not _says(Path(stream.name), wanted):
+            raise ValueError(f"{path}: expected a line for each key, as splatrl writes it; edit it by hand")
+    return path
+
+
+def _with(text: str, key: str, value: str) -> str:
+    """A YAML text with a line for a key, in place of those that it had."""
+    found = re.search(rf"^{key}:(?P<old>[^#\n]*)(?P<comment>#[^\n]*)?\n?(?:[ \t-][^\n]*(?:\n|$))*", text, re.MULTILINE)
+    if found is None:
+        end = "" if not text or text.endswith("\n") else "\n"
+        comment = f"  # {COMMENTS[key]}" if key in COMMENTS else ""
+        return f"{text}{end}{key}: {value}{comment}\n"
+    comment = f"  {found['comment']}" if found["comment"] else ""
+    return f"{text[: found.start()]}{key}: {value}{comment}\n{text[found.end() :]}"
+
+
+def _says(path: Path, wanted: Mapping[str, Any]) -> bool:
+    """Whether a file says just this."""
+    try:
+        content = read_yaml(path)
+    except ValueError:
+        return False
+    return isinstance(content, dict) and {key: value for key, value in content.items() if value is not None} == wanted

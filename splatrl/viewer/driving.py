@@ -1,0 +1,110 @@
+"""The part of the page with which a person drives a robot, and shows how a task is done."""
+
+import threading
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from tensordict import TensorDictBase
+
+from splatrl.envs.tasks.base import Outcome
+from splatrl.envs.world import World
+from splatrl.viewer.driver import Driver, Takes
+from splatrl.viewer.keys import AGAIN, DISCARD, OTHER, input_script, keys_of
+from splatrl.viewer.page import Page
+from splatrl.viewer.robot import RobotShown, enlarged, words
+
+if TYPE_CHECKING:
+    import viser
+
+
+class Driving:
+    """Buttons and keys that drive one robot; one key may wait while it still moves, and others are left out.
+
+    Args:
+        page: to add to.
+        world: scene and task.
+        seed: of starts and noise.
+        takes: where episodes that succeed are kept; None keeps none.
+        wanted: number of episodes to keep.
+    """
+
+    def __init__(self, page: Page, world: World, seed: int = 0, takes: Takes | None = None, wanted: int = 0):
+        self.world, self.takes, self.wanted, self._turn = world, takes, wanted, page.turn
+        server = page.server
+        self.driver = Driver(world, seed, self._keep)
+        self.finished = threading.Event()
+        self._places, self._busy = threading.BoundedSemaphore(2), threading.Lock()
+        self.shown = RobotShown(server, "/robot", world.robot)
+        keys = keys_of(world.task.motion)
+        driver, gui = self.driver, server.gui
+        self.view = gui.add_image(enlarged(driver.pixels), label="what the robot sees")
+        self.status = gui.add_markdown("")
+        self.keys: dict[str, Callable[[], None]] = {}
+        for key in keys:
+            self._offer(server, key.key, key.name, partial(driver.act, key.action))
+        self._offer(server, AGAIN, "again from the same start", driver.again)
+        self._offer(server, OTHER, "another start", driver.begin)
+        if takes is not None:
+            self._offer(server, DISCARD, "discard the episode", self._discard)
+            done = gui.add_button("write what is kept, and end")
+            done.on_click(lambda _: self.finished.set())
+        hint = " · ".join(f"**{key.key}** {key.name}" for key in keys)
+        gui.add_markdown(f"Keys: {hint}. Arrows and a gamepad drive as well; W A S D move the camera.")
+        _run_script(server, input_script(world.task.motion))
+        self._show()
+
+    def press(self, key: str) -> bool:
+        """Do what a key does, unless another one waits already; whether it was done."""
+        if not self._places.acquire(blocking=False):
+            return False
+        try:
+            with self._busy:
+                with self._turn:
+                    self.keys[key]()
+                self._show()
+        finally:
+            self._places.release()
+        return True
+
+    def _offer(self, server: "viser.ViserServer", key: str, name: str, do: Callable[[], None]) -> None:
+        """A button, and a key that does the same."""
+        self.keys[key] = do
+
+        def pressed(_: object) -> None:
+            self.press(key)
+
+        server.gui.add_button(f"{name} ({key})").on_click(pressed)
+        hotkey: Any = key
+        server.gui.add_command(f"robot: {name}", hotkey=hotkey).on_trigger(pressed)
+
+    def _keep(self, frames: TensorDictBase) -> None:
+        if self.takes is not None and not self.finished.is_set():
+            self.takes.add(frames)
+            if self.wanted and len(self.takes.episodes) >= self.wanted:
+                self.finished.set()
+
+    def _discard(self) -> None:
+        """Drop the running episode, or the last one kept where none is running, and begin another."""
+        if self.takes is not None and (self.driver.succeeded or not self.driver.steps):
+            self.takes.discard()
+        self.driver.begin()
+
+    def _show(self) -> None:
+        driver = self.driver
+        pose = self.world.task.motion.body_to_world(driver.state.cpu())[0]
+        self.shown.show(pose, driver.pixels, driver.outcome, driver.steps == 0)
+        self.view.image = enlarged(driver.pixels)
+        said = "any key begins another episode" if driver.done else words(driver.outcome)
+        result = f"**{words(driver.outcome)}**, {said}" if driver.done else said
+        if driver.outcome is not Outcome.COLLISION and driver.free < 1:
+            result = f"{result}, blocked"
+        kept = "" if self.takes is None else f" · kept {len(self.takes.episodes)} of {self.wanted}"
+        self.status.content = f"step {driver.steps} · return {driver.episode_return:.1f} · {result}{kept}"
+
+
+def _run_script(server: "viser.ViserServer", source: str) -> None:
+    """Run JavaScript in each page; viser uses this message for its plots, and offers no other way to gamepads."""
+    from viser import _messages
+
+    server.gui._websock_interface.queue_message(_messages.RunJavascriptMessage(source=source))

@@ -1,0 +1,111 @@
+"""Which key does what: the actions of a motion, on a keyboard or a gamepad."""
+
+import json
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from splatrl.motions.base import PlannedMotion
+
+NAMES = {
+    "forward": "I",
+    "back": "K",
+    "left": "J",
+    "right": "L",
+    "+x": "I",
+    "-x": "K",
+    "+y": "J",
+    "-y": "L",
+    "+spin": "U",
+    "-spin": "O",
+}
+"""Keys of discrete actions by name; others take the digits in their order."""
+SPEEDS = {
+    (1, 0): ("I", "forward"),
+    (-1, 0): ("K", "back"),
+    (0, 1): ("J", "turn left"),
+    (0, -1): ("L", "turn right"),
+    (1, 1): ("U", "forward, left"),
+    (1, -1): ("O", "forward, right"),
+}
+"""Keys of continuous actions by the signs of their linear and angular velocity."""
+AGAIN, OTHER, DISCARD = "R", "N", "X"
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key and its action.
+
+    Attributes:
+        key: a capital letter or a digit.
+        name: of the action.
+        action: one robot's, as the motion's ``action_spec`` says.
+    """
+
+    key: str
+    name: str
+    action: Tensor
+
+
+def keys_of(motion: PlannedMotion) -> list[Key]:
+    """The keys with which a robot is driven.
+
+    Args:
+        motion: how it moves. Of continuous actions its ``actions()`` are taken, from which paths are made.
+    """
+    actions = motion.actions().cpu()
+    named = [(NAMES.get(name, ""), name) for name in motion.action_names]
+    if not named:
+        signs = [tuple(row) for row in torch.sign(actions).int().reshape(len(actions), -1).tolist()]
+        words = [" ".join(f"{value:.3g}" for value in row) for row in actions.reshape(len(actions), -1).tolist()]
+        named = [SPEEDS.get(sign, ("", word)) for sign, word in zip(signs, words, strict=True)]
+    digits = iter("1234567890")
+    found = [Key(key or next(digits, ""), name, action) for (key, name), action in zip(named, actions, strict=True)]
+    return [key for key in found if key.key]
+
+
+def input_script(motion: PlannedMotion) -> str:
+    """JavaScript by which arrows and gamepads press the keys: the stick and the cross drive, A is R, B is X.
+
+    viser turns keys into messages; arrows would move its camera. It is run once in each page.
+    """
+    used = [key.key.lower() for key in keys_of(motion)]
+    bends = "false" if motion.action_names else "true"
+    return _SCRIPT.replace("USED", json.dumps(used)).replace("BENDS", bends)
+
+
+_SCRIPT = """
+if (!window.splatrlInput) {
+  window.splatrlInput = true;
+  const used = USED, bends = BENDS;
+  const arrows = {ArrowUp: "i", ArrowDown: "k", ArrowLeft: "j", ArrowRight: "l"};
+  const press = (key) => document.documentElement.dispatchEvent(
+    new KeyboardEvent("keydown", {key: key, code: "Key" + key.toUpperCase(), bubbles: true}));
+  const typing = (target) => target.closest && target.closest("input, textarea, select, [contenteditable]");
+  for (const kind of ["keydown", "keyup"]) window.addEventListener(kind, (event) => {
+    const key = arrows[event.code];
+    if (!key || !used.includes(key) || typing(event.target)) return;
+    event.stopImmediatePropagation();
+    event.preventDefault();
+    if (kind === "keydown") press(key);
+  }, true);
+  const held = {};
+  const once = (name, down, key) => { if (down && !held[name]) press(key); held[name] = down; };
+  setInterval(() => {
+    for (const pad of navigator.getGamepads()) {
+      if (!pad) continue;
+      const down = (number) => pad.buttons[number] && pad.buttons[number].pressed;
+      const ahead = pad.axes[1] < -0.5 || down(12), back = pad.axes[1] > 0.5 || down(13);
+      const left = pad.axes[0] < -0.5 || down(14), right = pad.axes[0] > 0.5 || down(15);
+      const bend = ahead && left ? "u" : ahead && right ? "o" : "";
+      const turn = down(4) ? "u" : down(5) ? "o" : "";
+      const straight = ahead ? "i" : back ? "k" : left ? "j" : right ? "l" : "";
+      const key = bends ? bend || straight : turn || straight;
+      if (used.includes(key)) press(key);
+      once("again", down(0), "r");
+      once("discard", down(1), "x");
+    }
+  }, 100);
+}
+"""

@@ -1,0 +1,126 @@
+"""The page itself: the splats, the layers over them, and a camera that begins inside the place."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from splatrl.collision.occupancy import Occupancy
+from splatrl.curriculum import Plan
+from splatrl.scenes.description import PATH
+from splatrl.scenes.scene import Bounds, Scene
+from splatrl.viewer.layers import box_lines, free_places, path_lines, surface
+from splatrl.viewer.server import address, close, open_server
+from splatrl.viewer.splats import BYTES, parts_of, show_splats
+
+if TYPE_CHECKING:
+    import viser
+
+SOLID, FREE, NO_WAY, WALKED, LIMITS = (88, 110, 150), (46, 160, 67), (227, 179, 65), (31, 111, 235), (130, 80, 223)
+LEANING = 0.9
+"""How far the camera begins from the middle of the scene, in lengths of its longer side."""
+
+
+class Page:
+    """A page that shows a scene, to which panels are added.
+
+    Args:
+        scene: what to show.
+        host: address of this machine to listen on.
+        port: of it.
+
+    Raises:
+        ImportError: without the extra ``view``.
+        ValueError: for a host or a port that cannot be listened on.
+    """
+
+    def __init__(self, scene: Scene, host: str = "127.0.0.1", port: int = 8080):
+        self.scene = scene
+        self.turn = threading.RLock()  # held by who draws or steps: the page's callbacks come from many threads
+        parts = parts_of(scene.gaussians)
+        self.server: viser.ViserServer = open_server(host, port, scene.name)
+        self._aim(scene.bounds)
+        self.layers = self.server.gui.add_folder("layers")
+        self._layer("splats", show_splats(self.server, parts), True)
+        self._lines("bounds", box_lines(scene.bounds), LIMITS)
+        self.bytes = BYTES * len(scene.gaussians)
+
+    @property
+    def address(self) -> str:
+        """What to type into the browser."""
+        return address(self.server)
+
+    def close(self) -> None:
+        """Stop serving."""
+        close(self.server)
+
+    def show_occupancy(self, occupancy: Occupancy) -> None:
+        """Offer a layer of what is solid, which is sent when it is first asked for."""
+
+        def add() -> Any:
+            vertices, triangles = surface(occupancy)
+            options: dict[str, Any] = {"flat_shading": True, "side": "double", "opacity": 0.85}
+            return self.server.scene.add_mesh_simple("/solid", vertices, triangles, color=SOLID, **options)
+
+        if occupancy.count:
+            self._later("solid", add)
+
+    def show_free(self, plan: Plan) -> None:
+        """Offer a layer of where robots fit: green where episodes may begin, yellow where no way leads to the goal."""
+        leads, others = free_places(plan)
+        colors = np.repeat(np.array([FREE, NO_WAY], np.uint8), [len(leads), len(others)], 0)
+        size = 0.25 * plan.motion.step
+
+        def add() -> Any:
+            return self.server.scene.add_point_cloud(
+                "/free", np.concatenate([leads, others]), colors, point_size=size, point_shape="circle"
+            )
+
+        self._later("free, at the robot's height", add)
+
+    def show_path(self, folder: Path) -> None:
+        """Show the walk of the camera that captured a folder, if the folder has it."""
+        lines = path_lines(folder, PATH)
+        if lines is not None and len(lines):
+            self._lines("the camera's path", lines, WALKED, True)
+
+    def move_bounds(self, bounds: Bounds) -> None:
+        """Draw other bounds."""
+        self._bounds.points = box_lines(bounds)
+
+    def _lines(self, name: str, lines: Any, color: tuple[int, int, int], visible: bool = False) -> None:
+        node = self.server.scene.add_line_segments(f"/{name}", lines, color, thickness=2, thickness_units="screen")
+        if name == "bounds":
+            self._bounds = node
+        self._layer(name, node, visible)
+
+    def _layer(self, name: str, node: Any, visible: bool) -> None:
+        node.visible = visible
+        with self.layers:
+            box = self.server.gui.add_checkbox(name, visible)
+
+        @box.on_update
+        def toggle(_: object) -> None:
+            node.visible = box.value
+
+    def _later(self, name: str, add: Callable[[], Any]) -> None:
+        with self.layers:
+            box = self.server.gui.add_checkbox(name, False)
+        made: list[Any] = []
+
+        @box.on_update
+        def toggle(_: object) -> None:
+            if not made:
+                made.append(add())
+            made[0].visible = box.value
+
+    def _aim(self, bounds: Bounds) -> None:
+        """Let cameras begin above a corner of the bounds, and look down at their middle."""
+        lower, upper = np.array(bounds)
+        middle = 0.5 * (lower + upper)
+        side = float((upper - lower)[:2].max()) or 1.0
+        camera = self.server.initial_camera
+        camera.position = middle + LEANING * side * np.array([-0.5, -0.75, 0.9])
+        camera.look_at, camera.up = middle, np.array([0.0, 0.0, 1.0])

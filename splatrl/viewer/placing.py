@@ -1,0 +1,191 @@
+"""The part of the page in which goal, thing and bounds are dragged, looked at, and saved into ``scene.yaml``."""
+
+import math
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from splatrl.envs.world import World
+from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
+from splatrl.scenes.description import SCENE_FILE
+from splatrl.scenes.editing import edit_description
+from splatrl.viewer.page import Page
+from splatrl.viewer.place import CORNERS, Handle, changes, dragged, handles
+
+if TYPE_CHECKING:
+    import viser
+
+THUMBNAIL = 320
+"""Pixels of what a robot sees at the goal."""
+LABELS = {"goal": "goal: x, y (m), yaw (°)", "object": "thing: x, y, z (m)"}
+
+
+class Placing:
+    """Handles over the splats, the numbers that they stand for, and a button that saves them.
+
+    Args:
+        page: to add to.
+        world: scene, robot and task.
+        values: ``goal``, ``object``, ``walk`` and ``bounds``, as a ``scene.yaml`` says them; None is not there.
+        folder: of the scene; None is a scene without one, of which nothing is saved.
+        check: refuses what does not fit together, by a ``ValueError``: given all that the ``scene.yaml`` would say.
+    """
+
+    def __init__(
+        self,
+        page: Page,
+        world: World,
+        values: Mapping[str, Any],
+        folder: Path | None = None,
+        check: Callable[[Mapping[str, Any]], object] = lambda stated: None,
+    ):
+        self.page, self.world, self.folder, self.check = page, world, folder, check
+        self.saved, self.values = dict(values), dict(values)
+        self.height = world.robot.height
+        self._lock, self._looks = threading.Lock(), threading.Lock()
+        self.controls: dict[str, viser.TransformControlsHandle] = {}
+        self.fields: dict[str, viser.GuiInputHandle[tuple[float, float, float]]] = {}
+        gui = page.server.gui
+        for key, label in LABELS.items():
+            if values.get(key) is not None:
+                self._field(key, label)
+        if values.get("goal") is not None:
+            self.view = gui.add_image(self._seen(), label="what a robot sees at the goal")
+        for key in CORNERS:
+            if values.get(key) is not None:
+                self._switch(key)
+        for handle in handles(self.values, self.height):
+            self._control(handle)
+        self.status = gui.add_markdown("" if folder is not None else "Only a folder's `scene.yaml` can be saved to.")
+        self.button = gui.add_button(f"save into {SCENE_FILE}", disabled=folder is None)
+
+        @self.button.on_click
+        def save(_: object) -> None:
+            self.save()
+
+    def drag(self, handle: Handle) -> None:
+        """Take over where a handle was dragged to."""
+        step = self.world.task.motion.step
+        with self._lock:
+            self.values = dragged(self.values, handle, step)
+        self._follow(handle.name.partition(" ")[0])
+
+    def save(self) -> bool:
+        """Write what has changed into the folder's ``scene.yaml``, and say how it went; whether it went well."""
+        if self.folder is None:
+            return False
+        with self._lock:
+            changed = changes(self.saved, self.values)
+            try:
+                if changed:
+                    edit_description(self.folder, changed, self.check)
+                self.saved |= changed
+            except (ValueError, OSError) as error:
+                self.status.content = f"**not saved**: {error}"
+                return False
+        self.status.content = f"saved {', '.join(changed)}" if changed else "nothing has changed"
+        return True
+
+    def _follow(self, key: str) -> None:
+        """Show a value that has changed, in numbers, lines and picture."""
+        value = self.values[key]
+        if key in self.fields:
+            setattr(self.fields[key], "value", tuple(value))  # noqa: B010 - typed as read-only
+        if key == "bounds" and all(low < high for low, high in zip(*value, strict=True)):
+            self.page.move_bounds(value)
+        solid = key == "goal" and bool(self.world.checker.collides(self._goal_pose())[0])
+        free = " · something solid is there" if solid else ""
+        self.status.content = f"not saved yet: {', '.join(changes(self.saved, self.values)) or 'nothing'}{free}"
+
+    def look(self, wait: bool = True) -> None:
+        """Draw what is seen at the goal now.
+
+        Args:
+            wait: for a picture that is being drawn; without it this one is left out.
+        """
+        if self._looks.acquire(blocking=wait):
+            try:
+                self.view.image = self._seen()
+            finally:
+                self._looks.release()
+
+    def _goal_pose(self) -> torch.Tensor:
+        x, y, yaw_deg = self.values["goal"]
+        turn = axis_rotations(2, torch.tensor(math.radians(yaw_deg)))
+        return rigid(turn, torch.tensor([x, y, self.height])).unsqueeze(0).to(self.world.device)
+
+    def _seen(self) -> Any:
+        """What a robot's camera sees at the goal: [H, W, 3] uint8."""
+        robot = self.world.robot
+        wide = max(1, round(THUMBNAIL * robot.image_width / robot.image_height))
+        cameras = replace(robot, image_width=wide, image_height=THUMBNAIL).cameras(self._goal_pose())
+        with self.page.turn:
+            return self.world.drawing.renderer.pixels(cameras)[0].cpu().numpy()
+
+    def _field(self, key: str, label: str) -> None:
+        field = self.page.server.gui.add_vector3(label, tuple(self.values[key]), step=0.05)
+        self.fields[key] = field
+
+        @field.on_update
+        def typed(event: Any) -> None:
+            if event.client is None:  # it follows a handle
+                return
+            x, y, last = (float(value) for value in field.value)
+            yaw = math.radians(last) if key == "goal" else 0.0
+            handle = Handle(key, (x, y, self.height if key == "goal" else last), yaw)
+            control = self.controls[key]
+            control.position, control.wxyz = handle.position, _quat(handle.yaw)
+            self.drag(handle)
+            if key == "goal":
+                self.look()
+
+    def _switch(self, key: str) -> None:
+        """A box that shows the corners of ``walk`` or ``bounds``, which would hide much."""
+        box = self.page.server.gui.add_checkbox(f"move {key}", False)
+
+        @box.on_update
+        def toggle(_: object) -> None:
+            for name, control in self.controls.items():
+                if name.startswith(key):
+                    control.visible = box.value
+
+    def _control(self, handle: Handle) -> None:
+        key = handle.name.partition(" ")[0]
+        flat, turns = key in ("goal", "walk"), key == "goal"
+        control = self.page.server.scene.add_transform_controls(
+            f"/place/{handle.name.replace(' ', '_')}",
+            scale=0.4,
+            active_axes=(True, True, not flat),
+            disable_rotations=not turns,
+            depth_test=False,
+            position=handle.position,
+            wxyz=_quat(handle.yaw),
+            visible=key not in CORNERS,
+        )
+        self.page.server.scene.add_label(f"{control.name}/label", handle.name)
+        self.controls[handle.name] = control
+
+        @control.on_update
+        async def moved(_: object) -> None:
+            x, y, z = (float(value) for value in control.position)
+            self.drag(Handle(handle.name, (x, y, z), _yaw(control.wxyz)))
+
+        if key == "goal":
+
+            @control.on_update
+            def seen(event: Any) -> None:  # in a thread of its own, so that dragging stays smooth
+                self.look(event.phase == "end")
+
+
+def _quat(yaw: float) -> tuple[float, float, float, float]:
+    return (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
+
+
+def _yaw(wxyz: Any) -> float:
+    rotation = quats_to_rotations(torch.tensor(np.array(wxyz), dtype=torch.float64).unsqueeze(0))[0]
+    return math.atan2(float(rotation[1, 0]), float(rotation[0, 0]))

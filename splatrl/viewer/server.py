@@ -1,0 +1,104 @@
+"""The server of the page: viser's, on loopback unless asked, which answers no page but its own."""
+
+import io
+import socket
+from contextlib import redirect_stdout
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+from splatrl.values import require_number
+
+if TYPE_CHECKING:
+    import viser
+
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+POLICY_VIOLATION = 1008
+"""Code with which a websocket is closed (RFC 6455, section 7.4.1)."""
+PATIENCE = 5.0
+"""Seconds for which a server that stops is waited for."""
+_MISSING = "the page needs viser: pip install 'splatrl[view]'"
+
+
+def open_server(host: str, port: int, label: str) -> "viser.ViserServer":
+    """Begin to serve an empty page.
+
+    Args:
+        host: address of this machine to listen on; any of ``LOOPBACK`` is seen by this machine alone.
+        port: of it; the next free one is taken, and 0 takes any.
+        label: title of the page's panel.
+
+    Raises:
+        ImportError: without the extra ``view``.
+        ValueError: for a host that is not of this machine, or a port out of range.
+    """
+    try:
+        import viser
+    except ImportError as error:
+        raise ImportError(_MISSING) from error
+    require_number("port", port, 0, 65535, whole=True)
+    _check_host(host)
+    with redirect_stdout(io.StringIO()):  # viser draws its address in a box
+        server = viser.ViserServer(host, port, label=label, verbose=False)
+    server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")
+    _keep_to_itself(server, host)
+    return server
+
+
+def address(server: "viser.ViserServer") -> str:
+    """What to type into the browser."""
+    host = server.get_host()
+    shown = {"0.0.0.0": socket.gethostname(), "::": socket.gethostname()}.get(host, host)
+    return f"http://{f'[{shown}]' if ':' in shown else shown}:{server.get_port()}"
+
+
+def close(server: "viser.ViserServer") -> None:
+    """Stop serving, without a word."""
+    with redirect_stdout(io.StringIO()):
+        server.stop()
+        thread = server._websock_server._server_thread
+        if thread is not None:
+            thread.join(timeout=PATIENCE)  # its last act is to print
+
+
+def is_own_page(origin: str | None, host_header: str | None, host: str) -> bool:
+    """Whether a websocket comes from the page that this server gave, or from no page at all.
+
+    Any site that is open in the same browser can reach a server on loopback, and a name of its own may lead there too.
+
+    Args:
+        origin: where the browser says that the asking page is from; None is no browser.
+        host_header: whom it asks.
+        host: address on which the server listens.
+    """
+    if origin is None:
+        return True
+    asking = urlsplit(origin)
+    return asking.netloc == host_header and (host not in LOOPBACK or asking.hostname in LOOPBACK)
+
+
+def _check_host(host: str) -> None:
+    try:
+        family, kind, *_, place = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as tried:
+            tried.bind(place)
+    except OSError as error:
+        raise ValueError(f"host: expected an address of this machine, got {host}") from error
+
+
+def _keep_to_itself(server: "viser.ViserServer", host: str) -> None:
+    """Close what comes from pages of others, and leave no way to publish the page by a tunnel.
+
+    viser has no setting for either, so this reaches into it; its versions are held in ``pyproject.toml``.
+    """
+    from viser import _messages
+
+    own = server._websock_server
+    own.unregister_handler(_messages.ShareUrlRequest)
+
+    async def check(connection: Any) -> None:
+        socket_ = own._live_connections[connection.client_id]
+        headers = socket_.request.headers if socket_.request is not None else {}
+        if not is_own_page(headers.get("Origin"), headers.get("Host"), host):
+            await socket_.close(POLICY_VIOLATION, "the page of another site")
+
+    own.on_client_connect(check)

@@ -1,0 +1,220 @@
+"""``splatrl-view``, ``splatrl-train view=true`` and ``splatrl-record by=keys`` from the outside."""
+
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from splatrl.build import build_world
+from splatrl.commands import record, view
+from splatrl.commands.view import furnish, place_values, with_key
+from splatrl.configuration import load_config
+from splatrl.datasets import read_demonstrations
+from splatrl.scenes import write_gaussians
+from tests.commands.test_train import SETTINGS, command, finish
+from tests.tiny import tiny_gaussians, tiny_overrides
+from tests.viewer.conftest import SCENE
+
+pytest.importorskip("viser", reason="needs the extra view")
+
+from splatrl.viewer.driver import Driver
+from splatrl.viewer.page import Page
+from tests.viewer.visitor import Visitor, until
+
+GRID = ["task=grid", "robot.body.size=[0.3,0.3,0.2]", "task.motion.angle_step_deg=45.0"]
+GRID += ["device=cpu", "robot.image_width=16", "robot.image_height=12", "network.pool=1"]
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    """The room as a scene's folder."""
+    folder = tmp_path / "my place"
+    folder.mkdir()
+    write_gaussians(folder / "splat.ply", tiny_gaussians())
+    (folder / "scene.yaml").write_text(SCENE)
+    return folder
+
+
+def page_of(process: "subprocess.Popen[str]") -> Visitor:
+    """Opens the page whose address a command prints."""
+    assert process.stdout is not None
+    lines: list[str] = []
+    while not (found := re.search(r"http://[\d.]+:\d+", line := process.stdout.readline())):
+        lines.append(line)
+        assert line, "".join(lines)
+    return Visitor(found[0])
+
+
+def test_a_folder_is_looked_at_and_its_goal_saved_until_it_is_interrupted(place: Path) -> None:
+    process = command("view", str(place), *GRID, "port=0")
+    visitor = page_of(process)
+    visitor.find("GaussianSplatsMessage")
+    visitor.field("save into scene.yaml")
+    visitor.drag("/place/goal", (-0.5, 1.0, 0.5))
+    visitor.find("GuiUpdateMessage", lambda m: "not saved yet: goal" in str(m["updates"]))
+    visitor.click("save into scene.yaml")
+    until(lambda: "goal: [-0.5, 1.0, 0.0]  # looks at the red thing" in (place / "scene.yaml").read_text(), "the goal")
+    visitor.close()
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 0 and "Traceback" not in output, output
+
+
+def test_a_goal_where_nobody_walks_is_refused_in_words(place: Path) -> None:
+    cfg = load_config([*GRID, f"scene='{place}'"], "view")
+    page = Page(view.instantiate(cfg.scene), port=0)
+    stop = furnish(page, cfg)
+    visitor = Visitor(page.address)
+    visitor.drag("/place/goal", (9.0, 1.0, 0.5))
+    until(lambda: visitor.field("save into scene.yaml"), "the button")
+    visitor.find("GuiUpdateMessage", lambda m: "not saved yet: goal" in str(m["updates"]))
+    visitor.click("save into scene.yaml")
+    told = visitor.find("GuiUpdateMessage", lambda m: "**not saved**" in str(m["updates"]))
+    assert "task.goal: expected it where robots walk, x from -1 to 1" in str(told["updates"])
+    assert (place / "scene.yaml").read_text() == SCENE
+    visitor.close()
+    stop()
+    page.close()
+
+
+def test_a_bare_splat_is_shown_without_anything_to_drive(tmp_path: Path) -> None:
+    write_gaussians(tmp_path / "room.ply", tiny_gaussians())
+    cfg = load_config([f"scene={tmp_path / 'room.ply'}"], "view")
+    page = Page(view.instantiate(cfg.scene), port=0)
+    furnish(page, cfg)()
+    visitor = Visitor(page.address)
+    visitor.find("GaussianSplatsMessage")
+    visitor.field("solid")
+    assert any("robot.height: expected a value, got none" in str(message) for message in visitor.messages)
+    visitor.close()
+    page.close()
+
+
+def test_what_can_be_dragged_comes_from_the_config(place: Path) -> None:
+    cfg = load_config([*GRID, f"scene='{place}'"], "view")
+    values = place_values(cfg, view.instantiate(cfg.scene))
+    assert values == {
+        "goal": [0.5, 1.0, 0.0],
+        "object": [0.75, 1.0, 0.5],
+        "walk": [[-1.0, -1.5], [1.0, 1.5]],
+        "bounds": [[-1.7, -2.2, -0.1], [1.7, 2.2, 1.3]],
+    }
+    circle = load_config(["task=circle", f"scene='{place}'"], "view")
+    assert place_values(circle, view.instantiate(circle.scene))["walk"] is None
+
+
+def test_the_first_word_is_a_scene_or_a_run(tmp_path: Path) -> None:
+    (tmp_path / "a run").mkdir()
+    (tmp_path / "a run" / "config.yaml").write_text("")
+    assert with_key(["kitchen", "scene.path=k.spz"]) == ["scene=kitchen", "scene.path=k.spz"]
+    assert with_key(["task=fps", "a b/c.ply"]) == ["task=fps", "scene='a b/c.ply'"]
+    assert with_key([str(tmp_path / "a run"), "port=0"]) == [f"run='{tmp_path / 'a run'}'", "port=0"]
+    assert with_key(["--help"]) == ["--help"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ["nowhere"],
+            "splatrl-view: scene: expected one of backyard, file, kitchen, or a path that exists, got now",
+        ),
+        (["nowhere.ply"], "splatrl-view: scene: expected .* a path that exists, got nowhere.ply"),
+        (["kitchen"], "splatrl-view: scene.path: expected a value, got none"),
+        (["run=nowhere"], "splatrl-view: run: expected a run folder with config.yaml, got nowhere"),
+        (["backyard", "port=70000"], "splatrl-view: port: expected a whole number from 0 to 65535"),
+        (["backyard", "host=192.0.2.1"], "splatrl-view: host: expected an address of this machine"),
+        (["backyard", "prot=1"], "splatrl-view: prot: no such key, did you mean port"),
+    ],
+)
+def test_what_is_wrong_is_said_in_a_line(
+    arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["splatrl-view", *arguments])
+    with pytest.raises(SystemExit) as error:
+        view.main()
+    assert re.match(message, str(error.value)) and "\n" not in str(error.value), error.value
+
+
+def test_a_watched_training_shows_itself_and_its_run_can_be_looked_at(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    scene = tiny_overrides(tmp_path)
+    quick = ["evaluation.starts=8", "logger.video=false", f"hydra.run.dir={folder}"]
+    training = command("train", *scene, *SETTINGS, *quick, "view=true")
+    visitor = page_of(training)
+    visitor.find("BatchedMeshesMessage")
+    finish(training)
+    visitor.close()
+    looking = command("view", str(folder), "port=0")
+    visitor = page_of(looking)
+    visitor.find("GuiUpdateMessage", lambda m: "step 1" in str(m["updates"]))
+    visitor.close()
+    looking.send_signal(signal.SIGINT)
+    output, _ = looking.communicate(timeout=60)
+    assert looking.returncode == 0 and "Traceback" not in output, output
+    refused = command("view", str(folder), "task=fps")
+    output, _ = refused.communicate(timeout=60)
+    assert "expected only run, evaluation.checkpoint, host, port, device, allow_targets beside it, got" in output
+
+
+def test_ctrl_c_ends_a_watched_training_as_any_other(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    many = ["collector.total_frames=1000000", f"hydra.run.dir={folder}", "view=true"]
+    training = command("train", *tiny_overrides(tmp_path), *SETTINGS, *many)
+    visitor = page_of(training)
+    visitor.find("GuiUpdateMessage", lambda m: "- frames" in str(m["updates"]))
+    training.send_signal(signal.SIGINT)
+    output, _ = training.communicate(timeout=60)
+    assert training.returncode == 130 and "goes on" in output and "Traceback" not in output, output
+    visitor.close()
+
+
+def drive(visitor: Visitor, driver: Driver) -> None:
+    """Drive to the goal as a person would; the same starts are drawn here, where a plan knows the way."""
+    names = driver.world.task.motion.action_names
+    while not driver.done:
+        best = int(driver.world.plan.optimal(driver.state)[0].nonzero()[0, 0])
+        seen = len(visitor.messages)
+        driver.act(driver.world.plan.actions[best])
+        visitor.press(names[best])
+        told = f"step {driver.steps} ·"
+        if not driver.done:  # the page may be gone
+            until(lambda: any(told in str(m) for m in visitor.messages[seen:]), told)  # noqa: B023
+    driver.begin()
+
+
+def test_what_is_shown_by_keys_is_a_dataset_like_the_planners(tmp_path: Path) -> None:
+    scene, out = tiny_overrides(tmp_path), tmp_path / "demos"
+    recording = command("record", *scene, "by=keys", "episodes=2", f"out={out}", "port=0")
+    visitor, driver = page_of(recording), Driver(build_world(load_config(scene)))
+    visitor.field("write what is kept, and end")
+    drive(visitor, driver)
+    visitor.find("GuiUpdateMessage", lambda m: "any key begins" in str(m) and "kept 1 of 2" in str(m))
+    visitor.press("another start")
+    visitor.find("GuiUpdateMessage", lambda m: "step 0" in str(m) and "kept 1 of 2" in str(m))
+    drive(visitor, driver)
+    output = finish(recording)
+    assert f"{out}: 2 episodes, {len(read_demonstrations(out))} frames" in output
+    assert "are equal, byte for byte" in finish(command("replay", f"demos={out}"))
+
+
+def test_nothing_shown_writes_nothing(tmp_path: Path) -> None:
+    scene = tiny_overrides(tmp_path)
+    recording = command("record", *scene, "by=keys", "episodes=2", f"out={tmp_path / 'demos'}", "port=0")
+    visitor = page_of(recording)
+    visitor.click("write what is kept, and end")
+    output, _ = recording.communicate(timeout=60)
+    assert recording.returncode == 1
+    assert "splatrl-record: by=keys: expected at least one episode that reached the goal, got none" in output
+    assert not (tmp_path / "demos").exists()
+    visitor.close()
+
+
+def test_by_names_its_choices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["splatrl-record", "by=me", f"out={tmp_path / 'new'}"])
+    with pytest.raises(SystemExit, match="by: expected planner or keys, got me"):
+        record.main()

@@ -1,0 +1,83 @@
+"""Single values of a scene.yaml are changed, and the rest stays."""
+
+from pathlib import Path
+
+import pytest
+
+from splatrl.scenes.description import read_description
+from splatrl.scenes.editing import edit_description
+
+TEXT = """\
+# mine
+splat: "room.ply"  # the splat
+bounds: [[0, 0, 0], [4, 3, 2]]
+goal: [0.5, 1.0, 0.0]  # looks at the red thing
+object:
+  - 0.75
+  - 1.0
+  - 0.5
+walk:
+- [0, 0]
+- [1, 1]
+quality:  # of the capture
+  psnr: 30.0
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "scene.yaml").write_text(TEXT)
+    return tmp_path
+
+
+def test_a_value_is_changed_where_it_stands(folder: Path) -> None:
+    edit_description(folder, {"goal": [0.25, -1.0, 90.0], "walk": [[0.0, 0.0], [2.0, 2.5]]})
+    expected = TEXT.replace("[0.5, 1.0, 0.0]", "[0.25, -1.0, 90.0]")
+    expected = expected.replace("walk:\n- [0, 0]\n- [1, 1]\n", "walk: [[0.0, 0.0], [2.0, 2.5]]\n")
+    assert (folder / "scene.yaml").read_text() == expected
+
+
+def test_a_block_becomes_a_line_and_what_is_new_comes_last(folder: Path) -> None:
+    edit_description(folder, {"object": [1.0, 2.0, 0.5], "robot_height": 0.4})
+    text = (folder / "scene.yaml").read_text()
+    assert "\nobject: [1.0, 2.0, 0.5]\nwalk:\n" in text
+    assert text.endswith("  psnr: 30.0\nrobot_height: 0.4  # of the robot's camera, metres\n")
+    assert read_description(folder)["quality"] == {"psnr": 30.0}
+
+
+def refused(stated: object) -> None:
+    raise ValueError("task.goal: expected it where robots walk")
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"goal": [1.0, 2.0]}, r"goal: expected \[x, y, yaw\]"),
+        ({"walk": [[0, 0], [0, 1]]}, "walk: expected"),
+        ({"bounds": [[0, 0, 0], [4, -3, 2]]}, "bounds: expected lower below upper along y"),
+        ({"goal": [float("nan"), 0.0, 0.0]}, "goal: expected"),
+    ],
+)
+def test_what_would_not_be_read_is_not_written(folder: Path, changed: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        edit_description(folder, changed)
+    assert (folder / "scene.yaml").read_text() == TEXT
+
+
+def test_a_check_sees_all_and_can_refuse(folder: Path) -> None:
+    seen: list[object] = []
+    edit_description(folder, {"goal": [0.0, 0.0, 0.0]}, seen.append)
+    assert seen == [read_description(folder)]
+    before = (folder / "scene.yaml").read_text()
+    with pytest.raises(ValueError, match="where robots walk"):
+        edit_description(folder, {"goal": [9.0, 9.0, 0.0]}, refused)
+    assert (folder / "scene.yaml").read_text() == before
+    assert [path.name for path in folder.iterdir()] == ["scene.yaml"]
+
+
+def test_a_file_without_lines_is_left_to_its_author(folder: Path) -> None:
+    text = '{splat: "room.ply", goal: [0, 0, 0]}\n'
+    (folder / "scene.yaml").write_text(text)
+    with pytest.raises(ValueError, match="expected a line for each key"):
+        edit_description(folder, {"goal": [1.0, 0.0, 0.0]})
+    assert (folder / "scene.yaml").read_text() == text

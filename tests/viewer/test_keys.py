@@ -1,0 +1,78 @@
+"""Keys and their actions."""
+
+import shutil
+import subprocess
+
+import pytest
+import torch
+
+from splatrl.motions import DriveMotion, ForwardMotion, LatticeMotion
+from splatrl.viewer.keys import input_script, keys_of
+
+
+def test_a_walker_goes_by_four_keys() -> None:
+    found = {key.key: (key.name, int(key.action)) for key in keys_of(ForwardMotion(0.4))}
+    assert found == {"I": ("forward", 0), "K": ("back", 1), "J": ("left", 2), "L": ("right", 3)}
+
+
+def test_a_lattice_has_keys_for_its_axes_and_spins() -> None:
+    motion = LatticeMotion(0.4)
+    found = keys_of(motion)
+    assert [key.key for key in found] == ["I", "K", "J", "L", "U", "O"]
+    assert [int(key.action) for key in found] == list(range(6))
+    assert [key.name for key in found] == list(motion.action_names)
+
+
+def test_a_drive_has_full_speed_turns_and_arcs() -> None:
+    motion = DriveMotion(0.4)
+    found = {key.key: key.action for key in keys_of(motion)}
+    assert {"I", "J", "K", "L", "U", "O"} <= found.keys()
+    ahead, left = motion.limits[1].tolist()
+    assert found["I"].tolist() == pytest.approx([ahead, 0.0])
+    assert found["U"].tolist() == pytest.approx([ahead, left])
+    assert found["O"].tolist() == pytest.approx([ahead, -left])
+    assert all(motion.action_spec.is_in(action) for action in found.values())
+    assert len(found) == len(motion.actions())
+
+
+def test_unknown_actions_take_the_digits() -> None:
+    motion = ForwardMotion(0.4)
+    motion.action_names = ("jump", "forward", "duck", "roll")
+    assert [(key.key, key.name) for key in keys_of(motion)] == [
+        ("1", "jump"),
+        ("I", "forward"),
+        ("2", "duck"),
+        ("3", "roll"),
+    ]
+    assert torch.equal(torch.stack([key.action for key in keys_of(motion)]), motion.actions())
+
+
+def test_arrows_and_gamepads_press_the_same_keys() -> None:
+    """The script in a JavaScript engine, with a page and a gamepad of paper."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("needs node, to run JavaScript")
+    page = """
+      const pressed = [], listeners = [];
+      let tick, stick = [0, 0], down = [];
+      globalThis.window = {addEventListener: (kind, do_) => listeners.push([kind, do_])};
+      globalThis.KeyboardEvent = class { constructor(kind, rest) { Object.assign(this, rest); } };
+      globalThis.document = {documentElement: {dispatchEvent: (event) => pressed.push(event.key)}};
+      globalThis.setInterval = (do_) => { tick = do_; };
+      const buttons = () => Array.from({length: 16}, (_, n) => ({pressed: down.includes(n)}));
+      Object.defineProperty(globalThis, "navigator",
+        {value: {getGamepads: () => [null, {axes: stick, buttons: buttons()}]}, configurable: true});
+    """
+    acts = """
+      const arrow = (code, typing) => { for (const [kind, do_] of listeners) if (kind === "keydown") do_({
+        code, target: {closest: () => typing}, stopImmediatePropagation() {}, preventDefault() {}}); };
+      arrow("ArrowUp", null); arrow("ArrowLeft", {}); arrow("KeyW", null);
+      for (const [to, with_] of [[[0, -1], []], [[0.8, -0.8], []], [[0, 0], [0]], [[0, 0], [0]], [[0, 0], [1]]]) {
+        stick = to; down = with_; tick();
+      }
+      console.log(pressed.join(""));
+    """
+    for motion, expected in ((ForwardMotion(0.4), "iiirx"), (DriveMotion(0.4), "iiorx")):
+        script = input_script(motion)
+        done = subprocess.run([node, "-e", page + script + script + acts], capture_output=True, text=True, check=True)
+        assert done.stdout.strip() == expected

@@ -1,0 +1,176 @@
+"""The page as its visitors get it: splats, layers, handles, keys and a policy, in messages."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from splatrl.collision.point_clouds import write_points
+from splatrl.envs.tasks.base import Outcome
+from splatrl.envs.world import World
+from splatrl.scenes.description import read_description
+
+pytest.importorskip("viser", reason="needs the extra view")
+
+from splatrl.viewer.driver import Takes
+from splatrl.viewer.driving import Driving
+from splatrl.viewer.page import Page
+from splatrl.viewer.placing import Placing
+from splatrl.viewer.robot import BLUE, tone
+from splatrl.viewer.splats import BYTES
+from tests.viewer.visitor import Visitor, until
+
+Visit = Callable[[], Visitor]
+VALUES = {
+    "goal": [0.5, 1.0, 0.0],
+    "object": [0.75, 1.0, 0.5],
+    "walk": [[-1.0, -1.5], [1.0, 1.5]],
+    "bounds": [[-1.7, -2.2, -0.1], [1.7, 2.2, 1.3]],
+}
+
+
+def test_each_visitor_is_sent_the_splats(page: Page, visit: Visit) -> None:
+    for _ in range(2):
+        visitor = visit()
+        splats = visitor.find("GaussianSplatsMessage")
+        assert splats["name"] == "/splats/0"
+        until(lambda: visitor.bytes > BYTES * len(page.scene.gaussians), "all of the splats")  # noqa: B023
+    assert page.bytes == BYTES * len(page.scene.gaussians)
+
+
+def test_large_scenes_come_in_parts(world: World, visit: Visit, page: Page) -> None:
+    from splatrl.viewer.splats import parts_of, show_splats
+
+    show_splats(page.server, parts_of(page.scene.gaussians, 40))
+    visitor = visit()
+    for number in range(3):
+        visitor.find("GaussianSplatsMessage", lambda m: m["name"] == f"/splats/{number}")  # noqa: B023
+
+
+def test_layers_are_sent_when_they_are_asked_for(page: Page, world: World, visit: Visit, tmp_path: Path) -> None:
+    page.show_occupancy(world.occupancy)
+    page.show_free(world.plan)
+    page.show_path(tmp_path)
+    write_points(tmp_path / "path.ply", np.array([[0, 0, 1], [1, 0, 1]], np.float32))
+    page.show_path(tmp_path)
+    visitor = visit()
+    visitor.find("LineSegmentsMessage", lambda m: m["name"] == "/the camera's path")
+    visitor.field("free, at the robot's height")
+    assert not [m for m in visitor.messages if m["type"] in ("MeshMessage", "PointCloudMessage")]
+    visitor.click("solid")
+    assert visitor.find("MeshMessage")["name"] == "/solid"
+    visitor.click("free, at the robot's height")
+    assert visitor.find("PointCloudMessage")["name"] == "/free"
+    visitor.click("solid", False)
+    visitor.find("SetSceneNodeVisibilityMessage", lambda m: m["name"] == "/solid" and m["visible"] is False)
+
+
+def test_a_key_moves_the_robot_and_shows_what_it_sees(page: Page, world: World, visit: Visit) -> None:
+    driving = Driving(page, world, seed=2)
+    visitor = visit()
+    visitor.find("RunJavascriptMessage")
+    before = driving.driver.state.clone()
+    visitor.press("+spin")
+    until(lambda: driving.driver.steps == 1, "a step")
+    assert (driving.driver.state - before)[0].abs().tolist()[:2] == [0, 0]
+    assert not torch.equal(driving.driver.state, before)
+    until(lambda: "step 1 · return -0.2 · running" in driving.status.content, "what happened")
+    assert np.array_equal(driving.shown.frustum.image, driving.driver.pixels.numpy())
+    visitor.click("again from the same start (R)")
+    until(lambda: torch.equal(driving.driver.state, before), "the start")
+
+
+def test_the_page_says_how_an_episode_ended(page: Page, world: World) -> None:
+    driving = Driving(page, world)
+    while not driving.driver.done:
+        assert driving.press("I")
+    words = driving.driver.outcome.name.replace("_", " ").lower()
+    assert f"**{words}**, any key begins another episode" in driving.status.content
+    assert driving.driver.outcome in (Outcome.COLLISION, Outcome.OUT_OF_BOUNDS)
+    assert driving.shown.body.color == tone(driving.driver.outcome) != BLUE
+    assert driving.press("N") and "step 0" in driving.status.content
+
+
+def test_one_key_waits_for_the_robot_and_more_are_left_out(page: Page, world: World) -> None:
+    driving = Driving(page, world)
+    with driving._busy, driving._places:  # as while it moves
+        waiting = threading.Thread(target=driving.press, args=("U",))
+        waiting.start()
+        until(lambda: driving._places._value == 0, "the key that waits")
+        assert not driving.press("O")
+    waiting.join(timeout=20.0)
+    assert driving.driver.steps == 1
+
+
+def test_showing_ends_with_enough_episodes(page: Page, world: World, visit: Visit) -> None:
+    takes = Takes(world)
+    driving = Driving(page, world, 0, takes, 2)
+
+    def show() -> None:
+        while not driving.driver.done:
+            best = world.plan.optimal(driving.driver.state)[0].nonzero()[0, 0]
+            assert driving.press(list(driving.keys)[int(best)])
+
+    show()
+    assert len(takes.episodes) == 1 and "kept 1 of 2" in driving.status.content
+    assert driving.press("X")  # it was not good
+    assert takes.episodes == [] and not driving.finished.is_set()
+    show()
+    assert driving.press("N")
+    driving.press("U")
+    assert driving.press("X")  # the running one; the one before stays
+    assert len(takes.episodes) == 1
+    show()
+    assert driving.finished.is_set() and len(takes.episodes) == 2
+
+
+def test_a_dragged_goal_is_saved(page: Page, world: World, visit: Visit, folder: Path) -> None:
+    placing = Placing(page, world, VALUES, folder)
+    visitor = visit()
+    before = (folder / "scene.yaml").read_text()
+    seen = placing.view.image.copy()
+    visitor.drag("/place/goal", (-0.5, 1.25, 0.5), (0.7071068, 0.0, 0.0, 0.7071068))
+    until(lambda: placing.values["goal"] == [-0.5, 1.25, 90.0], "the drag")
+    until(lambda: not np.array_equal(placing.view.image, seen), "what is seen there")
+    visitor.drag("/place/walk_1", (1.6, 1.5, 0.5))
+    until(lambda: placing.values["walk"] == [[-1.0, -1.5], [1.5, 1.5]], "the drag")
+    assert (folder / "scene.yaml").read_text() == before
+    visitor.click("save into scene.yaml")
+    until(lambda: placing.status.content == "saved goal, walk", "the file")
+    expected = before.replace("[0.5, 1.0, 0.0]", "[-0.5, 1.25, 90.0]")
+    assert (folder / "scene.yaml").read_text() == expected.replace("[1.0, 1.5]]", "[1.5, 1.5]]")
+    assert placing.save() and placing.status.content == "nothing has changed"
+
+
+def test_a_typed_goal_moves_its_handle(page: Page, world: World, visit: Visit, folder: Path) -> None:
+    placing = Placing(page, world, VALUES, folder)
+    visit().click("goal: x, y (m), yaw (°)", (0.25, 0.5, 180.0))
+    until(lambda: placing.values["goal"] == [0.25, 0.5, 180.0], "the goal")
+    assert placing.controls["goal"].position.tolist() == [0.25, 0.5, 0.5]
+
+
+def test_what_does_not_fit_is_said_and_not_saved(page: Page, world: World, folder: Path) -> None:
+    from splatrl.viewer.place import Handle
+
+    def refuse(stated: object) -> None:
+        raise ValueError("task.goal: expected it where robots walk")
+
+    placing = Placing(page, world, VALUES, folder, refuse)
+    before = (folder / "scene.yaml").read_text()
+    placing.drag(Handle("goal", (0.0, 0.0, 0.5)))
+    assert "something solid is there" in placing.status.content
+    assert not placing.save()
+    assert placing.status.content == "**not saved**: task.goal: expected it where robots walk"
+    placing.drag(Handle("bounds 1", (-5.0, 2.0, 1.0)))
+    assert not placing.save() and "expected lower below upper along x" in placing.status.content
+    assert (folder / "scene.yaml").read_text() == before
+    assert read_description(folder)["goal"] == [0.5, 1.0, 0.0]
+
+
+def test_without_a_folder_nothing_is_saved(page: Page, world: World) -> None:
+    placing = Placing(page, world, VALUES)
+    assert placing.button.disabled and not placing.save()
+    assert "Only a folder" in placing.status.content

@@ -1,0 +1,42 @@
+"""What dragging makes of the values of a scene.yaml."""
+
+import math
+
+import pytest
+
+from splatrl.viewer.place import Handle, changes, dragged, handles
+
+VALUES = {
+    "goal": [0.5, 1.0, 90.0],
+    "object": [0.7, 1.0, 0.5],
+    "walk": [[-1.0, -1.5], [1.0, 1.5]],
+    "bounds": [[-2.0, -3.0, 0.0], [2.0, 3.0, 2.5]],
+}
+
+
+def test_everything_that_is_there_has_a_handle() -> None:
+    found = {handle.name: handle for handle in handles(VALUES, 0.4)}
+    assert sorted(found) == ["bounds 0", "bounds 1", "goal", "object", "walk 0", "walk 1"]
+    assert found["goal"].position == (0.5, 1.0, 0.4) and found["goal"].yaw == pytest.approx(math.pi / 2)
+    assert found["walk 1"].position == (1.0, 1.5, 0.4)
+    assert found["bounds 0"].position == (-2.0, -3.0, 0.0)
+    assert handles({"goal": None, "bounds": None}, 0.4) == []
+
+
+def test_a_handle_that_is_let_go_where_it_was_changes_nothing() -> None:
+    for handle in handles(VALUES, 0.4):
+        assert changes(VALUES, dragged(VALUES, handle, 0.5)) == {}
+
+
+@pytest.mark.parametrize(
+    ("handle", "expected"),
+    [
+        (Handle("goal", (0.12345, -0.5, 9.0), -math.pi / 6), {"goal": [0.123, -0.5, -30.0]}),
+        (Handle("object", (0.1, 0.2, 0.3)), {"object": [0.1, 0.2, 0.3]}),
+        (Handle("bounds 1", (2.5, 3.0, 2.0)), {"bounds": [[-2.0, -3.0, 0.0], [2.5, 3.0, 2.0]]}),
+        (Handle("walk 0", (-1.7, -1.6, 0.4)), {"walk": [[-1.5, -1.5], [1.0, 1.5]]}),
+    ],
+)
+def test_a_drag_changes_its_own_value_alone(handle: Handle, expected: dict[str, object]) -> None:
+    assert changes(VALUES, dragged(VALUES, handle, 0.5)) == expected
+    assert VALUES["walk"] == [[-1.0, -1.5], [1.0, 1.5]]

@@ -1,0 +1,86 @@
+"""Who gets the page."""
+
+import socket
+from collections.abc import Iterator
+
+import pytest
+
+from splatrl.viewer.server import address, close, is_own_page, open_server
+from tests.viewer.visitor import Visitor
+
+viser = pytest.importorskip("viser", reason="needs the extra view")
+
+
+@pytest.fixture
+def server() -> Iterator["viser.ViserServer"]:
+    opened = open_server("127.0.0.1", 0, "room")
+    yield opened
+    close(opened)
+
+
+@pytest.mark.parametrize(
+    ("origin", "asked", "host", "own"),
+    [
+        (None, "127.0.0.1:8080", "127.0.0.1", True),
+        ("http://127.0.0.1:8080", "127.0.0.1:8080", "127.0.0.1", True),
+        ("http://localhost:8080", "localhost:8080", "127.0.0.1", True),
+        ("http://[::1]:8080", "[::1]:8080", "::1", True),
+        ("http://evil.example", "127.0.0.1:8080", "127.0.0.1", False),
+        ("http://127.0.0.1:9000", "127.0.0.1:8080", "127.0.0.1", False),
+        ("http://evil.example:8080", "evil.example:8080", "127.0.0.1", False),  # its name leads to this machine
+        ("null", "127.0.0.1:8080", "127.0.0.1", False),
+        ("http://robot.lan:8080", "robot.lan:8080", "0.0.0.0", True),
+        ("http://evil.example", "robot.lan:8080", "0.0.0.0", False),
+    ],
+)
+def test_only_its_own_page_may_ask(origin: str | None, asked: str, host: str, own: bool) -> None:
+    assert is_own_page(origin, asked, host) is own
+
+
+def test_the_page_of_another_site_is_told_nothing(server: "viser.ViserServer") -> None:
+    server.scene.add_label("/secret", "here")
+    own = Visitor(address(server), address(server))
+    own.find("LabelMessage")
+    stranger = Visitor(address(server), "http://evil.example")
+    stranger._thread.join(timeout=20.0)
+    assert stranger.messages == [] and stranger.socket.close_code == 1008
+    own.close()
+
+
+def test_no_page_can_ask_for_a_tunnel(server: "viser.ViserServer", monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[object] = []
+    monkeypatch.setattr(viser.ViserServer, "request_share_url", lambda self: asked.append(self))
+    visitor = Visitor(address(server))
+    visitor.send("ShareUrlRequest")
+    server.scene.add_label("/after", "it")
+    visitor.find("LabelMessage")
+    assert asked == []
+    visitor.close()
+
+
+def test_it_listens_where_it_is_told(server: "viser.ViserServer") -> None:
+    assert address(server) == f"http://127.0.0.1:{server.get_port()}"
+    other = open_server("127.0.0.1", server.get_port(), "room")  # taken, so the next one
+    assert other.get_port() > server.get_port()
+    close(other)
+    with pytest.raises(OSError):
+        socket.create_connection(("127.0.0.1", other.get_port()), timeout=1.0)
+
+
+@pytest.mark.parametrize(
+    ("host", "port", "message"),
+    [
+        ("192.0.2.1", 0, "host: expected an address of this machine, got 192.0.2.1"),
+        ("no such host", 0, "host: expected an address of this machine"),
+        ("127.0.0.1", 70000, "port: expected a whole number from 0 to 65535, got 70000"),
+    ],
+)
+def test_an_impossible_address_is_refused(host: str, port: int, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        open_server(host, port, "room")
+
+
+def test_a_missing_extra_is_said_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "viser", None)
+    with pytest.raises(ImportError, match=r"pip install 'splatrl\[view\]'"):
+        open_server("127.0.0.1", 0, "room")

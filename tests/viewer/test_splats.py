@@ -1,0 +1,48 @@
+"""Gaussians as the browser takes them."""
+
+import numpy as np
+import pytest
+import torch
+
+from splatrl.geometry import quats_to_rotations
+from splatrl.viewer.splats import parts_of
+from tests.tiny import tiny_gaussians
+
+
+def test_parts_hold_every_gaussian_once_and_double_in_size() -> None:
+    gaussians = tiny_gaussians()
+    parts = parts_of(gaussians, 40)
+    assert [len(part.centers) for part in parts] == [40, 80, len(gaussians) - 120]
+    assert sum(len(part.centers) for part in parts) == len(gaussians)
+    centers = np.concatenate([part.centers for part in parts])
+    assert np.array_equal(np.unique(centers, axis=0), np.unique(gaussians.means.numpy(), axis=0))
+    assert [len(part.centers) for part in parts_of(gaussians)] == [len(gaussians)]
+
+
+def test_what_covers_most_comes_first() -> None:
+    gaussians = tiny_gaussians()[:3].clone()
+    gaussians.scales = torch.tensor([[0.1, 0.1, 0.01], [0.2, 0.2, 0.01], [0.3, 0.01, 0.01]])
+    gaussians.opacities = torch.tensor([0.9, 0.1, 0.9])
+    (part,) = parts_of(gaussians)
+    assert np.array_equal(part.centers, gaussians.means[[0, 1, 2]].numpy())
+    gaussians.opacities = torch.tensor([0.1, 0.9, 0.9])
+    (part,) = parts_of(gaussians)
+    assert np.array_equal(part.centers, gaussians.means[[1, 2, 0]].numpy())
+
+
+def test_covariances_and_colours_are_those_of_the_gaussians() -> None:
+    gaussians = tiny_gaussians()[:1].clone()
+    gaussians.quats = torch.nn.functional.normalize(torch.tensor([[0.3, 0.5, -0.2, 0.7]]))
+    gaussians.scales = torch.tensor([[0.5, 0.2, 0.1]])
+    gaussians.sh = torch.tensor([[[-5.0, 0.0, 0.5]]])
+    (part,) = parts_of(gaussians)
+    turn = quats_to_rotations(gaussians.quats)[0].double().numpy()
+    assert part.covariances[0] == pytest.approx(turn @ np.diag([0.25, 0.04, 0.01]) @ turn.T, abs=2e-4)
+    assert part.colors[0].tolist() == [0, 128, 163]  # 0.5 + 0.28209 · sh
+    assert part.opacities.tolist() == [[230]]
+
+
+def test_a_sky_is_within_half_precision() -> None:
+    gaussians = tiny_gaussians()[:1].clone()
+    gaussians.scales = torch.tensor([[900.0, 900.0, 1.0]])
+    assert np.isfinite(parts_of(gaussians)[0].covariances).all()

@@ -1,0 +1,114 @@
+"""A training that is watched, and a policy at work."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from splatrl.build import build_trainer, build_world
+from splatrl.configuration import load_config, save_config
+from splatrl.envs.tasks.base import Outcome
+from splatrl.runs import load_policy
+from splatrl.training import load_checkpoint
+from tests.commands.test_train import SETTINGS
+from tests.tiny import tiny_overrides
+
+pytest.importorskip("viser", reason="needs the extra view")
+
+from splatrl.viewer import training
+from splatrl.viewer.page import Page
+from splatrl.viewer.rollout import Rollout
+from splatrl.viewer.training import TrainingView
+from tests.viewer.visitor import Visitor, until
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Callable[[str, bool], tuple[dict[str, Any], Path]]:
+    """Trains in the room, watched or not; gives the last checkpoint and the run folder."""
+    overrides = [*tiny_overrides(tmp_path), *SETTINGS, "collector.total_frames=512"]
+
+    def train(name: str, watched: bool) -> tuple[dict[str, Any], Path]:
+        cfg = load_config(overrides)
+        world, folder = build_world(cfg), tmp_path / name
+        folder.mkdir()
+        save_config(cfg, folder)
+        trainer = build_trainer(cfg, world, folder)
+        if watched:
+            page = Page(world.scene, port=0)
+            view = TrainingView(page, world, trainer)
+            visitor = Visitor(page.address)
+            visitor.find("BatchedMeshesMessage")
+        trainer.fit()
+        if watched:
+            until(lambda: view.played > 8, "robots that move")
+            assert "frames 512" in view.status.content and "test success" in view.status.content
+            visitor.close()
+            view.close()
+            page.close()
+            assert not view._thread.is_alive()
+        return load_checkpoint(folder / "checkpoints" / "last.pt"), folder
+
+    return train
+
+
+def equal(a: Any, b: Any) -> bool:
+    """Whether nested values are the same, tensors by their bytes."""
+    if isinstance(a, torch.Tensor):
+        return torch.equal(a, b) and a.dtype == b.dtype
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(equal(a[key], b[key]) for key in a)
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(map(equal, a, b))
+    return bool(a == b) or (a != a and b != b)
+
+
+def test_a_watched_training_has_the_bytes_of_an_unwatched_one(
+    run: Callable[[str, bool], tuple[dict[str, Any], Path]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "EVERY", 0.0)  # look at every batch
+    monkeypatch.setattr(training, "RATE", 200)
+    (plain, _), (watched, _) = run("plain", False), run("watched", True)
+    for state in (plain, watched):
+        state["seconds"] = 0.0
+        for row in state["history"]:
+            row["seconds"] = 0.0
+    assert equal(plain["ppo"], watched["ppo"])
+    assert equal(plain, watched)
+
+
+@pytest.fixture
+def rollout(run: Callable[[str, bool], tuple[dict[str, Any], Path]]) -> Iterator[Rollout]:
+    _, folder = run("trained", False)
+    trained = load_policy(folder)
+    page = Page(trained.world.scene, port=0)
+    shown = Rollout(page, trained)
+    shown.speed.value = 30
+    yield shown
+    shown.stop()
+    page.close()
+
+
+def test_a_policy_is_shown_from_start_to_end(rollout: Rollout, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rollout, "_wait", lambda: None)
+    before = torch.random.get_rng_state()
+    ends = [rollout.episode(number) for number in range(4)]
+    assert Outcome.RUNNING not in ends and rollout.episodes == 4
+    assert rollout.successes == ends.count(Outcome.GOAL)
+    assert f"{rollout.successes} of 4 episodes succeeded" in rollout.status.content
+    assert torch.equal(torch.random.get_rng_state(), before)
+    places = rollout.shown.trail
+    assert rollout.episode(3) is ends[3] and rollout.shown.trail == places  # the same episode again
+    assert rollout.episode(2) is ends[2] and rollout.shown.trail != places
+
+
+def test_a_pause_holds_and_a_stop_ends_it(rollout: Rollout) -> None:
+    rollout.plays.value = False
+    rollout.start()
+    until(lambda: "step 0" in rollout.status.content, "the start")
+    assert not rollout._stop.wait(0.3) and "step 0" in rollout.status.content
+    rollout.plays.value = True
+    until(lambda: "step 0" not in rollout.status.content, "a step")
+    rollout.stop()
+    assert not rollout._thread.is_alive()
