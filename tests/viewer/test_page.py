@@ -5,16 +5,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
 import torch
 
 from splatrl.collision.point_clouds import write_points
 from splatrl.envs.tasks.base import Outcome
 from splatrl.envs.world import World
 from splatrl.scenes.description import read_description
-
-pytest.importorskip("viser", reason="needs the extra view")
-
 from splatrl.viewer.driver import Takes
 from splatrl.viewer.driving import Driving
 from splatrl.viewer.page import Page

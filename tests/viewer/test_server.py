@@ -6,13 +6,11 @@ from collections.abc import Iterator
 import pytest
 
 from splatrl.viewer.server import address, close, is_own_page, open_server
-from tests.viewer.visitor import Visitor
-
-viser = pytest.importorskip("viser", reason="needs the extra view")
+from tests.viewer.visitor import Visitor, viser
 
 
 @pytest.fixture
-def server() -> Iterator["viser.ViserServer"]:
+def server() -> Iterator[viser.ViserServer]:
     opened = open_server("127.0.0.1", 0, "room")
     yield opened
     close(opened)
@@ -37,7 +35,7 @@ def test_only_its_own_page_may_ask(origin: str | None, asked: str, host: str, ow
     assert is_own_page(origin, asked, host) is own
 
 
-def test_the_page_of_another_site_is_told_nothing(server: "viser.ViserServer") -> None:
+def test_the_page_of_another_site_is_told_nothing(server: viser.ViserServer) -> None:
     server.scene.add_label("/secret", "here")
     own = Visitor(address(server), address(server))
     own.find("LabelMessage")
@@ -47,7 +45,7 @@ def test_the_page_of_another_site_is_told_nothing(server: "viser.ViserServer") -
     own.close()
 
 
-def test_no_page_can_ask_for_a_tunnel(server: "viser.ViserServer", monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_page_can_ask_for_a_tunnel(server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[object] = []
     monkeypatch.setattr(viser.ViserServer, "request_share_url", lambda self: asked.append(self))
     visitor = Visitor(address(server))
@@ -58,7 +56,7 @@ def test_no_page_can_ask_for_a_tunnel(server: "viser.ViserServer", monkeypatch: 
     visitor.close()
 
 
-def test_it_listens_where_it_is_told(server: "viser.ViserServer") -> None:
+def test_it_listens_where_it_is_told(server: viser.ViserServer) -> None:
     assert address(server) == f"http://127.0.0.1:{server.get_port()}"
     other = open_server("127.0.0.1", server.get_port(), "room")  # taken, so the next one
     assert other.get_port() > server.get_port()

@@ -12,15 +12,12 @@ from splatrl.configuration import load_config, save_config
 from splatrl.envs.tasks.base import Outcome
 from splatrl.runs import load_policy
 from splatrl.training import load_checkpoint
-from tests.commands.test_train import SETTINGS
-from tests.tiny import tiny_overrides
-
-pytest.importorskip("viser", reason="needs the extra view")
-
 from splatrl.viewer import training
 from splatrl.viewer.page import Page
 from splatrl.viewer.rollout import Rollout
 from splatrl.viewer.training import TrainingView
+from tests.commands.test_train import SETTINGS
+from tests.tiny import tiny_overrides
 from tests.viewer.visitor import Visitor, until
 
 

@@ -6,19 +6,22 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-import msgspec
-import viser
-import zstandard
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import ClientConnection, connect
+import pytest
+
+viser = pytest.importorskip("viser", reason="needs the extra view")
+
+import msgspec  # noqa: E402 - these come with viser
+import zstandard  # noqa: E402
+from websockets.exceptions import ConnectionClosed  # noqa: E402
+from websockets.sync.client import ClientConnection, connect  # noqa: E402
 
 PATIENCE = 20.0
 """Seconds until something that is waited for is missing."""
 
 
-def until(holds: Callable[[], Any], what: str) -> Any:
+def until(holds: Callable[[], Any], what: str, patience: float = PATIENCE) -> Any:
     """What is given, once it is true."""
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + patience
     while not (found := holds()):
         assert time.monotonic() < end, f"never came: {what}"
         time.sleep(0.01)

@@ -1,0 +1,144 @@
+"""The page in a real Chromium, which draws in software: ``pytest -m slow tests/viewer/test_browser.py``.
+
+Needs ``pip install playwright`` and a Chromium: that of the system, or ``playwright install chromium``.
+"""
+
+import io
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from splatrl.envs.world import World
+from splatrl.viewer.driving import Driving
+from splatrl.viewer.page import Page
+from splatrl.viewer.placing import Placing
+from tests.viewer.test_page import VALUES
+from tests.viewer.visitor import until
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page as Tab
+
+playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+pytestmark = pytest.mark.slow
+SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+PATIENCE = 120_000
+"""Milliseconds for what a browser without a GPU does on a busy machine."""
+NOTE = """
+const seen = window.splats = [];
+for (const name of ["drawElementsInstanced", "drawArraysInstanced"]) {
+  const draw = WebGL2RenderingContext.prototype[name];
+  WebGL2RenderingContext.prototype[name] = function (...given) {
+    draw.apply(this, given);
+    if (given[given.length - 1] > 100 && seen.length < 4) {
+      this.readPixels(0, 0, 1, 1, this.RGBA, this.UNSIGNED_BYTE, new Uint8Array(4));  // waits until it is drawn
+      seen.push([performance.now(), given[given.length - 1]]);
+    }
+  };
+}
+"""
+"""Notes in the page when splats have been drawn, and how many."""
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with playwright.sync_playwright() as running:
+        own = os.environ.get("SPLATRL_CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+        try:
+            browser = running.chromium.launch(executable_path=own, args=SOFTWARE)
+        except playwright.Error as error:
+            pytest.skip(f"needs a Chromium: {str(error).splitlines()[0]}")
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def tab(chromium: Any) -> Iterator["Tab"]:
+    opened = chromium.new_page(viewport={"width": 900, "height": 560})
+    opened.set_default_timeout(PATIENCE)
+    opened.add_init_script(NOTE)
+    yield opened
+    opened.close()
+
+
+def picture(tab: "Tab") -> NDArray[np.int64]:
+    """The page without its panel and notes: [H, W, 3]."""
+    image = Image.open(io.BytesIO(tab.screenshot(timeout=PATIENCE))).convert("RGB")
+    return np.asarray(image, np.int64)[220:, :480]
+
+
+def wait(tab: "Tab", holds: Callable[[], Any], what: str) -> Any:
+    """What is given, once it is true, while the browser goes on."""
+
+    def now() -> Any:
+        tab.wait_for_timeout(100)
+        return holds()
+
+    return until(now, what, PATIENCE / 1000)
+
+
+def drawn(tab: "Tab") -> list[list[float]]:
+    """When splats have been drawn, milliseconds, and how many; the first times."""
+    return wait(tab, lambda: tab.evaluate("window.splats"), "splats")
+
+
+def test_the_page_draws_the_splats(tab: "Tab", page: Page) -> None:
+    tab.goto(page.address)
+    drawn(tab)
+    wait(tab, lambda: picture(tab).std() > 20, "a picture that is not blank")
+    before = picture(tab)
+    assert len(np.unique(before.reshape(-1, 3), axis=0)) > 1000
+    tab.get_by_label("splats", exact=True).uncheck()
+    wait(tab, lambda: picture(tab).std() < before.std() / 2, "a picture without splats")
+
+
+def test_a_key_an_arrow_and_a_button_move_the_robot(tab: "Tab", page: Page, world: World) -> None:
+    driving = Driving(page, world, seed=2)
+    tab.goto(page.address)
+    tab.get_by_text("step 0").wait_for()
+    for act in (
+        lambda: tab.keyboard.press("u"),
+        lambda: tab.keyboard.press("o"),
+        lambda: tab.get_by_role("button", name="+spin (U)").click(),
+    ):
+        steps = driving.driver.steps
+        act()
+        wait(tab, lambda: driving.driver.steps == steps + 1, "a step")  # noqa: B023
+        tab.get_by_text(f"step {steps + 1}").wait_for()
+    before, camera = driving.driver.state.clone(), page.server.get_clients()
+    places = [client.camera.position.tolist() for client in camera.values()]
+    tab.keyboard.press("ArrowUp")
+    wait(tab, lambda: driving.driver.steps == 4, "a step by an arrow")
+    assert driving.driver.done or driving.driver.state.tolist() != before.tolist()
+    assert [client.camera.position.tolist() for client in camera.values()] == places  # arrows are the robot's
+
+
+def test_a_drag_with_the_pointer_changes_the_yaml(tab: "Tab", page: Page, world: World, folder: Path) -> None:
+    placing = Placing(page, world, VALUES, folder)
+    camera = page.server.initial_camera
+    camera.position, camera.look_at, camera.up = (0.5, 1.0, 4.0), (0.5, 1.0, 0.5), (0.0, 1.0, 0.0)
+    tab.goto(page.address)
+    drawn(tab)
+    tab.get_by_role("button", name="save into scene.yaml").wait_for()
+    before = (folder / "scene.yaml").read_text()
+    x, y = 450, 280  # the middle of the view, where the goal's handle is: its axes begin there
+    for away in (14, 22, 30, 38, 46, 54, 62):  # along the handle, as far as it may reach
+        tab.mouse.move(x + away, y)
+        tab.mouse.down()
+        tab.mouse.move(x + away + 40, y, steps=4)
+        tab.mouse.up()
+        tab.wait_for_timeout(1000)
+        if placing.values["goal"] != VALUES["goal"]:
+            break
+    goal = placing.values["goal"]
+    assert goal[0] > 0.5 and goal[1:] == pytest.approx([1.0, 0.0], abs=0.02)
+    tab.get_by_role("button", name="save into scene.yaml").click()
+    tab.get_by_text("saved goal").wait_for()
+    changed = (folder / "scene.yaml").read_text()
+    assert changed == before.replace("[0.5, 1.0, 0.0]", str(placing.values["goal"]))
