@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     import viser
 
 SOLID, FREE, NO_WAY, WALKED, LIMITS = (88, 110, 150), (46, 160, 67), (227, 179, 65), (31, 111, 235), (130, 80, 223)
-LEANING = 0.9
-"""How far the camera begins from the middle of the scene, in lengths of its longer side."""
+AWAY, ABOVE = 0.8, 0.7
+"""How far to the side of the scene's middle the camera begins, and above, in lengths of its longer side."""
 
 
 class Page:
@@ -41,7 +41,7 @@ class Page:
         self.turn = threading.RLock()  # held by who draws or steps: the page's callbacks come from many threads
         parts = parts_of(scene.gaussians)
         self.server: viser.ViserServer = open_server(host, port, scene.name)
-        self._aim(scene.bounds)
+        self._aim(scene)
         self.layers = self.server.gui.add_folder("layers")
         self._layer("splats", show_splats(self.server, parts), True)
         self._lines("bounds", box_lines(scene.bounds), LIMITS)
@@ -116,11 +116,14 @@ class Page:
                 made.append(add())
             made[0].visible = box.value
 
-    def _aim(self, bounds: Bounds) -> None:
-        """Let cameras begin above a corner of the bounds, and look down at their middle."""
-        lower, upper = np.array(bounds)
-        middle = 0.5 * (lower + upper)
-        side = float((upper - lower)[:2].max()) or 1.0
+    def _aim(self, scene: Scene) -> None:
+        """Let cameras begin above the scene, on the side where it is lowest, and look down at its middle."""
+        lower, upper = np.array(scene.bounds)
+        middle, means = 0.5 * (lower + upper), scene.gaussians.means.cpu().numpy()
+        walls = means[((means >= middle * [0, 0, 1] + lower * [1, 1, 0]) & (means <= upper)).all(1)]
+        tall = (walls.mean(0) - middle)[:2] if len(walls) else np.zeros(2)
+        length, side = float(np.linalg.norm(tall)), float((upper - lower)[:2].max()) or 1.0
+        ahead = tall / length if length > 0.02 * side else np.array([0.6, 0.8])
         camera = self.server.initial_camera
-        camera.position = middle + LEANING * side * np.array([-0.5, -0.75, 0.9])
+        camera.position = middle + side * np.array([*(-AWAY * ahead), ABOVE])
         camera.look_at, camera.up = middle, np.array([0.0, 0.0, 1.0])

@@ -19,8 +19,8 @@ FIRST = 2**15
 """Gaussians of the first part, 1 MB; each part holds twice as many as the one before."""
 BYTES = 32
 """Of a Gaussian, as viser sends it."""
-PAUSE = 0.2
-"""Seconds between parts, or viser would send them as one."""
+PAUSE = 0.5
+"""Seconds between parts, in which a browser draws what it has."""
 LARGEST = 6e4
 """Covariance that half precision holds, square metres."""
 

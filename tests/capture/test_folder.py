@@ -17,16 +17,17 @@ from splatrl.capture.folder import write_scene
 from splatrl.capture.suggestions import seen_by_cameras, seen_in_splat, suggest, thing_size
 from splatrl.capture.walkable import walkable_area
 from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.point_clouds import read_points
 from splatrl.configuration import load_config
 from splatrl.scenes import read_scene
-from splatrl.scenes.description import read_description
+from splatrl.scenes.description import PATH, read_description
 from splatrl.scenes.scene import Scene, robust_bounds
 from tests.capture.rooms import ABOVE, CAMERAS, HAZE, tiny_capture, with_haze
 from tests.scenes.places import place
 from tests.tiny import tiny_gaussians
 
 HELD_OUT = range(3, CAMERAS, 8)
-FILES = {"splat.ply", "scene.yaml", "report.html", "held_out.png", "map.png", "goals.png", "cameras.png"}
+FILES = {"splat.ply", "scene.yaml", "report.html", "held_out.png", "map.png", "goals.png", "cameras.png", "path.ply"}
 SMALL = [
     "device=cpu",
     "robot.image_width=16",
@@ -53,6 +54,13 @@ def test_a_policy_trains_in_a_written_folder_and_nothing_else_is_said(tmp_path: 
     assert len(world.plan.start_rows) > 50, "most free poses lead to the goal"
     build_trainer(cfg, world, tmp_path / "run").fit()
     assert (tmp_path / "run" / "checkpoints" / "last.pt").is_file()
+
+
+def test_a_written_folder_says_where_the_camera_was(tmp_path: Path) -> None:
+    capture = tiny_capture(tmp_path / "images")
+    write_scene(tmp_path / "garden", tiny_gaussians(), capture, HELD_OUT)
+    walk = capture.reconstruction.camera_to_world[:, :3, 3]
+    np.testing.assert_allclose(read_points(tmp_path / "garden" / PATH), walk, atol=1e-6)
 
 
 def test_haze_is_named_in_the_folder_and_is_not_solid_to_robots(tmp_path: Path) -> None:
