@@ -8,6 +8,7 @@ import pytest
 
 from splatrl.command_line import command_line
 from splatrl.commands import capture, scene
+from splatrl.commands.view import with_key
 from splatrl.configuration import load_config
 
 ROOT = Path(__file__).parents[1]
@@ -66,4 +67,4 @@ def test_a_command_that_it_shows_is_understood(
         return
     if "-m" in words:  # the first job of a sweep
         arguments = [word.split(",")[0] for word in arguments]
-    load_config(command_line(name, arguments), name)
+    load_config(command_line(name, with_key(arguments) if name == "view" else arguments), name)

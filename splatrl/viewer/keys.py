@@ -68,9 +68,10 @@ def keys_of(motion: PlannedMotion) -> list[Key]:
 def input_script(motion: PlannedMotion) -> str:
     """JavaScript by which arrows and gamepads press the keys: the stick and the cross drive, A is R, B is X.
 
-    viser turns keys into messages; arrows would move its camera. It is run once in each page.
+    viser turns keys into messages, but arrows would move its camera, and a box that was ticked takes keys for text. It
+    is run once in each page.
     """
-    used = [key.key.lower() for key in keys_of(motion)]
+    used = [key.lower() for key in (*(key.key for key in keys_of(motion)), AGAIN, OTHER, DISCARD)]
     bends = "false" if motion.action_names else "true"
     return _SCRIPT.replace("USED", json.dumps(used)).replace("BENDS", bends)
 
@@ -82,10 +83,12 @@ if (!window.splatrlInput) {
   const arrows = {ArrowUp: "i", ArrowDown: "k", ArrowLeft: "j", ArrowRight: "l"};
   const press = (key) => document.documentElement.dispatchEvent(
     new KeyboardEvent("keydown", {key: key, code: "Key" + key.toUpperCase(), bubbles: true}));
-  const typing = (target) => target.closest && target.closest("input, textarea, select, [contenteditable]");
+  const TEXT = "input:not([type=checkbox]), textarea, select, [contenteditable], [role=slider]";
+  const within = (target, what) => target.closest && target.closest(what);
   for (const kind of ["keydown", "keyup"]) window.addEventListener(kind, (event) => {
-    const key = arrows[event.code];
-    if (!key || !used.includes(key) || typing(event.target)) return;
+    const key = arrows[event.code] || event.key;
+    const taken = arrows[event.code] || within(event.target, "input");  // a box that was ticked would keep the key
+    if (!taken || !used.includes(key) || within(event.target, TEXT)) return;
     event.stopImmediatePropagation();
     event.preventDefault();
     if (kind === "keydown") press(key);

@@ -159,10 +159,10 @@ class Placing:
         flat, turns = key in ("goal", "walk"), key == "goal"
         control = self.page.server.scene.add_transform_controls(
             f"/place/{handle.name.replace(' ', '_')}",
-            scale=0.4,
+            scale=0.5,
+            line_width=4.0,
             active_axes=(True, True, not flat),
             disable_rotations=not turns,
-            depth_test=False,
             position=handle.position,
             wxyz=_quat(handle.yaw),
             visible=key not in CORNERS,

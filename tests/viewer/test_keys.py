@@ -64,15 +64,20 @@ def test_arrows_and_gamepads_press_the_same_keys() -> None:
         {value: {getGamepads: () => [null, {axes: stick, buttons: buttons()}]}, configurable: true});
     """
     acts = """
-      const arrow = (code, typing) => { for (const [kind, do_] of listeners) if (kind === "keydown") do_({
-        code, target: {closest: () => typing}, stopImmediatePropagation() {}, preventDefault() {}}); };
-      arrow("ArrowUp", null); arrow("ArrowLeft", {}); arrow("KeyW", null);
+      const type = (code, key, box, text) => { for (const [kind, do_] of listeners) if (kind === "keydown") do_({
+        code, key, target: {closest: (what) => (what === "input" ? box : text) ? {} : null},
+        stopImmediatePropagation() {}, preventDefault() {}}); };
+      type("ArrowUp", "ArrowUp", false, false);
+      type("ArrowLeft", "ArrowLeft", true, true);  // in a field for text
+      type("KeyW", "w", false, false);  // the camera's
+      type("KeyI", "i", false, false);  // viser hears it itself
+      type("KeyK", "k", true, false);  // in a box that was ticked
       for (const [to, with_] of [[[0, -1], []], [[0.8, -0.8], []], [[0, 0], [0]], [[0, 0], [0]], [[0, 0], [1]]]) {
         stick = to; down = with_; tick();
       }
       console.log(pressed.join(""));
     """
-    for motion, expected in ((ForwardMotion(0.4), "iiirx"), (DriveMotion(0.4), "iiorx")):
+    for motion, expected in ((ForwardMotion(0.4), "ikiirx"), (DriveMotion(0.4), "ikiorx")):
         script = input_script(motion)
         done = subprocess.run([node, "-e", page + script + script + acts], capture_output=True, text=True, check=True)
         assert done.stdout.strip() == expected

@@ -1,0 +1,104 @@
+"""How long it takes until the page shows a scene: wall time, and CPU time of a Chromium that draws in software.
+
+    pip install playwright && python benchmarks/viewer.py kitchen.spz
+    python benchmarks/viewer.py --gaussians 1000000
+
+Only a machine with nothing else to do gives wall times that mean something; CPU time is of all of the browser's
+processes until splats have been drawn for the first time.
+"""
+
+import argparse
+import os
+import shutil
+import time
+from pathlib import Path
+
+import torch
+from playwright.sync_api import sync_playwright
+
+from splatrl.scenes import read_scene
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.scene import Scene, robust_bounds
+from splatrl.viewer.page import Page
+
+SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+NOTE = """
+const seen = window.splats = [];
+for (const name of ["drawElementsInstanced", "drawArraysInstanced"]) {
+  const draw = WebGL2RenderingContext.prototype[name];
+  WebGL2RenderingContext.prototype[name] = function (...given) {
+    draw.apply(this, given);
+    if (given[given.length - 1] > 100 && seen.length < 8) {
+      this.readPixels(0, 0, 1, 1, this.RGBA, this.UNSIGNED_BYTE, new Uint8Array(4));  // waits until it is drawn
+      seen.push([performance.now(), given[given.length - 1]]);
+    }
+  };
+}
+"""
+"""Notes in the page when splats have been drawn, milliseconds, and how many."""
+
+
+def room(count: int) -> Scene:
+    """Gaussians anywhere in a room of 8 × 6 × 2.5 m."""
+    generator = torch.Generator().manual_seed(0)
+    gaussians = Gaussians(
+        means=torch.rand(count, 3, generator=generator) * torch.tensor([8.0, 6.0, 2.5]),
+        quats=torch.nn.functional.normalize(torch.randn(count, 4, generator=generator)),
+        scales=torch.exp(0.5 * torch.randn(count, 3, generator=generator) - 4.5),
+        opacities=torch.rand(count, generator=generator),
+        sh=torch.rand(count, 1, 3, generator=generator),
+        batch_size=[count],
+    )
+    return Scene("room", gaussians, robust_bounds(gaussians))
+
+
+def browser_seconds() -> float:
+    """CPU time of the browser's processes, which descend from this one."""
+    parents, spent = {}, {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+        except OSError:  # it has just ended
+            continue
+        pid = int(path.parent.name)
+        parents[pid], spent[pid] = int(fields[1]), int(fields[11]) + int(fields[12])
+    mine = {os.getpid()}
+    while more := {pid for pid, parent in parents.items() if parent in mine} - mine:
+        mine |= more
+    return sum(spent[pid] for pid in mine - {os.getpid()}) / os.sysconf("SC_CLK_TCK")
+
+
+def main() -> None:
+    """Open a page and measure."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scene", nargs="?", help="a splat file or a folder")
+    parser.add_argument("--gaussians", type=int, default=1_000_000, help="of a made-up room, without a scene")
+    parser.add_argument("--size", type=int, nargs=2, default=[1000, 640], help="of the window, pixels")
+    options = parser.parse_args()
+    scene = room(options.gaussians) if options.scene is None else read_scene(options.scene)
+    began = time.perf_counter()
+    page = Page(scene, port=0)
+    seconds = time.perf_counter() - began
+    print(f"{len(scene.gaussians):,} Gaussians, {page.bytes / 1e6:.1f} MB; served after {seconds:.1f} s")
+    width, height = options.size
+    with sync_playwright() as running:
+        own = os.environ.get("SPLATRL_CHROMIUM") or shutil.which("chromium")
+        browser = running.chromium.launch(executable_path=own, args=SOFTWARE)
+        tab = browser.new_page(viewport={"width": width, "height": height})
+        tab.add_init_script(NOTE)
+        before = browser_seconds()
+        tab.goto(page.address)
+        known: list[list[float]] = []
+        while not known or known[-1][1] < len(scene.gaussians):
+            tab.wait_for_timeout(50)
+            spent = browser_seconds() - before
+            found = tab.evaluate("window.splats")
+            for at, count in found[len(known) :]:
+                print(f"{count:,} Gaussians drawn after {at / 1e3:.1f} s, of CPU {spent:.1f} s")
+            known = found
+        browser.close()
+    page.close()
+
+
+if __name__ == "__main__":
+    main()
