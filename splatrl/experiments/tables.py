@@ -7,7 +7,7 @@ from typing import Any
 from splatrl.experiments.experiment import Experiment
 from splatrl.experiments.results import Entry, Spread, comparable
 
-RATES = ("success_rate", "success_rate_argmax", "collision_rate", "step_spl")
+RATES = ("success_rate", "success_rate_argmax", "collision_rate", "step_spl", "spl")
 """What is said of a policy that was tested in several scenes."""
 TOTAL = "**all**"
 """Stands for all clips of a scene."""
