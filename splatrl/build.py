@@ -89,11 +89,12 @@ def build_world(cfg: DictConfig) -> World | Worlds:
     sensors = {str(key): instantiate(node) for key, node in (cfg.get("sensors") or {}).items()}
     for place in places:
         check_sprite(drawing, place.robot, place.task)
+    drawing = _around(configs[0], drawing)
     made_by = partial(build_world, given)
     if len(places) == 1:
         return places[0].world(drawing, transforms, device, sensors, made_by)
     worlds = tuple(
-        place.world(instantiate(one.drawing)(OneScene(renderer, number)), transforms, device, sensors)
+        place.world(_around(one, instantiate(one.drawing)(OneScene(renderer, number))), transforms, device, sensors)
         for number, (one, place) in enumerate(zip(configs, places, strict=True))
     )
     tasks = [place.task for place in places if isinstance(place.task, torch.nn.Module)]
@@ -101,6 +102,11 @@ def build_world(cfg: DictConfig) -> World | Worlds:
         raise ValueError(f"task: expected a torch module for several scenes, got {type(places[0].task).__name__}")
     checker, task = SeveralCheckers([place.checker for place in places]), stacked(tasks)
     return Worlds(worlds, drawing, checker, robot, task, transforms, device, made_by, sensors)
+
+
+def _around(cfg: DictConfig, drawing: Drawing) -> Drawing:
+    """The drawing inside the one that a transform brings with it, if one does."""
+    return instantiate(cfg.around_drawing)(drawing) if cfg.get("around_drawing") else drawing
 
 
 def build_one_world(cfg: DictConfig) -> World:

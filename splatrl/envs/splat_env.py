@@ -23,7 +23,18 @@ from splatrl.faults import Faulty
 from splatrl.renderers.parts import in_scenes
 
 RESERVED = {"pixels", "state", "step_count", "episode_return", "level", "outcome", "free_fraction", "camera_offset"}
-RESERVED |= {"scene", "action", "reward", "done", "terminated", "truncated", "appearance", "goals", "success"}
+RESERVED |= {
+    "scene",
+    "action",
+    "reward",
+    "done",
+    "terminated",
+    "truncated",
+    "appearance",
+    "weather",
+    "goals",
+    "success",
+}
 """Keys of the env and its transforms, which a task's memory must not take."""
 
 

@@ -1,0 +1,59 @@
+"""Measures what weather costs a frame of the env, beside what drawing it costs.
+
+    python benchmarks/weather.py            # half a minute
+    python benchmarks/weather.py --batch 16 --size 128
+
+Views in the backyard are drawn, drawn with their depth, and put into weather; all take turns.
+"""
+
+import argparse
+from collections.abc import Callable
+from functools import partial
+from statistics import median
+
+import torch
+from scenes import YARD
+from tensordict import TensorDict
+from timing import take_turns
+
+from splatrl import backyard
+from splatrl.envs.drawing import DepthDrawing, SceneDrawing, View
+from splatrl.envs.transforms import Weather
+from splatrl.renderers import NativeRenderer
+
+NAMES = ("fog", "dusk", "sun", "rain", "snow", "wet")
+
+
+def put(weather: Weather, shown: View, count: int) -> object:
+    """Images in weather."""
+    return weather(TensorDict({"pixels": shown.pixels, **shown.shown}, [count]))
+
+
+def main() -> None:
+    """Take turns and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--batch", type=int, default=64)
+    parser.add_argument("--size", type=int, default=64)
+    parser.add_argument("--rounds", type=int, default=15)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    views = YARD.views(options.batch, options.size, options.size)
+    plain = SceneDrawing(NativeRenderer(backyard(), threads=1))
+    deep = DepthDrawing(plain, options.size, options.size)
+    shown = deep.draw(views)
+    calls: dict[str, Callable[[], object]] = {
+        "drawn": partial(plain.draw, views),
+        "drawn with depth": partial(deep.draw, views),
+    }
+    for name in (*NAMES, "all weather"):
+        off = {other: 0.0 for other in NAMES if name in NAMES and other != name}
+        calls[f"put into {name}"] = partial(put, Weather(**off), shown, options.batch)
+    seconds = take_turns(calls, options.rounds)
+    print(f"| {options.size} × {options.size}, {options.batch} views, one core | ms a frame |")
+    print("|---|---|")
+    for name, times in seconds.items():
+        print(f"| {name} | {1000 * median(times) / options.batch:.3f} |")
+
+
+if __name__ == "__main__":
+    main()

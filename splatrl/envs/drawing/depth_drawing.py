@@ -1,0 +1,63 @@
+"""Shows how far away everything in an image is, for transforms that need to know, such as weather."""
+
+from collections.abc import Mapping
+
+from torch import Tensor
+from torchrl.data import TensorSpec, Unbounded
+
+from splatrl.cameras import Cameras
+from splatrl.envs.drawing.base import NO_MEMORY, Drawing, View
+from splatrl.renderers.base import Renderer
+from splatrl.renderers.parts import Parts
+from splatrl.values import require_number
+
+VIEW_DEPTH = "view_depth"
+"""Key of the depth of each image."""
+
+
+class DepthDrawing:
+    """Draws as another drawing does, and shows the depth of each image too.
+
+    Besides what that returns, there is ``view_depth`` [B, H, W] float32: metres along the optical axis, infinite where
+    nothing is seen. A sprite has the depth of what is behind it.
+
+    Args:
+        drawing: draws.
+        height: of the images, pixels.
+        width: of the images, pixels.
+
+    Raises:
+        ValueError: for a size that is no whole number from 1.
+    """
+
+    def __init__(self, drawing: Drawing, height: int, width: int):
+        for name, value in (("height", height), ("width", width)):
+            require_number(f"around_drawing.{name}", value, 1, whole=True)
+        self.drawing, self.size = drawing, (height, width)
+
+    @property
+    def renderer(self) -> Renderer:
+        """That of the drawing."""
+        return self.drawing.renderer
+
+    @renderer.setter
+    def renderer(self, renderer: Renderer) -> None:
+        self.drawing.renderer = renderer
+
+    @property
+    def specs(self) -> Mapping[str, TensorSpec]:
+        """Those of the drawing, and ``view_depth``."""
+        return {**self.drawing.specs, VIEW_DEPTH: Unbounded(shape=self.size)}
+
+    def draw(
+        self,
+        cameras: Cameras,
+        memory: Mapping[str, Tensor] = NO_MEMORY,
+        parts: Parts | None = None,
+        only: Tensor | None = None,
+        depth: bool = True,
+    ) -> View:
+        """Draw the views of cameras; see ``Drawing``."""
+        view = self.drawing.draw(cameras, memory, parts, only, depth=True)
+        assert view.depth is not None
+        return View(view.pixels, {**view.shown, VIEW_DEPTH: view.depth}, view.depth)

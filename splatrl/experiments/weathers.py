@@ -1,0 +1,48 @@
+"""Policies tested in clear weather and in each kind of weather alone, whether they have met it or not."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+from tqdm import tqdm
+
+from splatrl.build import build_one_world
+from splatrl.configuration import load_config, run_config
+from splatrl.experiments.experiment import Run
+from splatrl.experiments.transfer import tested
+
+KINDS = ("fog", "dusk", "sun", "rain", "snow", "wet")
+WEATHERS: dict[str, tuple[str, ...]] = {"clear": (), **{kind: (kind,) for kind in KINDS}}
+"""What each test has of the weather that ``conf/transforms/appearance/weather.yaml`` describes, in every episode."""
+
+
+def score_weathers(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
+    """Test finished runs in each of ``WEATHERS``, in the scene in which they were trained, from their start set.
+
+    Args:
+        runs: those of one scene have the same task and motion.
+        folder: of the experiment; nothing is written to it.
+
+    Returns:
+        One row per run and weather: ``run`` (name of its folder), ``place`` (scene and weather), ``starts`` and rates.
+    """
+    configs = {run.folder: run_config(run.folder) for run in runs}
+    rows = []
+    for weather, kinds in tqdm(WEATHERS.items(), unit="weather", desc="weather", dynamic_ncols=True):
+        worlds = {run.scene: build_one_world(in_weather(configs[run.folder], kinds)) for run in reversed(runs)}
+        for run in runs:
+            cfg = in_weather(configs[run.folder], kinds)
+            rates = tested(run.folder, cfg, worlds[run.scene])
+            rows.append({"run": run.folder.name, "place": f"{run.scene}, {weather}", **rates})
+    return rows
+
+
+def in_weather(cfg: DictConfig, kinds: Sequence[str]) -> DictConfig:
+    """The config of a run, with some kinds of weather in every episode and no others; without any, it is clear."""
+    cfg = cfg.copy()
+    off = [f"transforms.appearance.{kind}=0" for kind in KINDS if kind not in kinds]
+    weather = load_config(["transforms/appearance=weather", "transforms.appearance.often=1", *off])
+    cfg.transforms.appearance = weather.transforms.appearance if kinds else {}
+    cfg.around_drawing = weather.around_drawing if kinds else None
+    return cfg

@@ -1,0 +1,240 @@
+"""Weather and light, kind by kind, and in an env."""
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+from hydra.utils import instantiate
+from tensordict import TensorDict
+from torch import Tensor
+from torchrl.envs import EnvBase, TransformedEnv
+
+from splatrl.build import make_env
+from splatrl.configuration import load_config
+from splatrl.curriculum import Curriculum
+from splatrl.envs import SplatEnv
+from splatrl.envs.drawing import DepthDrawing, SceneDrawing
+from splatrl.envs.drawing.depth_drawing import VIEW_DEPTH
+from splatrl.envs.transforms import Weather
+from splatrl.envs.transforms.weather import CLEAR, FIELDS, SKY
+from splatrl.envs.transforms.weather_patterns import RAIN, SNOW, lens, pattern
+from tests.envs.contract import seeded_rollout
+from tests.envs.transforms.test_contract import TransformedContract
+from tests.envs.transforms.views import plain_drawing, renderer, seeing_env
+from tests.tiny import BlockChecker, tiny_overrides, tiny_plan, tiny_robot, tiny_task
+
+HEIGHT, WIDTH = 24, 32
+
+
+def weathers(*kinds: dict[str, float]) -> Tensor:
+    """Weathers that are clear but for what is given: [B, 11]."""
+    return torch.tensor([[kind.get(name, clear) for name, clear in zip(FIELDS, CLEAR, strict=True)] for kind in kinds])
+
+
+def seen(images: Tensor, depth: Tensor | None = None, seed: int = 0, **kind: float) -> Tensor:
+    """Images in a weather."""
+    td = TensorDict({"pixels": images, "weather": weathers(kind).expand(len(images), -1)}, [len(images)])
+    if depth is not None:
+        td.set(VIEW_DEPTH, depth)
+    return Weather(seed=seed)(td)["pixels"]
+
+
+def pictures(count: int = 2) -> Tensor:
+    generator = torch.Generator().manual_seed(0)
+    return torch.randint(0, 256, (count, HEIGHT, WIDTH, 3), dtype=torch.uint8, generator=generator)
+
+
+def grey(value: int = 100, count: int = 1) -> Tensor:
+    return torch.full((count, HEIGHT, WIDTH, 3), value, dtype=torch.uint8)
+
+
+def weather_env(
+    batch_size: tuple[int, ...] = (3,), seed: int = 0, first: int | None = None, **strength: float
+) -> EnvBase:
+    """Robots in the tiny room, in weather."""
+    robot = tiny_robot()
+    drawing = DepthDrawing(SceneDrawing(renderer()), robot.image_height, robot.image_width)
+    curriculum = Curriculum(tiny_plan(), first)
+    env = SplatEnv(drawing, BlockChecker(), robot, tiny_task(max_steps=8), curriculum, batch_size, seed)
+    return TransformedEnv(env, Weather(**strength))
+
+
+class TestWeatherContract(TransformedContract):
+    """An observation depends on ``weather`` and on where the rain falls in a step."""
+
+    def make(self, batch_size: tuple[int], seed: int = 0) -> EnvBase:
+        return weather_env(batch_size, seed)
+
+    def test_an_episode_can_begin_at_a_given_state(self) -> None:
+        env = weather_env((3,), rain=0.0, snow=0.0)
+        given = env.reset().select("state", "pixels", "weather").clone()
+        env.rollout(4, break_when_any_done=False)
+        again = env.reset(given.select("state", "weather"), set_state=True)
+        for key in ("state", "pixels", "weather"):
+            assert torch.equal(again[key], given[key]), key
+
+    def test_a_robot_does_not_depend_on_the_others(self) -> None:
+        """The random draws of a robot do depend on the others, so they are given."""
+        batch, alone = (weather_env((count,), rain=0.0, snow=0.0) for count in (5, 1))
+        together = batch.reset()
+        for row in range(5):
+            start = alone.reset(together[row : row + 1].select("state", "weather"), set_state=True)
+            assert torch.equal(start["pixels"], together["pixels"][row : row + 1])
+
+
+def test_clear_weather_changes_no_byte_and_takes_the_depth_away() -> None:
+    images = pictures()
+    td = TensorDict(
+        {"pixels": images, "weather": weathers({}, {}), VIEW_DEPTH: torch.full((2, HEIGHT, WIDTH), 3.0)}, [2]
+    )
+    changed = Weather()(td)
+    assert torch.equal(changed["pixels"], images) and VIEW_DEPTH not in changed.keys()  # noqa: SIM118
+
+
+def test_nothing_switched_on_changes_no_byte_of_an_env() -> None:
+    env, clean = weather_env(fog=0.0, dusk=0.0, sun=0.0, rain=0.0, snow=0.0, wet=0.0), seeing_env()
+    left = seeded_rollout(env, 6, 0)
+    assert (left["weather"][..., :8] == torch.tensor(CLEAR[:8])).all()
+    assert torch.equal(left["pixels"][:, 3], clean.reset(left[:, 3].select("state"), set_state=True)["pixels"])
+
+
+def test_fog_leaves_what_koschmieder_says_and_all_of_it_where_nothing_is_seen() -> None:
+    depth = torch.full((1, HEIGHT, WIDTH), 2.0)
+    depth[0, :5] = math.inf
+    foggy = seen(grey(100), depth, fog=0.3)
+    left = math.exp(-0.6)
+    for channel, sky in enumerate(SKY):
+        assert foggy[0, 10, 10, channel].item() == math.floor(100 * left + 255 * sky * (1 - left) + 0.5)
+        assert foggy[0, 0, 0, channel].item() == math.floor(255 * sky + 0.5)
+
+
+def test_without_depth_there_is_no_fog() -> None:
+    images = pictures()
+    assert torch.equal(seen(images, fog=0.3), images)
+
+
+def test_dusk_is_dark_and_blue_and_the_sun_changes_colours() -> None:
+    dark = seen(grey(200), dusk=0.8)[0, 0, 0].tolist()
+    assert dark[0] < dark[1] < dark[2] < 120
+    assert seen(grey(100), red=1.2, blue=0.8)[0, 3, 3].tolist() == [120, 100, 80]
+
+
+@pytest.mark.parametrize("kind", ["rain", "snow"])
+def test_what_falls_brightens_some_pixels_moves_every_time_and_is_hidden_by_what_is_near(kind: str) -> None:
+    far, near = torch.full((1, HEIGHT, WIDTH), 9.0), torch.full((1, HEIGHT, WIDTH), 0.3)
+    lone = grey(20)
+    without = seen(lone, near, **{kind: 1.0})
+    assert (without == without[0, 0, 0]).all()  # only mist and gloom
+    some = seen(lone, far, **{kind: 1.0}).float()
+    assert 0.03 < (some.amax(-1) > some.amin() + 8).float().mean() < 0.7
+    assert not torch.equal(some, seen(lone, far, seed=1, **{kind: 1.0}).float())
+    light = seen(lone, far, **{kind: 0.4}).float()
+    assert (light > light.amin() + 8).sum() < (some > some.amin() + 8).sum()
+
+
+def test_rain_is_long_and_leans_with_the_wind_and_snow_is_round() -> None:
+    def stretch(layers: tuple[object, ...]) -> float:
+        """How much longer than wide what falls is, by the autocorrelation one step down and across."""
+        cover = pattern(layers, 64, 80, torch.device("cpu")).cover[0]  # type: ignore[arg-type]
+        down, across = (((cover - cover.roll(3, axis)) ** 2).mean() for axis in (0, 1))
+        return float(across / down)
+
+    assert stretch(RAIN) > 3 and 0.5 < stretch(SNOW) < 2
+
+    def shifted(wind: float) -> Tensor:
+        return seen(grey(20), torch.full((1, HEIGHT, WIDTH), 9.0), rain=1.0, wind=wind)[0, ..., 0].float()
+
+    still, blown = shifted(0.0), shifted(0.5)
+    row = HEIGHT - 1
+    assert torch.equal(still[0], blown[0])
+    assert torch.allclose(still[row][: WIDTH - round(0.5 * row)], blown[row][round(0.5 * row) :], atol=1)
+
+
+def test_a_wet_lens_bends_what_is_behind_its_drops_and_leaves_the_rest() -> None:
+    images = pictures(1)
+    wet = seen(images, wet=1.0, lens_row=0.3, lens_column=0.1)
+    changed = (wet != images).any(-1).float().mean()
+    assert 0.03 < changed < 0.6
+    assert torch.equal(wet, seen(images, seed=9, wet=1.0, lens_row=0.3, lens_column=0.1))  # drops stay where they are
+    assert not torch.equal(wet, seen(images, wet=1.0, lens_row=0.6, lens_column=0.1))
+    drops = lens(HEIGHT, WIDTH, torch.device("cpu"))
+    assert drops.cover.max() <= 1 and (drops.rank < 1).all() and not drops.shift[drops.cover == 0].any()
+
+
+def test_each_image_has_its_own_weather() -> None:
+    images, depth = pictures(1).expand(2, -1, -1, -1).clone(), torch.full((2, HEIGHT, WIDTH), 2.0)
+    kinds = weathers({"fog": 0.2, "wet": 0.7}, {"dusk": 0.5, "red": 1.1})
+    off = {"rain": 0.0, "snow": 0.0}
+    both = Weather(**off)(TensorDict({"pixels": images, "weather": kinds, VIEW_DEPTH: depth}, [2]))["pixels"]
+    for row in range(2):
+        one = {"pixels": images[row], "weather": kinds[row], VIEW_DEPTH: depth[row]}
+        assert torch.equal(both[row], Weather(**off)(TensorDict(one, []))["pixels"])
+
+
+def test_what_is_drawn_stays_in_its_ranges_and_rain_and_snow_do_not_come_together() -> None:
+    drawn = Weather(fog=0.2, dusk=0.5, sun=0.1, often=0.5)._draw(torch.Size([5000]), None)
+    fog, dusk, red, green, blue, rain, snow, wet, wind, down, along = drawn.unbind(-1)
+    assert fog.max() <= 0.2 and dusk.max() <= 0.5 and (red - 1).abs().max() <= 0.1 + 1e-6
+    assert torch.allclose(red + blue, torch.tensor(2.0)) and (green - 1).abs().max() < 0.02
+    assert not ((rain > 0) & (snow > 0)).any() and wind.abs().max() <= 0.35
+    for there in (fog > 0, dusk > 0, wet > 0):
+        assert there.float().mean() == pytest.approx(0.5, abs=0.03)
+    for there in (rain > 0, snow > 0):
+        assert there.float().mean() == pytest.approx(0.375, abs=0.03)
+    assert down.min() >= 0 and along.max() < 1 and down.std() > 0.2
+    alone = Weather(snow=0.0)._draw(torch.Size([5000]), None)
+    assert (alone[:, 5] > 0).float().mean() == pytest.approx(0.5, abs=0.03)
+
+
+def test_weather_is_weaker_at_the_first_level_of_a_curriculum_and_full_at_the_last() -> None:
+    env = weather_env((400,), first=2, easy=0.1, often=1.0, fog=0.5)
+    assert isinstance(env, TransformedEnv)
+    weather = env.transform[-1] if hasattr(env.transform, "__getitem__") else env.transform
+    last = env.base_env.curriculum.starts.levels - 1
+    assert last > 0
+    fog = env.reset()["weather"][:, 0]
+    assert 0 < fog.max() <= 0.05 + 1e-6
+    full = weather._draw(torch.Size([400]), torch.full((400, 1), last))[:, 0]
+    assert 0.45 < full.max() <= 0.5
+    assert weather_env((400,), often=1.0, fog=0.5).reset()["weather"][:, 0].max() > 0.45  # one level: all of it
+
+
+def test_an_episode_keeps_its_weather_and_the_next_has_another() -> None:
+    batch = seeded_rollout(weather_env((6,)), 12, 0)
+    assert torch.equal(batch["next", "weather"], batch["weather"])
+    ended = batch["next", "done"][:, :-1, 0]
+    before, after = batch["weather"][:, :-1], batch["weather"][:, 1:]
+    assert torch.equal(before[~ended], after[~ended]) and ended.any()
+    assert (before[ended] != after[ended]).any(-1).all()
+
+
+def test_a_sprite_stands_in_the_weather_too() -> None:
+    robot = tiny_robot()
+    drawing = DepthDrawing(plain_drawing(), robot.image_height, robot.image_width)
+    assert set(drawing.specs) == {"sprite_share", VIEW_DEPTH}
+    env = SplatEnv(drawing, BlockChecker(), robot, tiny_task(), Curriculum(tiny_plan(), None), (4,), 0)
+    rollout = TransformedEnv(env, Weather(fog=1.0, often=1.0)).rollout(3)
+    assert "sprite_share" in rollout and VIEW_DEPTH not in rollout
+
+
+def test_a_drawing_without_depth_is_refused() -> None:
+    with pytest.raises(ValueError, match="view_depth"):
+        TransformedEnv(seeing_env(), Weather()).reset()
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [("fog", -1.0), ("dusk", 1.0), ("rain", 1.5), ("often", 2.0), ("easy", -0.1), ("wet", math.nan)],
+)
+def test_a_setting_out_of_range_is_refused_by_its_key(setting: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"appearance.{setting}"):
+        Weather(**{setting: value})
+
+
+def test_the_config_brings_its_drawing_and_works_with_a_sprite(tmp_path: Path) -> None:
+    assert isinstance(instantiate(load_config(["transforms/appearance=weather"]).transforms.appearance), Weather)
+    for task in ("grid", "apple"):
+        env = make_env([*tiny_overrides(tmp_path, task), "transforms/appearance=weather"], batch_size=[2])
+        assert VIEW_DEPTH not in env.rollout(2)
+    assert "around_drawing" not in load_config()
