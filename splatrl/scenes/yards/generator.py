@@ -24,6 +24,8 @@ from splatrl.scenes.yards.turning import turned
 
 ATTEMPTS = 4000
 """Layouts that are drawn for a seed at most; one in about six can be solved."""
+SLACK = 0.035
+"""By how much round things may turn out smaller than their boxes say, metres."""
 BARKS: tuple[Color, ...] = (BARK, (0.80, 0.79, 0.75), (0.33, 0.27, 0.22))
 
 
@@ -48,7 +50,8 @@ def made_yard(seed: int) -> Made:
     """Make the yard of a seed: the same numbers give the same bytes.
 
     Layouts are drawn until one is as hard as the backyard and can be solved from everywhere, first by the boxes of its
-    things, then with every surfel besides, and then by surfels alone, where there are several.
+    things, round ones a little smaller as well, then with every surfel besides, and then by surfels alone, where there
+    are several.
 
     Raises:
         RuntimeError: where none of ``ATTEMPTS`` layouts can be solved.
@@ -60,7 +63,7 @@ def made_yard(seed: int) -> Made:
         if layout is None:
             continue
         cells = layout.cells()
-        if not solvable(difficulty(cells, layout.goal)):
+        if not all(solvable(difficulty(each, layout.goal)) for each in (cells, layout.cells(SLACK))):
             continue
         things = built(layout, style, rng)
         shells = replace(cells, solid=np.zeros_like(cells.solid))

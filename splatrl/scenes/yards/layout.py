@@ -192,21 +192,21 @@ class Layout:
             for t in self.trees[: self.inside]
         ]
 
-    def cells(self) -> Cells:
-        """What of it is solid at the height of the robots' bodies."""
+    def cells(self, slack: float = 0.0) -> Cells:
+        """What of it is solid at the height of the robots' bodies; round things are smaller by ``slack`` metres."""
         x0, y0, x1, y1 = self.outline
         cells = Cells.empty((x0, y0), (x1, y1))
-        fill(cells, self.core + self.edge, [self.egg.solid, *self.trunks])
+        fill(cells, self.core + self.edge, [self.egg.solid, *self.trunks], slack)
         return cells
 
 
-def fill(cells: Cells, pieces: Sequence[Piece], rounds: list[Solid]) -> None:
+def fill(cells: Cells, pieces: Sequence[Piece], rounds: list[Solid], slack: float = 0.0) -> None:
     """Fill the cells of things, and of further round solids."""
     for piece in pieces:
         for solid in piece.solids:
-            cells.fill(solid, piece.kind.pad, piece.kind.round)
+            cells.fill(solid, piece.kind.pad - slack * piece.kind.round, piece.kind.round)
     for solid in rounds:
-        cells.fill(solid, 0.015, round_=True)
+        cells.fill(solid, 0.015 - slack, round_=True)
 
 
 def drawn_core(rng: Rng) -> tuple[tuple[float, float, float], Egg, list[Piece]]:
