@@ -166,15 +166,21 @@ def transfer_sentences(tests: Sequence[Mapping[str, Any]], experiment: Experimen
 def _transfers(
     tests: Sequence[Mapping[str, Any]], experiment: Experiment
 ) -> dict[tuple[str, str, str], list[Mapping[str, Any]]]:
-    """The tests by place, scene of training and label, in the order of the experiment's scenes."""
+    """The tests by place, scene of training and label, in the order of the experiment's scenes.
+
+    A place is one of these scenes or another, and may say more behind a comma, such as the weather.
+    """
     runs = {run.folder.name: run for run in experiment.runs}
-    scenes = list(dict.fromkeys([*(run.scene for run in experiment.runs), *(row["place"] for row in tests)]))
+    places = (row["place"].partition(",")[0] for row in tests)
+    scenes = list(dict.fromkeys([*(run.scene for run in experiment.runs), *places]))
     groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
     for row in tests:
         run = runs.get(row["run"])
         if run is not None:
             groups.setdefault((row["place"], run.scene, run.label), []).append(row)
-    return dict(sorted(groups.items(), key=lambda group: tuple(scenes.index(name) for name in group[0][:2])))
+    return dict(
+        sorted(groups.items(), key=lambda group: [scenes.index(name.partition(",")[0]) for name in group[0][:2]])
+    )
 
 
 def _match_rates(
