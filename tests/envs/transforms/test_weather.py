@@ -209,6 +209,16 @@ def test_an_episode_keeps_its_weather_and_the_next_has_another() -> None:
     assert (before[ended] != after[ended]).any(-1).all()
 
 
+def test_every_image_of_a_rollout_is_in_its_weather_also_after_resets_of_some_rows() -> None:
+    off = {"rain": 0.0, "snow": 0.0, "often": 1.0}
+    batch, other = seeded_rollout(weather_env((4,), **off), 12, 0), weather_env((4,), seed=5, **off)
+    ended = batch["next", "done"][:, :, 0]
+    assert (ended.any(0) & ~ended.all(0))[:-1].any()  # resets of some rows, and not of others
+    for step in range(12):
+        again = other.reset(batch[:, step].select("state", "weather"), set_state=True)
+        assert torch.equal(again["pixels"], batch["pixels"][:, step]), step
+
+
 def test_a_sprite_stands_in_the_weather_too() -> None:
     robot = tiny_robot()
     drawing = DepthDrawing(plain_drawing(), robot.image_height, robot.image_width)
