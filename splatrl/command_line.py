@@ -1,6 +1,7 @@
 """What people type, checked before Hydra reads it: every fault is one line that says what to type instead."""
 
 import difflib
+import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,12 +13,14 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from splatrl.configuration import RUN_CONFIG, composed, is_group, load_config, options, with_scene_paths
+from splatrl.key_help import help_page
 
 OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
 """Options of Hydra that choose a config other than ours."""
 WITH_VALUE = (*OWN_CONFIG, "--cfg", "-c", "--package", "-p", "--info", "-i", "--experimental-rerun")
 """Options of Hydra after which a word of another kind may come."""
 SWEEP = ("-m", "--multirun")
+HELP = ("-h", "--help")
 MAIN_KEYS = {
     "train": "scene",
     "evaluate": "run",
@@ -44,7 +47,8 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
         arguments: arguments of the command line.
 
     Raises:
-        SystemExit: with one line that names the argument, what was expected and what came.
+        SystemExit: with one line that names the argument, what was expected and what came; or once the page that
+            ``--help`` asks for is printed.
     """
     try:
         _check_words(name, arguments)
@@ -52,10 +56,23 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
         if any(argument.partition("=")[0] in OWN_CONFIG for argument in arguments):
             return result  # Hydra itself reports a key that a config of one's own does not have
         sweeps = any(argument in SWEEP for argument in arguments)
-        _check_overrides(name, [_parsed(word, sweeps) for word in result if _is_plain(word)], sweeps)
+        overrides = [_parsed(word, sweeps) for word in result if _is_plain(word)]
+        _check_overrides(name, overrides, sweeps)
+        if any(argument in HELP for argument in arguments):
+            single = [str(override.input_line) for override in overrides if not override.is_sweep_override()]
+            _print_page(help_page(name, single))
+            sys.exit()
     except ValueError as error:
         sys.exit(f"splatrl-{name}: {error}")
     return result
+
+
+def _print_page(page: str) -> None:
+    """Print a page of which only the first lines may be wanted."""
+    try:
+        print(page, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains when it ends
 
 
 def _is_plain(word: str) -> bool:

@@ -92,7 +92,7 @@ PATHS = ("scene.path", "collision.occupancy.cloud", "demos", "evaluation.episode
 
 
 @contextmanager
-def _hydra() -> Iterator[ConfigLoader]:
+def config_loader() -> Iterator[ConfigLoader]:
     """Hydra with our configs and those of the search path's plugins; an already running Hydra is left untouched."""
     instance = GlobalHydra.instance()
     outer = instance.hydra
@@ -117,7 +117,7 @@ def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfi
 
 def composed(overrides: Sequence[str], name: str) -> DictConfig:
     """Compose a config of what Hydra itself understands."""
-    with _hydra():
+    with config_loader():
         return compose(name, list(overrides))
 
 
@@ -240,7 +240,7 @@ def _chosen(text: str) -> list[str]:
 
 def _scene_node(option: str) -> dict[str, Any]:
     """What the config of a scene says, with references as they are written."""
-    with _hydra() as loader:
+    with config_loader() as loader:
         for source in loader.get_sources():
             if source.available() and source.is_config(f"scene/{option}"):
                 node = OmegaConf.to_container(source.load_config(f"scene/{option}").config, resolve=False)
@@ -335,7 +335,7 @@ def _choices(overrides: Sequence[str], name: str) -> list[DictConfig]:
             swept = parsed.is_sweep_override()
             values = list(parsed.sweep_string_iterator()) if swept else [parsed.get_value_element_as_str()]
             groups.append([f"{key}={value}" for value in values])
-    with _hydra():
+    with config_loader():
         return [compose(name, list(chosen)) for chosen in itertools.product(*groups)]
 
 
@@ -352,7 +352,7 @@ def is_group(key: str) -> bool:
 
 def options(group: str) -> list[str]:
     """The options of a config group, including those of plugins; empty if there is no such group."""
-    with _hydra() as loader:
+    with config_loader() as loader:
         return list(loader.get_group_options(group))
 
 
@@ -434,7 +434,7 @@ def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
 def check_constructors(cfg: DictConfig) -> None:
     """Check targets against the configs on our search path, and on that of a Hydra that runs: ``--config-dir``."""
     outer = GlobalHydra.instance().hydra
-    with _hydra() as loader:
+    with config_loader() as loader:
         check_targets(cfg, loader.get_sources() + ([] if outer is None else outer.config_loader.get_sources()))
 
 

@@ -36,6 +36,7 @@ ORDER = [
     {"capture"},
     {"scene_overrides", "targets"},
     {"configuration"},
+    {"key_help"},
     {"command_line"},
     {"made_with", "misfits", "remembered"},
     {"build"},
@@ -47,12 +48,13 @@ ORDER = [
 ]
 """Packages ("rooms") and single modules under splatrl/, in order; a new one is added here."""
 ONLY = {
-    "hydra": {"targets", "configuration", "command_line", "build", "commands"},
+    "hydra": {"targets", "configuration", "key_help", "command_line", "build", "commands"},
     "omegaconf": {
         "documents",
         "targets",
         "scenes",
         "configuration",
+        "key_help",
         "command_line",
         "made_with",
         "remembered",

@@ -1,0 +1,82 @@
+"""``--help`` explains every key by the comments of conf/."""
+
+import pytest
+
+from splatrl.command_line import MAIN_KEYS, command_line
+from splatrl.configuration import load_config, options
+from splatrl.key_help import MOST_USED, WIDTH, comments_of, help_page, key_help
+
+CHOICES = [
+    *([f"task={task}"] for task in options("task")),
+    ["scene=file", "memory=gru", "transforms/appearance=varied", "collision=fcl", "motion@task.motion=drive"],
+    ["scene=kitchen", "memory=stack", "transforms/pose_noise=unsteady", "collision=none", "rewards@task.rewards=unit"],
+    ["ppo=many", "renderer=reference", "transforms/skip=four", "curriculum=none", "motion@task.motion=forward"],
+    ["renderer=gsplat", "transforms/sprite=apple"],
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides"), [*((name, []) for name in MAIN_KEYS), *(("train", choice) for choice in CHOICES)]
+)
+def test_every_key_and_every_option_is_explained(name, overrides):
+    found = key_help(name, overrides)
+    assert [key for key in found.values if not found.comments.get(key)] == []
+    assert [(one.key, option) for one in found.choices for option, said in one.options.items() if not said] == []
+    assert found.header
+
+
+@pytest.mark.parametrize("name", MAIN_KEYS)
+def test_a_page_lists_every_key_of_the_config_within_its_width(name):
+    page = help_page(name)
+    assert max(map(len, page.splitlines())) <= WIDTH
+    for key in load_config(name=name):
+        if key == "drawing":  # which only says what to build
+            continue
+        assert any(line.startswith((f"{key}=", f"{key}.")) for line in page.splitlines()), key
+
+
+@pytest.mark.parametrize("name", MOST_USED)
+def test_what_is_used_most_stands_first(name):
+    page = help_page(name, ["scene=file"])
+    places = [page.index(f"\n{key}=") for key in MOST_USED[name]]
+    assert places == sorted(places)
+    assert places[-1] < page.index("CHOICES") < page.index("ALL KEYS")
+
+
+def test_a_page_describes_the_config_that_is_typed(capsys):
+    with pytest.raises(SystemExit) as end:
+        command_line("train", ["task=apple", "seed=7", "--help"])
+    assert not end.value.code
+    page = capsys.readouterr().out
+    assert "\nseed=7 " in page
+    assert "\n  * apple " in page
+    assert "\ntask.reach=1.1 " in page
+
+
+def test_a_fault_is_told_before_help():
+    with pytest.raises(SystemExit, match="sed: no such key"):
+        command_line("train", ["sed=7", "-h"])
+
+
+def test_comments_of_a_yaml_file():
+    found = comments_of(
+        "# @package _global_\n# What it is.\n# More.\ndefaults:\n  - /a@b.c: one  # which\n"
+        "  - override /d: two  # why\na: '#1'  # first # still\nb:  # second\n"
+        "  c: [1,\n    2]  # third\n  d: {e: 1}\n  f:\n    - 1  # no key\n"
+    )
+    assert found.package == ""
+    assert found.header == "What it is."
+    assert found.groups == {"a": "which"}
+    assert found.keys == {"a": "first # still", "b": "second", "b.c": "third"}
+    assert comments_of("{}").keys == {}
+
+
+def test_what_options_have_in_common_is_explained_once():
+    published, unit = (key_help("train", [f"rewards@task.rewards={name}"]) for name in ("published", "unit"))
+    assert published.comments["task.rewards.goal"] == unit.comments["task.rewards.goal"] != ""
+
+
+def test_a_node_whose_keys_have_no_comments_is_one_line():
+    found = key_help("experiment")
+    assert found.values["scene_overrides"] == "{...}"
+    assert found.comments["experiments.grid"].startswith("I: ")
