@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
@@ -26,6 +26,10 @@ GOAL, TEST, BLUE, PURPLE, INK = "#e0409f", "#f0e442", "#0072b2", "#8a5a99", "#22
 DPI = 160
 MAP_SIZE = 5.8
 """Longer side of a map, inches."""
+OVERVIEW = 0.4
+"""Size of the picture of the whole place beside a map, in sides of the map."""
+MOST_ARROWS = 20
+"""Positions along the longer side of a map whose arrows can be told apart."""
 FOOT = 1.1
 """Space below a map for its axis and legend, inches."""
 ARROW = np.array([[0.2, 0.22], [0.68, 0.42], [0.68, 1.0], [1.0, 0.0], [0.68, -1.0], [0.68, -0.42], [0.2, -0.22]])
@@ -109,7 +113,8 @@ def start_map(
 ) -> None:
     """Draw every start pose as an arrow, coloured by whether the goal was reached from it.
 
-    The headings at one position form a rosette around it.
+    The headings at one position form a rosette around it. Where positions lie too close for arrows that can be seen,
+    some of them are drawn, evenly spread.
 
     Args:
         planar: [N, 3] x and y in metres and yaw in radians of the starts; a pose can occur more than once.
@@ -119,8 +124,12 @@ def start_map(
         blocked: [M, 2] x and y of positions at which the body does not fit in any heading, metres.
     """
     poses, rate = _mean_by_row(planar, success)
+    rows = len(poses), int((rate == 1).sum())
+    cell = max(_spacing(poses, view.ground), _side(view.ground) / MOST_ARROWS)
+    some = _thinned(poses[:, :2], cell)
+    poses, rate = poses[some], rate[some]
     headings = np.unique(poses[:, :2], axis=0, return_counts=True)[1].max()
-    length = (0.5 if headings > 2 else 0.85) * _spacing(poses, view.ground)
+    length = (0.5 if headings > 2 else 0.85) * cell
     half_width = min(0.14 * length, 0.75 * length * math.pi * 0.68 / headings)
     kinds = [
         (rate == 1, REACHED, "goal reached"),
@@ -142,8 +151,8 @@ def start_map(
         axes.plot(x, y, "x", color=INK, markersize=4, markeredgewidth=1.2, zorder=2.5, path_effects=halo)
         handles.append(Line2D([], [], color=INK, marker="x", markersize=5, linewidth=0, label="body does not fit"))
     handles += _marks(axes, view.marks, length)
-    rows = len(poses), int((rate == 1).sum())
-    axes.set_title(f"goal reached from {rows[1]:,} of {rows[0]:,} start poses ({rows[1] / rows[0]:.1%})", fontsize=10)
+    title = f"goal reached from {rows[1]:,} of {rows[0]:,} start poses ({rows[1] / rows[0]:.1%})"
+    axes.set_title(title if some.all() else f"{title}\n{some.sum():,} of them drawn", fontsize=10)
     _finish(figure, handles, view, path)
 
 
@@ -202,11 +211,28 @@ def _mean_by_row(rows: Tensor | NDArray[np.float64], values: Tensor) -> tuple[ND
 
 def _spacing(positions: NDArray[np.float64], ground: TopDown) -> float:
     """Distance between neighbouring positions of a lattice, or a size that reads well if there is no lattice."""
-    left, right, bottom, top = ground.extent
-    side = max(right - left, top - bottom)
+    side = _side(ground)
     gaps = np.concatenate([np.diff(np.unique(positions[:, axis].round(6))) for axis in (0, 1)])
     spacing = gaps.min() if len(gaps) else side
     return float(min(spacing, side / 8)) if spacing > side / 60 else side / 20
+
+
+def _side(ground: TopDown) -> float:
+    """Longer side of the picture, metres."""
+    left, right, bottom, top = ground.extent
+    return max(right - left, top - bottom)
+
+
+def _thinned(positions: NDArray[np.float64], cell: float) -> NDArray[np.bool_]:
+    """Which of some poses to draw: those at the position nearest the middle of each square cell; [N, 2] -> [N] bool."""
+    distinct, row = np.unique(positions.round(6), axis=0, return_inverse=True)
+    scaled = (distinct - distinct.min(0)) / cell + 1e-6  # neighbours on a lattice of such cells are in different ones
+    square, away = np.floor(scaled), np.abs(scaled - np.floor(scaled) - 0.5).max(1)
+    order = np.lexsort((away, square[:, 1], square[:, 0]))
+    first = np.append(True, (np.diff(square[order], axis=0) != 0).any(1))
+    drawn = np.zeros(len(distinct), bool)
+    drawn[order[first]] = True
+    return drawn[row.reshape(-1)]
 
 
 def _arrows(planar: NDArray[np.float64], length: float, half_width: float) -> NDArray[np.float64]:
@@ -238,7 +264,21 @@ def _map(view: MapView, colourful: bool) -> tuple[Figure, Axes]:
         axes.contourf(x, y, mask, levels=[0.5, 2], colors=["none"], hatches=["//////"], zorder=2)
         axes.contour(x, y, mask, levels=[0.5], colors=[INK], linewidths=1.0, zorder=2)
     axes.set(xlabel="x (m)", ylabel="y (m)", xlim=(left, right), ylim=(bottom, top))
+    if view.overview is not None:
+        _overview(axes, view.overview, ground, 1.05 if colourful else 1.24)
     return figure, axes
+
+
+def _overview(axes: Axes, overview: TopDown, ground: TopDown, place: float) -> None:
+    """Draw the whole place beside a map, from so many widths of it, with the map's window in it."""
+    left, right, bottom, top = overview.extent
+    inset = axes.inset_axes((place, 1 - OVERVIEW, OVERVIEW, OVERVIEW))
+    inset.imshow(np.asarray(overview.image), extent=overview.extent, interpolation="antialiased")
+    x0, x1, y0, y1 = ground.extent
+    inset.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="white", linewidth=3))
+    inset.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=GOAL, linewidth=1.5))
+    inset.set(xticks=[], yticks=[], xlim=(left, right), ylim=(bottom, top), anchor="NW")
+    inset.set_title(f"the place, {right - left:.0f} × {top - bottom:.0f} m", fontsize=8)
 
 
 def _marks(axes: Axes, marks: Sequence[Mark], length: float) -> list[Patch | Line2D]:

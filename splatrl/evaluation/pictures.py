@@ -13,12 +13,10 @@ from splatrl.curriculum import Plan
 from splatrl.evaluation.figures import start_map, success_map
 from splatrl.evaluation.recording import record_episodes
 from splatrl.evaluation.rollouts import Episodes
-from splatrl.evaluation.topdown import MapView, footprint, top_down
+from splatrl.evaluation.topdown import MapView, footprint, map_window, top_down
 from splatrl.evaluation.video import rollout_video
 from splatrl.scenes.gaussians import Gaussians
 
-MARGIN = 0.4
-"""How far the maps reach beyond the outermost pose, metres."""
 HEADROOM = 0.4
 """How far above the robot's body the maps cut the scene open, metres."""
 
@@ -37,11 +35,13 @@ class Pictures:
     def __init__(self, gaussians: Gaussians, occupancy: Occupancy, plan: Plan, env: EnvBase, folder: Path):
         self.plan, self.env, self.folder = plan, env, folder
         robot, places = env.robot, self._planar(plan.states)[:, :2]
-        lower, upper = (places.amin(0) - MARGIN).tolist(), (places.amax(0) + MARGIN).tolist()
         half = robot.body.half_height
-        ground = top_down(gaussians, lower, upper, robot.height + half + HEADROOM)
+        cut = robot.height + half + HEADROOM
+        window, wide = map_window(gaussians, places.amin(0).tolist(), places.amax(0).tolist(), cut)
+        ground = top_down(gaussians, *window, cut)
         solid = footprint(occupancy, robot.height - half, robot.height + half, ground)
-        self.view = MapView(ground, solid, env.task.marks())
+        overview = None if wide is None else top_down(gaussians, *wide, cut)
+        self.view = MapView(ground, solid, env.task.marks(), overview)
 
     def starts(self, episodes: Episodes) -> Path:
         """Draw start positions and headings, coloured by success."""

@@ -15,11 +15,23 @@ from splatrl.envs.tasks.base import Mark
 from splatrl.renderers import NativeRenderer
 from splatrl.renderers.base import Renderer
 from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.scene import robust_bounds
+
+Window = tuple[list[float], list[float]]
+"""Lower and upper corner, x and y in metres."""
 
 DISTANCE = 500.0
 """Camera height in lengths of the window: a metre of height then shifts a point by at most 1.5 millimetres."""
 DEPTH = 10.0
 """Anything more than this many metres below the cut is left out, such as the lower half of a sky dome."""
+MARGIN = 0.4
+"""How far a map reaches beyond the outermost pose, metres, at least."""
+AROUND = 0.25
+"""The same in sides of the area of the poses, at most, where the place goes on."""
+WIDER = 1.5
+"""An overview is worth drawing if its longer side is as many times the map's."""
+WIDEST = 12.0
+"""Longer side of an overview in sides of the map, at most: beyond them may be the country up to the horizon."""
 
 
 class TopDown(NamedTuple):
@@ -47,11 +59,13 @@ class MapView:
         ground: the scene seen from above.
         solid: [H, W] bool for the ground's pixels, what is solid at the height of the body (``footprint``).
         marks: what the task shows in every episode.
+        overview: the place around the ground, out to its walls; None where the ground shows nearly all of it.
     """
 
     ground: TopDown
     solid: Tensor | None = None
     marks: Sequence[Mark] = ()
+    overview: TopDown | None = None
 
 
 def top_down(
@@ -96,6 +110,34 @@ def top_down(
     image = make_renderer(gaussians[shown]).pixels(Cameras(camera_to_world[None], K, width, height))[0]
     half = 0.5 * metres * width, 0.5 * metres * height
     return TopDown(image.cpu(), (x - half[0], x + half[0], y - half[1], y + half[1]))
+
+
+def map_window(
+    gaussians: Gaussians, lower: Sequence[float], upper: Sequence[float], below: float
+) -> tuple[Window, Window | None]:
+    """The windows of a map around some poses and of an overview that reaches to the walls.
+
+    Args:
+        gaussians: the scene's Gaussians, world frame.
+        lower: smallest x and y of the poses, metres.
+        upper: largest x and y of the poses, metres.
+        below: height of the cut, metres.
+
+    Returns:
+        Lower and upper corner [x, y] of each; None where the map shows nearly all of the place.
+    """
+    height = gaussians.means[:, 2]
+    inside = (height < below) & (height > below - DEPTH)
+    place = [corner[:2] for corner in robust_bounds(gaussians[inside])] if inside.any() else [lower, upper]
+    around = max(MARGIN, AROUND * max(high - low for low, high in zip(lower, upper, strict=True)))
+    low = [min(x - MARGIN, max(x - around, edge)) for x, edge in zip(lower, place[0], strict=True)]
+    high = [max(x + MARGIN, min(x + around, edge)) for x, edge in zip(upper, place[1], strict=True)]
+    side = max(b - a for a, b in zip(low, high, strict=True))
+    reach = 0.5 * (WIDEST - 1.0) * side
+    wide_low = [max(min(a, edge - MARGIN), a - reach) for a, edge in zip(low, place[0], strict=True)]
+    wide_high = [min(max(b, edge + MARGIN), b + reach) for b, edge in zip(high, place[1], strict=True)]
+    wide = max(b - a for a, b in zip(wide_low, wide_high, strict=True))
+    return (low, high), (wide_low, wide_high) if wide >= WIDER * side else None
 
 
 def _floor(

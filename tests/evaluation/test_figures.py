@@ -208,3 +208,29 @@ def test_a_written_map_has_green_where_the_goal_is_reached_and_red_where_not(tmp
         assert near.sum() > 500
         columns.append(near.nonzero()[1])
     assert columns[1].max() < columns[0].min()
+
+
+def test_of_starts_too_close_to_be_seen_some_are_drawn_evenly_spread(drawn: list[Figure]) -> None:
+    steps = torch.arange(0.0, 1.0, 0.01, dtype=torch.float64)
+    starts = torch.cartesian_prod(steps, steps, torch.zeros(1, dtype=torch.float64))
+    start_map(starts, torch.ones(len(starts), dtype=torch.bool), VIEW, Path("unused.png"))
+    arrows = polygons(drawn[0], REACHED)
+    cell = 3.0 / figures.MOST_ARROWS  # of the picture's 3 m
+    assert len(arrows) == math.ceil(1.0 / cell) ** 2
+    assert np.ptp(arrows[:, :, 0], axis=1).min() > 0.4 * cell
+    title = drawn[0].axes[0].get_title()
+    assert "10,000 of 10,000 start poses" in title and f"\n{len(arrows)} of them drawn" in title
+
+
+def test_the_whole_place_is_drawn_beside_the_map_with_its_window(drawn: list[Figure]) -> None:
+    wide = TopDown(torch.full((40, 60, 3), 90, dtype=torch.uint8), (-15.0, 15.0, -5.0, 15.0))
+    starts, done = lattice(), torch.ones(96, dtype=torch.bool)
+    start_map(starts, done, replace(VIEW, overview=wide), Path("unused.png"))
+    success_map(starts, done, replace(VIEW, overview=wide), Path("unused.png"))
+    for figure in drawn:
+        inset = next(axes for axes in figure.axes[0].child_axes if "30 × 20 m" in axes.get_title())
+        assert inset.get_xlim() == (-15.0, 15.0) and inset.get_ylim() == (-5.0, 15.0)
+        box = inset.patches[-1].get_bbox()
+        assert (box.x0, box.x1, box.y0, box.y1) == GROUND.extent
+    start_map(starts, done, VIEW, Path("unused.png"))
+    assert not drawn[-1].axes[0].child_axes

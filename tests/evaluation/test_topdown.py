@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from splatrl.collision.occupancy import Occupancy
-from splatrl.evaluation.topdown import TopDown, footprint, top_down
+from splatrl.evaluation.topdown import WIDEST, TopDown, footprint, map_window, top_down
 from splatrl.renderers import ReferenceRenderer
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
@@ -111,3 +111,32 @@ def test_a_voxel_that_only_reaches_into_the_heights_counts() -> None:
 
 def test_the_footprint_of_nothing_is_empty() -> None:
     assert not footprint(Occupancy.empty(), 0.0, 1.0, GROUND).any()
+
+
+def yard(half: float, walls: float = 1.0) -> Gaussians:
+    """A square floor up to walls at ± ``half``, and a ceiling that reaches farther."""
+    steps = torch.linspace(-half, half, 41).tolist()
+    floor = [((x, y, 0.0), 0.05, GREEN) for x in steps for y in steps]
+    sides = [((x, s * half, z), 0.05, RED) for x in steps for s in (-1, 1) for z in (0.3, walls)]
+    ceiling = [((4.0 * x, y, 3.0), 0.05, BLUE) for x in steps for y in steps]
+    return blobs(floor + sides + ceiling)
+
+
+def test_a_map_of_a_large_place_reaches_beyond_the_poses_and_has_an_overview_to_the_walls() -> None:
+    (low, high), wide = map_window(yard(20.0), (-3.0, -3.0), (5.0, 3.0), below=1.5)
+    assert low == pytest.approx([-5.0, -5.0]) and high == pytest.approx([7.0, 5.0])  # a quarter of 8 m
+    assert wide is not None
+    for corner, edge in zip(wide, (-20.4, 20.4), strict=True):
+        assert corner == pytest.approx([edge, edge], abs=0.5)
+
+
+def test_a_map_of_a_room_ends_at_its_walls_and_has_no_overview() -> None:
+    (low, high), wide = map_window(yard(4.0), (-3.0, -3.0), (3.9, 3.0), below=1.5)
+    assert low == pytest.approx([-4.0, -4.0], abs=0.1) and high == pytest.approx([4.3, 4.0], abs=0.1)
+    assert wide is None
+
+
+def test_an_overview_does_not_reach_to_the_horizon() -> None:
+    (low, high), wide = map_window(yard(1000.0), (-1.0, -1.0), (1.0, 1.0), below=1.5)
+    assert wide is not None
+    assert wide[1][0] - wide[0][0] == pytest.approx(WIDEST * (high[0] - low[0]))
