@@ -177,7 +177,7 @@ def look_again(options: argparse.Namespace, folder: Path, out: Path, small: bool
         )
     scene, proposed = read_scene(folder), read_description(folder)
     drawn = proposed.get("antialiased", antialiased_beside(folder / proposed["splat"]))
-    print_guess(scene.gaussians, [0.0, 0.0, 1.0], scale=1.0)
+    print_stated(scene.gaussians, proposed.get("metric", True))
     draw(scene, 0.0, options, out, drawn)
     if small:
         proposals = {key: proposed[key] for key in PROPOSALS if key in proposed}
@@ -206,6 +206,26 @@ def print_guess(
         upright = replace(upright, metres_per_unit=scale, units_guess=Guess(GIVEN, "the scale is stated, not guessed"))
     print(upright)
     return upright
+
+
+def print_stated(gaussians: Gaussians, metric: bool) -> None:
+    """Print what is in a scene whose frame a ``scene.yaml`` states: up is z and its floor is z = 0.
+
+    Args:
+        gaussians: in the world frame.
+        metric: whether a unit is said to be a metre.
+    """
+    print(survey(gaussians))
+    guessed = guess_upright(gaussians, [0.0, 0.0, 1.0])
+    seen = f"what is opaque lies in a layer at {round(guessed.floor, 3) + 0.0:g} m, {guessed.floor_guess.confidence}"
+    upright = replace(
+        guessed,
+        floor=0.0,
+        floor_guess=Guess(GIVEN, f"scene.yaml puts it there; {seen}"),
+        metres_per_unit=1.0,
+        units_guess=Guess(GIVEN, "scene.yaml states the scale" + ("" if metric else ", and that nothing told it")),
+    )
+    print(upright)
 
 
 def direction(text: str) -> list[float]:

@@ -68,7 +68,10 @@ def test_a_folder_is_looked_at_again_in_the_frame_that_its_yaml_states(
     description.write_text(edited)
     capsys.readouterr()
     main([str(splat.parent)])
-    assert "up          z" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "up          z" in said
+    assert "floor       at 0 units along up; given: scene.yaml puts it there; what is opaque lies in a layer at" in said
+    assert "given: scene.yaml states the scale, and that nothing told it" in said
     assert description.read_text() == edited
     with pytest.raises(SystemExit, match=r"edit its scene\.yaml"):
         main([str(splat.parent), "--scale", "2"])
