@@ -6,12 +6,12 @@ from contextlib import contextmanager
 from functools import partial
 from multiprocessing import current_process
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 from torchrl.modules import ActorValueOperator
@@ -39,7 +39,7 @@ from splatrl.remembered import remembering
 from splatrl.renderers.one_scene import OneScene
 from splatrl.scenes.scene import Bounds, Scene
 from splatrl.several import stacked
-from splatrl.training import PPO, Cloner, Trainer, inputs_of, memory_transforms
+from splatrl.training import PPO, Cloner, Trainer, inputs_of, make_tracker, memory_transforms
 from splatrl.values import require_number
 
 
@@ -267,7 +267,7 @@ def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Train
             result["spl"] = measures["spl"]
         return result
 
-    logger, checkpoint = cfg.logger, cfg.checkpoint
+    logger, checkpoint, plain = cfg.logger, cfg.checkpoint, cast(dict[str, Any], OmegaConf.to_container(cfg))
     shown = None if cfg.demos is None else read_demonstrations(Path(cfg.demos).expanduser())
     return Trainer(
         ppo,
@@ -275,8 +275,7 @@ def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Train
         test,
         logger.test_interval,
         checkpoint.interval,
-        logger.backend,
-        logger.exp_name,
+        make_tracker(logger.backend, folder, logger.exp_name, logger.project, logger.online, plain),
         made_with(cfg, world.digest),
         None if shown is None else partial(_clone, cfg, ppo, shown),
     )

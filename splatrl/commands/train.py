@@ -1,7 +1,7 @@
 """``splatrl-train``: train a policy, evaluate it, and leave pictures in the run folder."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -73,9 +73,22 @@ def train(cfg: DictConfig, folder: Path) -> float:
     if resume:
         trainer.resume((lambda then: None) if cfg.resume_changed else partial(check_made_with, trainer.made_with))
         save_config(cfg, folder)
-    with watched(cfg, world, trainer):
-        trainer.fit()
-    return float(evaluate_run(cfg, folder, world)["success_rate"])
+    try:
+        with watched(cfg, world, trainer):
+            trainer.fit()
+        summary = evaluate_run(cfg, folder, world)
+        if trainer.tracker is not None:
+            trainer.tracker.scalars(evaluated(summary), trainer.ppo.frames)
+            trainer.tracker.files(sorted([*folder.glob("*.png"), *folder.glob("*.mp4")]), trainer.ppo.frames)
+    finally:
+        if trainer.tracker is not None:
+            trainer.tracker.close()
+    return float(summary["success_rate"])
+
+
+def evaluated(summary: Mapping[str, object]) -> dict[str, float]:
+    """The rates of an evaluation, under names of their own."""
+    return {f"evaluation_{key}": value for key, value in summary.items() if isinstance(value, float)}
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from splatrl.training.memory import memory_transforms
 from splatrl.training.networks import actor_critic
 from splatrl.training.ppo import PPO
 from splatrl.training.settings import LossSettings, OptimSettings
+from splatrl.training.trackers import make_tracker
 from splatrl.training.trainer import Trainer
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "actor_critic",
     "inputs_of",
     "load_checkpoint",
+    "make_tracker",
     "memory_transforms",
     "save_checkpoint",
 ]

@@ -14,15 +14,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from torchrl.record.loggers import get_logger
 from tqdm import tqdm
 
-from splatrl.files import checked_name, remove_stale, replacing
+from splatrl.files import remove_stale, replacing
 from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
 from splatrl.training.ppo import PPO
+from splatrl.training.trackers import Tracker
 from splatrl.values import require_number
 
-BACKENDS = ("csv", "tensorboard", "wandb")
 TABLE = "progress.csv"
 
 
@@ -41,8 +40,7 @@ class Trainer:
             is the best in this order, and the later one of equals.
         test_interval: frames between tests.
         checkpoint_interval: frames between checkpoints.
-        backend: csv, or a TorchRL logger (tensorboard, wandb) in addition to it.
-        exp_name: name of the run for that logger.
+        tracker: is told every row of the history, too; None tells nobody.
         made_with: plain values on which the training depends, kept in checkpoints.
         prepare: called before the first batch of a training, to begin with a policy that knows something; it counts the
             frames that it used in ``ppo.frames``, and returns the first row of the history.
@@ -51,7 +49,7 @@ class Trainer:
         watch: called with each row of the history; it changes nothing of the training.
 
     Raises:
-        ValueError: for any other backend, or a name that is no name of a file.
+        ValueError: for an interval that is no whole number above 0.
     """
 
     def __init__(
@@ -61,22 +59,17 @@ class Trainer:
         test: Callable[[], Mapping[str, float]],
         test_interval: int,
         checkpoint_interval: int,
-        backend: str = "csv",
-        exp_name: str = "splatrl",
+        tracker: Tracker | None = None,
         made_with: Mapping[str, Any] | None = None,
         prepare: Callable[[], dict[str, float]] | None = None,
     ):
-        if backend not in BACKENDS:
-            raise ValueError(f"logger.backend: expected one of {', '.join(BACKENDS)}, got {backend}")
         require_number("logger.test_interval", test_interval, 1, whole=True)
         require_number("checkpoint.interval", checkpoint_interval, 1, whole=True)
         self.ppo, self.folder, self.test, self.prepare = ppo, folder, test, prepare
         self.watch: Callable[[Mapping[str, float]], object] = lambda row: None
         self.made_with = dict(made_with or {})
         self.test_interval, self.checkpoint_interval = test_interval, checkpoint_interval
-        self.logger = (
-            None if backend == "csv" else get_logger(backend, str(folder), checked_name("logger.exp_name", exp_name))
-        )
+        self.tracker = tracker
         self.history: list[dict[str, float]] = []
         self.best: tuple[float, ...] = ()
         self.seconds = 0.0
@@ -164,9 +157,8 @@ class Trainer:
     def _note(self, row: dict[str, float]) -> None:
         self.history.append(row)
         self.watch(row)
-        if self.logger is not None:
-            for key, value in row.items():
-                self.logger.log_scalar(key, value, step=self.ppo.frames)
+        if self.tracker is not None:
+            self.tracker.scalars(row, self.ppo.frames)
         tested = tuple(value for name, value in row.items() if name.startswith("test_"))
         if tested and tested >= self.best:
             self.best = tested

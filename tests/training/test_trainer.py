@@ -142,12 +142,6 @@ def test_a_full_disk_names_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         loop.save()
 
 
-def test_an_unknown_backend_is_refused_with_those_there_are(tmp_path: Path) -> None:
-    ppo = learner(tiny_env([4]))
-    with pytest.raises(ValueError, match=r"logger\.backend: expected one of csv, tensorboard, wandb, got paper"):
-        Trainer(ppo, tmp_path, lambda: 0.0, 100, 100, backend="paper")
-
-
 @pytest.mark.parametrize("key", ["success", "return", "length", "entropy", "level", "episodes"])
 def test_a_row_tells_what_a_learning_curve_needs(tmp_path: Path, key: str) -> None:
     loop = trainer(tmp_path, [0.1], frames=64)

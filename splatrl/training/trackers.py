@@ -1,0 +1,185 @@
+"""Trackers that people watch trainings with: numbers while it learns, figures and videos at its end."""
+
+import io
+import math
+import secrets
+from collections.abc import Iterable, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol
+
+import av
+from PIL import Image
+
+from splatrl.files import checked_name, replacing
+
+BACKENDS = ("csv", "tensorboard", "wandb")
+WIDEST, MOST_FRAMES = 480, 240
+"""Pixels and frames of a video in TensorBoard, which shows it as a GIF."""
+PICTURES, VIDEOS = (".png", ".jpg"), (".mp4",)
+RUN_ID = "wandb.txt"
+
+
+class Tracker(Protocol):
+    """Where a training's numbers, figures and videos go besides its folder."""
+
+    def scalars(self, values: Mapping[str, float], frames: int) -> None:
+        """Note numbers after a number of frames; what is not finite is left out."""
+
+    def files(self, paths: Iterable[Path], frames: int) -> None:
+        """Note pictures and videos by their files."""
+
+    def close(self) -> None:
+        """Write what is not written yet."""
+
+
+def make_tracker(
+    backend: str, folder: Path, exp_name: str, project: str, online: bool, settings: Mapping[str, Any]
+) -> Tracker | None:
+    """The tracker that a config names; None for csv, which the run folder has anyway.
+
+    Args:
+        backend: one of ``BACKENDS``.
+        folder: the run folder, which holds what the tracker writes.
+        exp_name: name of the run.
+        project: to which wandb adds it.
+        online: whether wandb sends it to its server as it comes, rather than leave it to ``wandb sync``.
+        settings: the whole config as plain values, to be shown with the run.
+
+    Raises:
+        ValueError: for any other backend, or a name that is no name of a file.
+        ImportError: names the extra that is not installed.
+    """
+    if backend not in BACKENDS:
+        raise ValueError(f"logger.backend: expected one of {', '.join(BACKENDS)}, got {backend}")
+    name = checked_name("logger.exp_name", exp_name)
+    if backend == "csv":
+        return None
+    if backend == "tensorboard":
+        return TensorBoardTracker(folder / name, settings)
+    return WandbTracker(folder, name, project, online, settings)
+
+
+class TensorBoardTracker:
+    """Event files for ``tensorboard --logdir``.
+
+    Args:
+        folder: where they go; those of a resumed training lie beside the first.
+        settings: shown as text.
+    """
+
+    def __init__(self, folder: Path, settings: Mapping[str, Any]):
+        self._writer = _imported("tensorboard", "torch.utils.tensorboard").SummaryWriter(str(folder))
+        self._writer.add_text("config", "\n".join(f"    {key}: {value}" for key, value in _flat(settings)))
+
+    def scalars(self, values: Mapping[str, float], frames: int) -> None:
+        """See ``Tracker``."""
+        for key, value in _finite(values).items():
+            self._writer.add_scalar(key, value, frames)
+
+    def files(self, paths: Iterable[Path], frames: int) -> None:
+        """See ``Tracker``."""
+        from tensorboard.compat.proto.summary_pb2 import Summary
+
+        for path in paths:
+            if path.suffix in PICTURES:
+                with Image.open(path) as picture:
+                    (width, height), data = picture.size, path.read_bytes()
+            elif path.suffix in VIDEOS:
+                (width, height), data = gif(path)
+            else:
+                continue
+            image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=data)
+            value = Summary.Value(tag=path.stem, image=image)
+            self._writer.file_writer.add_summary(Summary(value=[value]), frames)
+
+    def close(self) -> None:
+        """See ``Tracker``."""
+        self._writer.close()
+
+
+class WandbTracker:
+    """A run of Weights & Biases, in the folder ``wandb`` of the run folder.
+
+    Args:
+        folder: the run folder; a resumed training goes on with the run that it names.
+        name: of the run.
+        project: of the run.
+        online: whether it is sent as it comes.
+        settings: shown with the run.
+    """
+
+    def __init__(self, folder: Path, name: str, project: str, online: bool, settings: Mapping[str, Any]):
+        self._wandb = _imported("wandb", "wandb")
+        known = folder / RUN_ID
+        identity = checked_name(RUN_ID, known.read_text().strip()) if known.is_file() else secrets.token_hex(8)
+        with replacing(known) as stream:
+            stream.write(identity.encode())
+        self._run = self._wandb.init(
+            project=project,
+            name=name,
+            id=identity,
+            resume="allow",
+            dir=str(folder),
+            mode="online" if online else "offline",
+            config=dict(settings),
+            settings=self._wandb.Settings(console="off", silent=True, save_code=False, disable_git=True),
+        )
+
+    def scalars(self, values: Mapping[str, float], frames: int) -> None:
+        """See ``Tracker``."""
+        self._run.log(_finite(values), step=frames)
+
+    def files(self, paths: Iterable[Path], frames: int) -> None:
+        """See ``Tracker``."""
+        media = {}
+        for path in paths:
+            if path.suffix in PICTURES:
+                media[path.stem] = self._wandb.Image(str(path))
+            elif path.suffix in VIDEOS:
+                media[path.stem] = self._wandb.Video(str(path), format="mp4")
+        self._run.log(media, step=frames)
+
+    def close(self) -> None:
+        """See ``Tracker``."""
+        self._run.finish()
+
+
+def gif(path: Path) -> tuple[tuple[int, int], bytes]:
+    """A video as an animated GIF: width and height in pixels, and the file's bytes.
+
+    Args:
+        path: a video of ours; frames beyond ``MOST_FRAMES`` are left out.
+    """
+    images: list[Image.Image] = []
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        pause = 1000.0 / float(stream.average_rate or 10)
+        for frame in container.decode(stream):
+            image = frame.to_image()
+            image.thumbnail((WIDEST, WIDEST))
+            images.append(image)
+            if len(images) == MOST_FRAMES:
+                break
+    memory = io.BytesIO()
+    images[0].save(memory, "GIF", save_all=True, append_images=images[1:], duration=pause, loop=0)
+    return images[0].size, memory.getvalue()
+
+
+def _imported(package: str, module: str) -> Any:
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise ImportError(
+            f"logger.backend={package}: expected it to be installed: pip install 'splatrl[{package}]'"
+        ) from error
+
+
+def _finite(values: Mapping[str, float]) -> dict[str, float]:
+    return {key: value for key, value in values.items() if math.isfinite(value)}
+
+
+def _flat(node: Any, place: str = "") -> Iterable[tuple[str, Any]]:
+    if not isinstance(node, Mapping):
+        return [(place, node)]
+    return [pair for key, value in node.items() for pair in _flat(value, f"{place}.{key}".lstrip("."))]
