@@ -33,7 +33,7 @@ from tests.tiny import tiny_gaussians, tiny_overrides
 
 TASKS = sorted((conf_dir() / "task").glob("*.yaml"))
 SCENES = sorted((conf_dir() / "scene").glob("*.yaml"))
-NOT_OF_TRAIN = {"scene", "task", "experiment"}
+NOT_OF_TRAIN = {"scene", "task", "experiment", "launcher"}
 OF_GPUS = {Path("renderer/gsplat")}
 OPTIONS = sorted(
     path.relative_to(conf_dir()).with_suffix("")

@@ -1,0 +1,103 @@
+"""What stands in examples/ runs. They need the extra ``slow``, but for those that need nothing."""
+
+import os
+import subprocess
+import sys
+from importlib import util
+from pathlib import Path
+
+import gymnasium
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def run(name: str, *arguments: str) -> str:
+    """What an example prints."""
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "RAY_DEDUP_LOGS": "0"}
+    command = [sys.executable, str(EXAMPLES / name), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=600)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_every_example_is_listed_and_every_one_listed_is_there() -> None:
+    listed = {
+        line.split("](")[1].split(")")[0] for line in (EXAMPLES / "README.md").read_text().splitlines() if "| [" in line
+    }
+    there = {str(path.relative_to(EXAMPLES)) for path in EXAMPLES.rglob("*") if path.suffix in (".py", ".ipynb")}
+    assert listed == there
+
+
+def test_the_envhub_file_makes_a_suite_of_one_batch() -> None:
+    spec = util.spec_from_file_location("envhub_env", EXAMPLES / "envhub" / "env.py")
+    assert spec is not None and spec.loader is not None
+    module = util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    suites = module.make_env(n_envs=2)
+    env = suites["splatrl"][0]
+    assert isinstance(env, gymnasium.vector.VectorEnv) and env.num_envs == 2
+    assert env.reset(seed=0)[0].shape == (2, 64, 64, 3)
+    env.close()
+
+
+def test_notebooks_are_kept_without_outputs() -> None:
+    for path in EXAMPLES.glob("*.ipynb"):
+        assert '"output_type"' not in path.read_text()
+
+
+@pytest.mark.slow
+def test_ppo_in_one_file_learns_to_reach_near_goals() -> None:
+    lines = run("cleanrl_ppo.py", "--frames", "6144", "--robots", "16", "--steps", "16").splitlines()
+    assert len(lines) == 24
+    first, last = (float(lines[row].split("success ")[1].split()[0]) for row in (2, -1))
+    assert last > first + 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", ["direct", "process", "ray"])
+def test_one_env_under_each_backend_of_the_collector(backend: str) -> None:
+    lines = [line for line in run("collectors.py", backend, "--frames", "320").splitlines() if line.startswith(backend)]
+    assert len(lines) == 2 and all("160 frames of" in line for line in lines)
+
+
+@pytest.mark.slow
+def test_rllib_trains() -> None:
+    assert "1: mean return" in run("rllib_ppo.py", "--iterations", "1", "--runners", "0", "--batch", "256")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.ipynb")), ids=lambda path: path.name)
+def test_a_notebook_runs(path: Path) -> None:
+    import nbformat
+    from nbclient import NotebookClient
+
+    notebook = nbformat.read(path, as_version=4)
+    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(path.parent)}}).execute()
+    pictures = [out for cell in notebook.cells for out in cell.get("outputs", []) if "image/png" in out.get("data", {})]
+    assert len(pictures) >= 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("launcher", "target"), [("ray", "RayLauncher"), ("submitit_slurm", "SlurmLauncher")])
+def test_a_preset_chooses_its_launcher(launcher: str, target: str, tmp_path: Path) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "splatrl.commands.train",
+        f"+launcher={launcher}",
+        "--cfg",
+        "hydra",
+        "-p",
+        "hydra.launcher",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=300)
+    assert done.returncode == 0 and target in done.stdout, done.stderr
+
+
+@pytest.mark.slow
+def test_a_sweep_runs_on_a_local_cluster_of_ray(tmp_path: Path) -> None:
+    tiny = ["collector.total_frames=1024", "evaluation.starts=8", "logger.num_test_episodes=8", "logger.video=false"]
+    command = [sys.executable, "-m", "splatrl.commands.train", "-m", "seed=0,1", "+launcher=ray", "device=cpu", *tiny]
+    subprocess.run([*command, f"hydra.sweep.dir={tmp_path}/sweep"], check=True, cwd=tmp_path, timeout=600)
+    assert all((tmp_path / "sweep" / job / "evaluation.json").is_file() for job in "01")
