@@ -10,6 +10,8 @@ ROOT = Path(__file__).parents[1]
 PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 SOURCES = re.compile(r"\[([^\]]*)\]\(\.\./[^)]*\)")
 """Links to files of the repository that the site does not have."""
+BADGES = re.compile(r"^\[!\[ci\].*\n", re.MULTILINE)
+"""A line of the README that only means something beside the repository."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -24,4 +26,4 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, **_: object) -> str:
     """Name what stands in the repository without a link."""
-    return SOURCES.sub(r"\1", markdown)
+    return SOURCES.sub(r"\1", BADGES.sub("", markdown))

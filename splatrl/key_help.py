@@ -173,8 +173,8 @@ def key_help(name: str, overrides: Sequence[str] = ()) -> KeyHelp:
     headers: dict[str, dict[str, str]] = {}
     with config_loader() as loader:
         header = _read(loader, name).header
-        composed = loader.compute_defaults_list(name, list(overrides), RunMode.RUN)
-        for default in composed.defaults:
+        taking = loader.compute_defaults_list(name, list(overrides), RunMode.RUN)
+        for default in taking.defaults:
             path, place = str(default.config_path), default.package or ""
             group, _, taken = path.rpartition("/")
             if path.startswith("hydra/"):
@@ -191,7 +191,7 @@ def key_help(name: str, overrides: Sequence[str] = ()) -> KeyHelp:
                     known.setdefault(f"{start}.{key}".strip("."), text)
     comments = of_others | comments
     choices = []
-    for key, taken in composed.overrides.known_choices.items():  # the last first
+    for key, taken in taking.overrides.known_choices.items():  # the last first
         group, _, place = str(key).partition("@")
         if group not in headers:
             continue
