@@ -8,7 +8,7 @@ from splatrl.key_help import MOST_USED, WIDTH, comments_of, help_page, key_help
 
 CHOICES = [
     *([f"task={task}"] for task in options("task")),
-    ["scene=many"],
+    ["scene=many", "scene.paths=[backyard]"],
     ["scene=file", "memory=gru", "transforms/appearance=varied", "collision=fcl", "motion@task.motion=drive"],
     ["scene=kitchen", "memory=stack", "transforms/pose_noise=unsteady", "collision=none", "rewards@task.rewards=unit"],
     ["ppo=many", "renderer=reference", "transforms/skip=four", "curriculum=none", "motion@task.motion=forward"],
