@@ -23,7 +23,7 @@ from splatrl.collision.base import Checker
 from splatrl.collision.several import SeveralCheckers
 from splatrl.configuration import check_config, load_config, place_configs, with_absolute_paths
 from splatrl.curriculum import Plan, plan
-from splatrl.datasets import Demonstrations, read_demonstrations
+from splatrl.datasets import Demonstrations, imitate, planner_episodes, read_demonstrations
 from splatrl.device import AUTO, KINDS, chosen_device
 from splatrl.envs.drawing import Drawing
 from splatrl.envs.robot import Robot
@@ -268,7 +268,6 @@ def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Train
         return result
 
     logger, checkpoint, plain = cfg.logger, cfg.checkpoint, cast(dict[str, Any], OmegaConf.to_container(cfg))
-    shown = None if cfg.demos is None else read_demonstrations(Path(cfg.demos).expanduser())
     return Trainer(
         ppo,
         folder,
@@ -277,39 +276,39 @@ def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Train
         checkpoint.interval,
         make_tracker(logger.backend, folder, logger.exp_name, logger.project, logger.online, plain),
         made_with(cfg, world.digest),
-        None if shown is None else partial(_clone, cfg, ppo, shown),
+        _teaching(cfg, world, ppo),
     )
 
 
-def _clone(cfg: DictConfig, ppo: PPO, demonstrations: Demonstrations) -> dict[str, float]:
-    """Let a policy imitate demonstrations, whose frames count as used; returns the loss.
+def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], Iterator[dict[str, float]]] | None:
+    """What a policy is taught before it learns from reward; None where there is nothing.
 
     Raises:
-        ValueError: for demonstrations with other actions or images than the policy's, or more frames than there are.
+        ValueError: for ``demos`` that are no folder of demonstrations and no number.
     """
-    frames, env = demonstrations.frames, ppo.env
-    (height, width, channels), spec = env.observation_spec["pixels"].shape[1:], env.action_spec
-    names, found = env.task.motion.action_names, (frames["pixels"].shape[1:3], frames["action"].shape[1:])
-    if demonstrations.action_names != tuple(names) or found != ((height, width), spec.shape[1:]):
-        raise ValueError(
-            f"demos={cfg.demos}: expected images of {width} × {height} and the task's actions {', '.join(names)}, "
-            f"got {found[0][1]} × {found[0][0]} and {', '.join(demonstrations.action_names) or list(found[1])}"
+    dagger, shown = instantiate(cfg.dagger), []
+    if isinstance(cfg.demos, str):
+        shown = [read_demonstrations(Path(cfg.demos).expanduser())]
+    elif cfg.demos is not None:
+        require_number("demos", cfg.demos, 1, 10**6, whole=True)
+    elif not dagger.rounds:
+        return None
+
+    def teach() -> Iterator[dict[str, float]]:
+        episodes, cloner = (
+            shown or _walked(world, cfg.demos or 0, cfg.seed),
+            Cloner(ppo.model, instantiate(cfg.cloning)),
         )
-    if len(frames) + ppo.frames_per_batch > ppo.total_frames:
-        raise ValueError(
-            f"collector.total_frames: expected at least a batch more than the {len(frames):,} frames of "
-            f"demos={cfg.demos}, got {ppo.total_frames:,}"
-        )
-    scale = ppo.learner.loss.reward_scale
-    shown = {
-        "pixels": demonstrations.stacked(channels // 3),
-        "action": frames["action"],
-        "value_target": demonstrations.returns(ppo.learner.loss.gamma) * scale,
-        "frame": frames["frame"],
-    }
-    loss = Cloner(ppo.model, instantiate(cfg.cloning)).fit(shown)
-    ppo.frames += len(frames)
-    return {"loss_cloning": loss}
+        yield from imitate(ppo, cloner, world, episodes, dagger, worker_seed(cfg.seed, 0))
+
+    return teach
+
+
+def _walked(world: World | Worlds, episodes: int, seed: int) -> list[Demonstrations]:
+    """Episodes of the planner, shared out evenly among the scenes."""
+    every = len(world.worlds)
+    shares = [(episodes + every - 1 - number) // every for number in range(every)]
+    return [planner_episodes(one, share, seed) for one, share in zip(world.worlds, shares, strict=True) if share]
 
 
 def _cuda_graph(choice: bool | str) -> bool | None:

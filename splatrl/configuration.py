@@ -88,7 +88,7 @@ EXAMPLES = {
 """What to type for values that people forget."""
 
 PATHS = ("scene.path", "collision.occupancy.cloud", "demos", "evaluation.episodes")
-"""Keys that hold a path, which is made absolute in a run folder."""
+"""Keys that hold a path, which is made absolute in a run folder; numbers are none."""
 
 
 @contextmanager
@@ -367,7 +367,7 @@ def with_absolute_paths(cfg: DictConfig) -> DictConfig:
     cfg = cfg.copy()
     for key in PATHS:
         path = OmegaConf.select(cfg, key)
-        if path is not None:
+        if isinstance(path, str):
             OmegaConf.update(cfg, key, str(Path(path).expanduser().absolute()))
     return cfg
 

@@ -75,4 +75,5 @@ def _flat(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
         if isinstance(value, Mapping):
             yield from _flat(value, f"{name}.")
         else:
-            yield name, str(Path(value).expanduser().absolute()) if name in PATHS and value is not None else value
+            is_path = name in PATHS and isinstance(value, str)
+            yield name, str(Path(value).expanduser().absolute()) if is_path else value

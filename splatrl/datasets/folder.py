@@ -70,6 +70,9 @@ def read_demonstrations(folder: Path) -> Demonstrations:
     if len(shapes) != 1 or not min(shapes):
         raise ValueError(f"{here}: expected frames, as many of each key, got {sorted(shapes)}")
     _check_kinds(here, values)
+    optimal = values.get("optimal")
+    if optimal is not None and (optimal.dtype, optimal.shape[1:]) != (torch.bool, (len(names),)):
+        raise ValueError(f"{here}: expected optimal, [N, {len(names)}] bool, got {optimal.dtype} {list(optimal.shape)}")
     result = Demonstrations(TensorDict(values, [shapes.pop()]), tuple(names), fps)
     try:
         result.check()

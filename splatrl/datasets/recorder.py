@@ -5,6 +5,7 @@ from collections.abc import Callable
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from splatrl.curriculum import Plan
 from splatrl.datasets.demonstrations import AFTER, Demonstrations, joined
@@ -37,7 +38,7 @@ def planner_episodes(
     require_number("episodes", episodes, 1, 10**6, whole=True)
     plan = world.plan
     if plan.field is None:
-        raise ValueError(f"by=planner: expected a task with goal states, got {type(world.task).__name__}")
+        raise ValueError(f"planner: expected a task with goal states, got {type(world.task).__name__}")
     generator = torch.Generator().manual_seed(seed)
     kept: list[TensorDictBase] = []
     waiting: list[Tensor] = []
@@ -52,25 +53,27 @@ def planner_episodes(
                 progress(len(episode))
         if len(kept) == episodes:
             return Demonstrations(joined(kept), tuple(world.task.motion.action_names))
-    raise ValueError(f"by=planner: expected to reach the goal {episodes} times, got there {len(kept)} times")
+    raise ValueError(f"planner: expected to reach the goal {episodes} times, got there {len(kept)} times")
 
 
 @torch.no_grad()
 def _walked(world: World, plan: Plan, starts: Tensor, seed: int, generator: torch.Generator) -> list[TensorDictBase]:
     """One episode from each start along shortest paths, or to where no path goes on: frames [T] each, on the CPU."""
-    env = world.env(len(starts), seed=seed)
+    env, names = world.env(len(starts), seed=seed), world.task.motion.action_names
     now = env.reset(TensorDict({"state": starts}, [len(starts)], device=env.device), set_state=True)
     keys = ["pixels", "action", "state", *world.task.memory_spec]
     steps: list[TensorDictBase] = []
     length = torch.zeros(len(starts), dtype=torch.int64)  # of the episodes that have ended
     running = torch.ones(len(starts), dtype=torch.bool)
     while running.any() and len(steps) < world.task.max_steps:
-        best = plan.optimal(now["state"].to(plan.states.device)).cpu().float()
-        chosen = torch.multinomial(best + 1e-9, 1, generator=generator).squeeze(1)
+        best = plan.optimal(now["state"].to(plan.states.device)).cpu()
+        chosen = torch.multinomial(best.float() + 1e-9, 1, generator=generator).squeeze(1)
         now["action"] = plan.actions.cpu()[chosen].to(env.device)
         step = env.step(now)
         seen = step.select(*keys).cpu()
         seen["pixels"] = seen["pixels"][..., -3:].clone()
+        if names:
+            seen["optimal"] = best.float() @ one_hot(plan.actions.cpu(), len(names)).float() > 0
         seen["next"] = step["next"].select(*AFTER).cpu()
         steps.append(seen)
         ended = running & seen["next", "done"].squeeze(1)

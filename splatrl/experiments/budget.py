@@ -37,7 +37,7 @@ class Budget:
         source = f"measured in {self.measured} finished" if self.measured else "expected"
         seeds = ", ".join(map(str, self.seeds))
         return (
-            f"{self.name:<9} {self.trainings} trainings, seeds {seeds}, {self.frames:,} frames; "
+            f"{self.name:<14} {self.trainings} trainings, seeds {seeds}, {self.frames:,} frames; "
             f"{self.finished} trainings done, {self.frames_left:,} frames left at {self.speed:,.0f} frames/s ({source})"
         )
 
@@ -49,7 +49,7 @@ def budget(experiment: Experiment) -> Budget:
     figures = [evaluation(run) for run in finished]
     frames, seconds = (sum(values[key] for values in figures) for key in ("frames", "wall_seconds"))
     speed = frames / seconds if seconds else experiment.frames_per_second
-    frames_left = sum(run.frames - frames_done(run) for run in left)
+    frames_left = sum(max(run.frames - frames_done(run), 0) for run in left)  # shown frames fill no whole batch
     return Budget(
         name=experiment.name,
         trainings=len(experiment.runs),

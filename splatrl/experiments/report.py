@@ -182,6 +182,7 @@ def _numbers(experiment: Experiment, found: Sequence[Entry], machine: str) -> di
             "frames_per_second": _values(entry.speed()),
             "tested_at": {str(mark): _values(entry.tested_at(mark)) for mark in experiment.marks},
             f"frames_to_{experiment.threshold}": _values(entry.frames_to(experiment.threshold)),
+            f"minutes_to_{experiment.threshold}": _values(entry.minutes_to(experiment.threshold)),
         }
         for entry in found
     ]

@@ -90,10 +90,18 @@ class Entry:
 
     def frames_to(self, success: float) -> Spread:
         """Frames until the first test with at least this success, for the seeds that reached it."""
-        first = (
-            next((at for at, value in success_in_tests(rows) if value >= success), None) for rows in self.histories
+        return self._at_first(success, "frames")
+
+    def minutes_to(self, success: float) -> Spread:
+        """Minutes of training, tests included, until the first test with at least this success; as ``frames_to``."""
+        return Spread(tuple(seconds / 60 for seconds in self._at_first(success, "seconds").values))
+
+    def _at_first(self, success: float, key: str) -> Spread:
+        """A value of the row of the first test with at least this success, for the seeds that reached it."""
+        rows = (
+            next((row for row in history if row.get("test_success", 0.0) >= success), {}) for history in self.histories
         )
-        return Spread(tuple(float(at) for at in first if at is not None))
+        return Spread(tuple(row[key] for row in rows if key in row))
 
     def median(self) -> Run:
         """The run with the median success; of two in the middle, the lower one."""

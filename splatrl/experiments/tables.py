@@ -49,12 +49,14 @@ def main_table(found: Sequence[Entry]) -> list[str]:
 def marks_table(found: Sequence[Entry], experiment: Experiment) -> list[str]:
     """The table of success in tests during training, and of when a test first reached the threshold."""
     marks = [f"at {mark:,}" for mark in experiment.marks]
-    header = ["scene", "arm", *marks, f"frames to {experiment.threshold:.0%}", "seeds that got there"]
+    goal = f"{experiment.threshold:.0%}"
+    header = ["scene", "arm", *marks, f"frames to {goal}", f"minutes to {goal}", "seeds that got there"]
     rows = []
     for entry in found:
-        first = entry.frames_to(experiment.threshold)
+        first, minutes = entry.frames_to(experiment.threshold), entry.minutes_to(experiment.threshold)
         tested = [entry.tested_at(mark).percent() for mark in experiment.marks]
-        rows.append([entry.scene, entry.label, *tested, first.text(), f"{len(first.values)} of {len(entry.runs)}"])
+        there = f"{len(first.values)} of {len(entry.runs)}"
+        rows.append([entry.scene, entry.label, *tested, first.text(), minutes.text(1), there])
     return table(header, rows)
 
 

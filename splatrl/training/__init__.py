@@ -2,6 +2,7 @@
 
 from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
 from splatrl.training.cloning import Cloner, CloningSettings
+from splatrl.training.dagger import DaggerSettings, targets, visited
 from splatrl.training.inputs import Input, inputs_of
 from splatrl.training.memory import memory_transforms
 from splatrl.training.networks import actor_critic
@@ -14,6 +15,7 @@ __all__ = [
     "PPO",
     "Cloner",
     "CloningSettings",
+    "DaggerSettings",
     "Input",
     "LossSettings",
     "OptimSettings",
@@ -24,4 +26,6 @@ __all__ = [
     "make_tracker",
     "memory_transforms",
     "save_checkpoint",
+    "targets",
+    "visited",
 ]

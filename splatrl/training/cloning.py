@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.distributions import Distribution
-from torch.nn.functional import mse_loss, smooth_l1_loss
+from torch.nn.functional import smooth_l1_loss
 from torch.nn.utils.rnn import pad_sequence
 from torchrl.modules import ActorValueOperator, set_recurrent_mode
 
@@ -44,9 +44,10 @@ class CloningSettings:
 
 
 class Cloner:
-    """Adam on the cross entropy of shown actions, or for continuous ones on the squared distance of the policy's mode.
+    """Adam on the cross entropy of right actions, or for continuous ones on the squared distance of the policy's mode.
 
-    The distance is in halves of an action's range. A policy with memory learns from whole episodes.
+    The distance is in halves of an action's range. A policy with memory learns from whole episodes. The optimiser keeps
+    its moments from one ``fit`` to the next.
 
     Args:
         model: actor and critic over a shared trunk.
@@ -66,17 +67,19 @@ class Cloner:
         self._policy, self._value = model.get_policy_head(), model.get_value_head().module
         self._device = self.parameters[0].device
 
-    def fit(self, shown: Mapping[str, Tensor]) -> float:
-        """Learn from demonstrations; returns the mean loss of the actions in the last pass.
+    def fit(self, shown: Mapping[str, Tensor], epochs: int | None = None) -> float:
+        """Learn from frames; returns the mean loss of the actions in the last pass.
 
         Args:
-            shown: N frames of whole episodes, in order: ``pixels`` [N, H, W, C] uint8, as the policy sees them;
-                ``action`` [N, ...]; ``value_target`` [N] float32; ``frame`` [N] int64, 0 where episodes begin.
+            shown: N frames of episodes, in order: ``pixels`` [N, H, W, C] uint8, as the policy sees them; ``target``
+                [N, D] float32, see ``imitation``; ``value_target`` [N] float32; ``frame`` [N] int64, 0 where episodes
+                begin.
+            epochs: passes over the frames; None takes those of the settings.
         """
         loss = 0.0
-        for _ in range(self.settings.epochs):
-            losses = [self._step(frames) * len(frames["action"]) for frames in self._minibatches(shown)]
-            loss = float(torch.stack(losses).sum()) / len(shown["action"])
+        for _ in range(self.settings.epochs if epochs is None else epochs):
+            losses = [self._step(frames) * len(frames["target"]) for frames in self._minibatches(shown)]
+            loss = float(torch.stack(losses).sum()) / len(shown["target"])
         return loss
 
     def _minibatches(self, shown: Mapping[str, Tensor]) -> Iterator[dict[str, Tensor]]:
@@ -99,7 +102,7 @@ class Cloner:
 
     def _step(self, frames: dict[str, Tensor]) -> Tensor:
         hidden = self._hidden(self._trunk(self._pool(frames["pixels"])), frames["frame"])
-        loss = imitation(distribution(self._policy, hidden), frames["action"])
+        loss = imitation(distribution(self._policy, hidden), frames["target"])
         critic = smooth_l1_loss(self._value(hidden).squeeze(-1), frames["value_target"])
         self.optimizer.zero_grad()
         (loss + self.settings.critic_coeff * critic).backward()
@@ -123,9 +126,19 @@ class Cloner:
         return hidden
 
 
-def imitation(policy: Distribution, action: Tensor) -> Tensor:
-    """How far a policy is from shown actions: [] float32; see ``Cloner``."""
+def imitation(policy: Distribution, target: Tensor) -> Tensor:
+    """How far a policy is from right actions, the mean over frames: [] float32; see ``Cloner``.
+
+    Args:
+        policy: distribution of actions in each frame, [N].
+        target: [N, A] float32, shares of the A discrete actions, which sum to 1; or [N, D] float32, the action where
+            actions are continuous. NaN in frames for which no right action is known, which count nothing.
+    """
+    known = ~target.isnan().any(-1)
+    target = torch.where(known.unsqueeze(-1), target, 0.0)
     if isinstance(policy, Choice):
-        return -policy.log_prob(action).mean()
-    reach = (policy.high - policy.low) / 2.0  # type: ignore[attr-defined]
-    return mse_loss(policy.deterministic_sample / reach, action / reach)  # type: ignore[attr-defined]
+        each = -(policy.logits * target).sum(-1)
+    else:
+        reach = (policy.high - policy.low) / 2.0  # type: ignore[attr-defined]
+        each = ((policy.deterministic_sample - target) / reach).square().mean(-1)  # type: ignore[attr-defined]
+    return (each * known).sum() / known.sum().clamp_min(1)

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -42,8 +42,9 @@ class Trainer:
         checkpoint_interval: frames between checkpoints.
         tracker: is told every row of the history, too; None tells nobody.
         made_with: plain values on which the training depends, kept in checkpoints.
-        prepare: called before the first batch of a training, to begin with a policy that knows something; it counts the
-            frames that it used in ``ppo.frames``, and returns the first row of the history.
+        prepare: gone through before the first batch of a training, to begin with a policy that knows something; it
+            counts the frames that it used in ``ppo.frames``, and yields the first rows of the history. One that is
+            stopped on the way begins anew.
 
     Attributes:
         watch: called with each row of the history; it changes nothing of the training.
@@ -61,7 +62,7 @@ class Trainer:
         checkpoint_interval: int,
         tracker: Tracker | None = None,
         made_with: Mapping[str, Any] | None = None,
-        prepare: Callable[[], dict[str, float]] | None = None,
+        prepare: Callable[[], Iterable[dict[str, float]]] | None = None,
     ):
         require_number("logger.test_interval", test_interval, 1, whole=True)
         require_number("checkpoint.interval", checkpoint_interval, 1, whole=True)
@@ -144,12 +145,13 @@ class Trainer:
                     self.save()
                     raise KeyboardInterrupt
 
-    def _prepare(self, prepare: Callable[[], dict[str, float]], began: float) -> None:
-        """Begin with what ``prepare`` teaches, and test it."""
-        row = prepare()
-        row |= {"frames": self.ppo.frames, "level": int(self.ppo.env.curriculum.level)} | self._tested()
-        self.seconds = row["seconds"] = time.monotonic() - began
-        self._note(row)
+    def _prepare(self, prepare: Callable[[], Iterable[dict[str, float]]], began: float) -> None:
+        """Begin with what ``prepare`` teaches, and test it after each row."""
+        for row in prepare():
+            row |= {"frames": self.ppo.frames, "level": int(self.ppo.env.curriculum.level)} | self._tested()
+            self.seconds = row["seconds"] = time.monotonic() - began
+            self._note(row)
+            print(f"imitated {self.ppo.frames:,} frames: success {row['test_success']:.2f}", file=sys.stderr)
 
     def _tested(self) -> dict[str, float]:
         return {f"test_{name}": value for name, value in self.test().items()}

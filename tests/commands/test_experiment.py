@@ -50,12 +50,12 @@ def test_every_experiment_composes_and_states_its_budget(
     kitchen = f"kitchen={tmp_path / 'kitchen.spz'}"
     words = ["name=all", f"folder={tmp_path}", kitchen, "jobs=2", "experiments.loop.prepare=null"]
     experiment(load_config(words, "experiment"))
-    assert len(trained) == 25 + 8 + 6 + 8 + 2
+    assert len(trained) == 25 + 8 + 6 + 8 + 2 + 16
     assert "kitchen-gru-s0" in trained
     said = capsys.readouterr().out
-    assert "49 of 49 trainings to do" in said
-    for name in ("grid", "fps", "apple", "sim2real", "loop"):
-        assert f"{name:<9} " in said
+    assert "65 of 65 trainings to do" in said
+    for name in ("grid", "fps", "apple", "sim2real", "loop", "demonstrations"):
+        assert f"{name:<14} " in said
         assert (tmp_path / name / "report.md").is_file()
     assert (tmp_path / "report.md").is_file()
 
@@ -111,7 +111,7 @@ def test_a_training_is_run_reported_and_not_run_again(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "name: expected one of grid, fps, apple, sim2real, loop, all, got nothing"),
+        ([], "name: expected one of grid, fps, apple, sim2real, loop, demonstrations, all, got nothing"),
         (["name=gird"], "got gird"),
         (
             ["name=grid", "scenes=[cellar]"],

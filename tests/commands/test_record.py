@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -14,7 +15,7 @@ import torch
 from splatrl.build import build_trainer, build_world
 from splatrl.commands import record, replay
 from splatrl.configuration import load_config
-from splatrl.datasets import read_demonstrations
+from splatrl.datasets import planner_episodes, read_demonstrations
 from splatrl.training import load_checkpoint
 from tests.commands.test_train import SETTINGS, command, finish
 from tests.tiny import tiny_overrides
@@ -119,19 +120,43 @@ def test_a_training_begins_with_what_was_shown_and_counts_its_frames(
     assert rows[1]["success"] and not rows[1]["loss_cloning"]
 
 
+def test_a_number_of_demonstrations_is_shown_by_the_planner(scene: list[str], tmp_path: Path) -> None:
+    settings = ["demos=5", "cloning.epochs=1", "dagger.rounds=2", "dagger.frames_per_round=96", "dagger.epochs=1"]
+    cfg = load_config([*scene, *SETTINGS, *settings, "seed=3"])
+    world = build_world(cfg)
+    trainer = build_trainer(cfg, world, tmp_path)
+    trainer.fit()
+    frames = len(planner_episodes(world, 5, seed=3))
+    assert [row["frames"] for row in trainer.history[:4]] == [frames, frames + 96, frames + 192, frames + 320]
+    assert all("loss_cloning" in row and "test_success" in row for row in trainer.history[:3])
+    assert "loss_cloning" not in trainer.history[3]
+
+
+def test_frames_may_be_used_up_by_imitation(scene: list[str], tmp_path: Path) -> None:
+    settings = ["dagger.rounds=3", "dagger.frames_per_round=96", "dagger.epochs=1", "collector.total_frames=288"]
+    trainer = build_trainer(cfg := load_config([*scene, *SETTINGS, *settings]), build_world(cfg), tmp_path)
+    trainer.fit()
+    assert [row["frames"] for row in trainer.history] == [96, 192, 288]
+    assert load_checkpoint(tmp_path / "checkpoints" / "last.pt")["ppo"]["frames"] == 288
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3])
 def test_a_training_killed_while_it_imitates_begins_anew_with_the_same_bytes(
-    demos: Path, scene: list[str], tmp_path: Path
+    rows: int, demos: Path, scene: list[str], tmp_path: Path
 ) -> None:
-    cfg = load_config([*scene, *SETTINGS, f"demos={demos}", "cloning.epochs=2", "collector.total_frames=512"])
+    taught = [f"demos={demos}", "cloning.epochs=2", "dagger.rounds=2", "dagger.frames_per_round=64", "dagger.epochs=1"]
+    cfg = load_config([*scene, *SETTINGS, *taught, "collector.total_frames=768"])
     world = build_world(cfg)
     build_trainer(cfg, world, tmp_path / "whole").fit()
     killed = build_trainer(cfg, world, tmp_path / "killed")
     prepare = killed.prepare
     assert prepare is not None
 
-    def die() -> dict[str, float]:
-        prepare()
-        raise KeyboardInterrupt
+    def die() -> Iterator[dict[str, float]]:
+        for number, row in enumerate(prepare(), 1):
+            if number == rows:
+                raise KeyboardInterrupt
+            yield row
 
     killed.prepare = die
     with pytest.raises(KeyboardInterrupt):
@@ -140,22 +165,33 @@ def test_a_training_killed_while_it_imitates_begins_anew_with_the_same_bytes(
     again = build_trainer(cfg, world, tmp_path / "killed")
     again.resume()
     again.fit()
-    one, other = (load_checkpoint(tmp_path / name / "checkpoints" / "last.pt")["ppo"] for name in ("whole", "killed"))
-    assert one["frames"] == other["frames"] > 0
-    assert all(torch.equal(value, other["model"][key]) for key, value in one["model"].items())
+    one, other = (load_checkpoint(tmp_path / name / "checkpoints" / "last.pt") for name in ("whole", "killed"))
+    assert one["ppo"]["frames"] == other["ppo"]["frames"] > 0
+    assert all(torch.equal(value, other["ppo"]["model"][key]) for key, value in one["ppo"]["model"].items())
+    times = {"seconds"}
+    assert [{k: v for k, v in row.items() if k not in times and v == v} for row in one["history"]] == [
+        {k: v for k, v in row.items() if k not in times and v == v} for row in other["history"]
+    ]
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("robot.image_width=24", "demos=.*: expected images of 24 × 12 .* got 16 × 12"),
-        ("collector.total_frames=128", "collector.total_frames: expected at least a batch more than the"),
+        ("robot.image_width=24", "demos: expected images of 24 × 12 .* got 16 × 12"),
+        (
+            "collector.total_frames=128",
+            "collector.total_frames: expected at least .* of demos and 256 of dagger",
+        ),
         ("demos=nowhere", "nowhere: expected a folder of demonstrations"),
+        ("demos=0", "demos: expected a whole number from 1 to 1000000, got 0"),
+        ("demos=true", "demos: expected a whole number"),
+        ("dagger.frames_per_round=100", "dagger.frames_per_round: expected a multiple of env.num_envs = 16, got 100"),
     ],
 )
 def test_demonstrations_that_do_not_fit_are_refused(
     change: str, message: str, demos: Path, scene: list[str], tmp_path: Path
 ) -> None:
-    cfg = load_config([*scene, *SETTINGS, *([] if "demos=" in change else [f"demos={demos}"]), change])
+    shown = [] if "demos=" in change else [f"demos={demos}"]
+    cfg = load_config([*scene, *SETTINGS, *shown, "dagger.rounds=2", change])
     with pytest.raises((ValueError, FileNotFoundError), match=message):
         build_trainer(cfg, build_world(cfg), tmp_path / "run").fit()

@@ -60,6 +60,7 @@ def test_the_planner_walks_shortest_paths_to_the_goal(world: World, shown: Demon
     assert len(torch.unique(begun, dim=0)) == EPISODES, "no start comes twice while there are others"
     best = world.plan.optimal(shown.frames["state"])
     assert best.gather(1, shown.frames["action"].unsqueeze(1)).all()
+    assert torch.equal(shown.frames["optimal"], best)
     assert shown.frames["pixels"].shape == (len(shown), 12, 16, 3)
 
 
@@ -145,7 +146,7 @@ def test_returns_are_discounted_to_the_end_of_each_episode(shown: Demonstrations
 
 def test_a_task_without_goal_states_has_no_planner(world: World) -> None:
     aimless = replace(world, plan=replace(world.plan, field=None))
-    with pytest.raises(ValueError, match="by=planner: expected a task with goal states, got Grid"):
+    with pytest.raises(ValueError, match="planner: expected a task with goal states, got Grid"):
         planner_episodes(aimless, 1)
 
 
@@ -172,6 +173,7 @@ def edit(name: str, change: Callable[[dict], object]) -> Callable[[Path], None]:
         (edit("memmap/meta.json", lambda meta: meta["pixels"].update(shape=[-1])), "expected a shape"),
         (edit("memmap/meta.json", lambda meta: meta["action"].update(dtype="torch.load")), "expected a shape"),
         (edit("memmap/meta.json", lambda meta: meta.update({"../x": meta["action"]})), "expected a name"),
+        (edit("demonstrations.json", lambda facts: facts.update(action_names=["go"])), "expected optimal, .N, 1. bool"),
         (edit("memmap/next/meta.json", lambda meta: meta.pop("done")), "expected done, found none"),
         (lambda folder: (folder / "memmap" / "action.memmap").write_bytes(b"12345678"), "action.memmap: expected"),
         (lambda folder: (folder / "memmap" / "state.memmap").unlink(), "state.memmap: expected a file"),

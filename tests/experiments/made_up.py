@@ -50,19 +50,19 @@ def begin(run: Run, frames: int, tested: Sequence[float] = ()) -> None:
     Args:
         run: the training.
         frames: frames that it has completed.
-        tested: success in tests, every 200 frames.
+        tested: success in tests, every 200 frames, which take a minute.
     """
     checkpoint = run.folder / "checkpoints" / "last.pt"
     checkpoint.parent.mkdir(parents=True)
     checkpoint.touch()
     tests = dict(zip(range(200, 10_000, 200), tested, strict=False))
-    keys = ["frames", "success", "episodes", "level", "test_success"]
+    keys = ["frames", "success", "episodes", "level", "test_success", "seconds"]
     with (run.folder / "progress.csv").open("w", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(keys)
         for at in range(40, frames + 1, 40):
             success = "" if at == 40 else at / 1000
-            writer.writerow([at, success, 5, at // 200, tests.get(at, "")])
+            writer.writerow([at, success, 5, at // 200, tests.get(at, ""), 0.3 * at])
 
 
 def finish(run: Run, success: float, seconds: float = 5.0, tested: Sequence[float] = (0.5, 0.95)) -> None:

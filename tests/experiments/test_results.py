@@ -46,6 +46,8 @@ def test_an_entry_tells_values_speed_and_the_median_seed(tmp_path: Path) -> None
     assert entry.tested_at(200).values == (0.5, 0.5)
     assert entry.frames_to(0.9).values == (400.0, 400.0)
     assert entry.frames_to(0.99).values == ()
+    assert entry.minutes_to(0.9).values == (2.0, 2.0)
+    assert entry.minutes_to(0.99).values == ()
 
 
 def test_a_test_counts_for_frames_within_one_batch_of_it() -> None:

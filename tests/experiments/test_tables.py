@@ -42,7 +42,7 @@ def test_the_main_table_has_a_row_an_arm_and_scene(tmp_path: Path) -> None:
     assert rows[2] == ["yard", "with it", "1", "**80.0 %**", "40.0 %", "0.700", "3.0", "400", "8", "50"]
     assert dict(zip(rows[0], rows[3], strict=True))["level"] == "–"  # there is none without a curriculum
     marks = marks_table(found, experiment)
-    assert marks[2] == "| yard | with it | 50.0 % | 95.0 % | 400 | 1 of 1 |"
+    assert marks[2] == "| yard | with it | 50.0 % | 95.0 % | 400 | 2.0 | 1 of 1 |"
 
 
 def test_matches_are_given_for_each_clip_and_for_all_frames_together(tmp_path: Path) -> None:

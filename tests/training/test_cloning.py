@@ -1,10 +1,12 @@
 """Behaviour cloning: policies learn to act as they are shown, with and without memory."""
 
+import math
 from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from splatrl.build import build_model, build_world
 from splatrl.configuration import load_config
@@ -29,7 +31,7 @@ def test_a_cloned_policy_goes_where_it_was_shown_to_go(memory: str, tmp_path: Pa
     before = run_episodes(env, model.get_policy_operator(), starts).success.double().mean()
     frames = {
         "pixels": shown.stacked(4 if memory == "stack" else 1),
-        "action": shown.frames["action"],
+        "target": one_hot(shown.frames["action"], 6).float(),
         "value_target": shown.returns(0.9) / 50.0,
         "frame": shown.frames["frame"],
     }
@@ -62,24 +64,39 @@ def test_every_frame_is_learned_from_once_in_a_pass(tmp_path: Path) -> None:
         cfg = load_config([*tiny_overrides(tmp_path), f"memory={memory}"])
         cloner = Cloner(build_model(cfg, build_world(cfg).env(1)), CloningSettings(1, 4, 1e-3, 0.5))
         frame = torch.tensor([0, 1, 2, 0, 0, 1, 2, 3, 4, 0])
-        shown = {"frame": frame, "action": torch.arange(10)}
+        shown = {"frame": frame, "target": torch.arange(10)}
         batches = list(cloner._minibatches(shown))
-        assert torch.cat([some["action"] for some in batches]).sort().values.tolist() == list(range(10))
+        assert torch.cat([some["target"] for some in batches]).sort().values.tolist() == list(range(10))
         assert memory == "none" or all(some["frame"][0] == 0 for some in batches)
 
 
 def test_the_distance_of_actions() -> None:
     logits = torch.tensor([[2.0, 0.0], [0.0, 3.0]])
     expected = -logits.log_softmax(1)[torch.arange(2), torch.tensor([0, 0])].mean()
-    assert imitation(Choice(logits), torch.tensor([0, 0])) == pytest.approx(float(expected))
+    first = torch.tensor([[1.0, 0.0], [1.0, 0.0]])
+    assert imitation(Choice(logits), first) == pytest.approx(float(expected))
+    shares = torch.tensor([[0.5, 0.5], [0.5, 0.5]])
+    assert imitation(Choice(logits), shares) == pytest.approx(float(-logits.log_softmax(1).mean()))
 
-    def squashed(loc: float) -> Tensor:
+    def squashed(loc: float, *actions: list[float]) -> Tensor:
         low, high = torch.tensor([0.0, -2.0]), torch.tensor([1.0, 2.0])
-        policy = Squashed(torch.full((1, 2), loc), torch.ones(1, 2), low, high)
-        return imitation(policy, torch.tensor([[1.0, 0.0]]))
+        policy = Squashed(torch.full((len(actions), 2), loc), torch.ones(len(actions), 2), low, high)
+        return imitation(policy, torch.tensor(actions))
 
-    assert squashed(0.0) == pytest.approx(0.5), "half a range from one action, none from the other"
-    assert squashed(20.0) == pytest.approx(0.5, abs=1e-4)
+    assert squashed(0.0, [1.0, 0.0]) == pytest.approx(0.5), "half a range from one action, none from the other"
+    assert squashed(20.0, [1.0, 0.0]) == pytest.approx(0.5, abs=1e-4)
+    nan = math.nan
+    assert squashed(0.0, [nan, nan], [1.0, 0.0]) == squashed(0.0, [1.0, 0.0]), "nothing is known of the first"
+
+
+def test_frames_without_a_right_action_teach_nothing() -> None:
+    logits = torch.tensor([[2.0, 0.0], [0.0, 3.0]], requires_grad=True)
+    target = torch.tensor([[1.0, 0.0], [math.nan, math.nan]])
+    loss = imitation(Choice(logits), target)
+    loss.backward()
+    assert loss.detach() == pytest.approx(float(-logits[0].detach().log_softmax(0)[0]))
+    assert logits.grad is not None and not logits.grad[1].any() and logits.grad[0].all()
+    assert imitation(Choice(logits), target[1:].expand(2, 2)) == 0.0
 
 
 @pytest.mark.parametrize("name", ["epochs", "mini_batch_size", "lr", "critic_coeff"])

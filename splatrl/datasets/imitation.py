@@ -1,0 +1,91 @@
+"""Imitation before reward: a policy learns from demonstrations, then from the planner where it goes itself (DAgger)."""
+
+from collections.abc import Iterator, Sequence
+
+import torch
+from torch import Tensor
+from torch.nn.functional import one_hot
+
+from splatrl.datasets.demonstrations import Demonstrations
+from splatrl.envs.world import World, Worlds
+from splatrl.training import PPO, Cloner, DaggerSettings, targets, visited
+
+
+def imitate(
+    ppo: PPO, cloner: Cloner, world: World | Worlds, shown: Sequence[Demonstrations], dagger: DaggerSettings, seed: int
+) -> Iterator[dict[str, float]]:
+    """Teach a policy; frames that were shown and frames in which it acted count as used.
+
+    Args:
+        ppo: holds policy, critic and the count of frames.
+        cloner: learns from frames, all those so far each time.
+        world: where the policy acts and the planner plans.
+        shown: demonstrations, from all of which it learns first; with none it begins with what it does untaught.
+        dagger: rounds in which the policy acts, from anywhere in the start set.
+        seed: of these episodes' starts.
+
+    Yields:
+        The loss after the demonstrations, and after each round.
+
+    Raises:
+        ValueError: for demonstrations that do not fit the policy, a task without goal states, or more frames than
+            there are.
+    """
+    parts = [_frames(each, ppo) for each in shown]
+    frames = sum(len(part["frame"]) for part in parts)
+    _check(ppo, world, frames, dagger)
+    if parts:
+        ppo.frames += frames
+        yield {"loss_cloning": cloner.fit(_together(parts))}
+    env, plans = world.env(ppo.env.numel(), seed=seed), [one.plan for one in world.worlds]
+    for _ in range(dagger.rounds):
+        parts.append(visited(env, ppo.learner, plans, dagger.frames_per_round))
+        ppo.frames += dagger.frames_per_round
+        yield {"loss_cloning": cloner.fit(_together(parts), dagger.epochs)}
+
+
+def _together(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
+    return {key: torch.cat([part[key].cpu() for part in parts]) for key in parts[0]}
+
+
+def _check(ppo: PPO, world: World | Worlds, shown: int, dagger: DaggerSettings) -> None:
+    if dagger.rounds and any(one.plan.field is None for one in world.worlds):
+        raise ValueError(f"dagger.rounds: expected 0 for a task without goal states, {type(world.task).__name__}")
+    if dagger.frames_per_round % ppo.env.numel():
+        raise ValueError(
+            f"dagger.frames_per_round: expected a multiple of env.num_envs = {ppo.env.numel()}, "
+            f"got {dagger.frames_per_round}"
+        )
+    acted = dagger.rounds * dagger.frames_per_round
+    if shown + acted > ppo.total_frames:
+        raise ValueError(
+            f"collector.total_frames: expected at least {shown + acted:,}, for {shown:,} frames of demos and {acted:,} "
+            f"of dagger.rounds, got {ppo.total_frames:,}"
+        )
+
+
+def _frames(shown: Demonstrations, ppo: PPO) -> dict[str, Tensor]:
+    """Demonstrations as ``Cloner.fit`` takes them.
+
+    Raises:
+        ValueError: for demonstrations with other actions or images than the policy's.
+    """
+    frames, env = shown.frames, ppo.env
+    (height, width, channels), spec = env.observation_spec["pixels"].shape[1:], env.action_spec
+    names, found = env.task.motion.action_names, (frames["pixels"].shape[1:3], frames["action"].shape[1:])
+    if shown.action_names != tuple(names) or found != ((height, width), spec.shape[1:]):
+        raise ValueError(
+            f"demos: expected images of {width} × {height} and the task's actions {', '.join(names)}, "
+            f"got {found[0][1]} × {found[0][0]} and {', '.join(shown.action_names) or list(found[1])}"
+        )
+    target = frames["action"]
+    if names:
+        optimal = frames.get("optimal", None)
+        optimal = one_hot(target, len(names)).bool() if optimal is None else optimal
+        target = targets(optimal, torch.arange(len(names)), spec)
+    return {
+        "pixels": shown.stacked(channels // 3),
+        "target": target,
+        "value_target": shown.returns(ppo.learner.loss.gamma) * ppo.learner.loss.reward_scale,
+        "frame": frames["frame"],
+    }

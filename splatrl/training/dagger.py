@@ -1,0 +1,83 @@
+"""Dataset aggregation (DAgger, Ross et al. 2011): the policy acts, and the planner says what would have been right."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import one_hot
+from torchrl.data import Categorical, TensorSpec
+from torchrl.envs import EnvBase
+
+from splatrl.curriculum import Plan
+from splatrl.training.collectors import HostCollector
+from splatrl.training.learner import Learner
+from splatrl.values import require_number
+
+
+@dataclass(frozen=True)
+class DaggerSettings:
+    """Settings of DAgger.
+
+    Attributes:
+        rounds: how often the policy acts for a while and then learns from all frames so far; 0 is off.
+        frames_per_round: frames in which it acts, a multiple of ``env.num_envs``.
+        epochs: passes over all frames so far in each round.
+
+    Raises:
+        ValueError: names the value that is out of range.
+    """
+
+    rounds: int
+    frames_per_round: int
+    epochs: int
+
+    def __post_init__(self) -> None:
+        require_number("dagger.rounds", self.rounds, 0, whole=True)
+        for name in ("frames_per_round", "epochs"):
+            require_number(f"dagger.{name}", getattr(self, name), 1, whole=True)
+
+
+def visited(env: EnvBase, learner: Learner, plan: Plan, frames: int) -> dict[str, Tensor]:
+    """Let the policy act in new episodes, and label every state that it visits.
+
+    Values are those of what the policy did, bootstrapped by its critic as in PPO.
+
+    Args:
+        env: batched env of B robots.
+        learner: holds the policy and its critic.
+        plan: knows the actions that begin a shortest path.
+        frames: N, a multiple of B.
+
+    Returns:
+        Frames as ``Cloner.fit`` takes them, one robot after the other.
+    """
+    batch = HostCollector(env, learner.model, frames // env.numel()).collect()
+    with torch.no_grad():
+        _, value = learner.advantages(batch)
+    state = batch["state"].flatten(0, 1).to(plan.states.device)
+    return {
+        "pixels": batch["pixels"].flatten(0, 1),
+        "target": targets(plan.optimal(state), plan.actions, env.action_spec).to(value.device),
+        "value_target": value.flatten(),
+        "frame": batch["step_count"].flatten(),
+    }
+
+
+def targets(optimal: Tensor, actions: Tensor, spec: TensorSpec) -> Tensor:
+    """What to imitate where some of several actions are right; see ``imitation``.
+
+    Args:
+        optimal: [N, A] bool, which actions are right.
+        actions: [A, ...], the actions.
+        spec: action spec of an env, batched or not.
+
+    Returns:
+        Equal shares of all right ones if actions are discrete, or else one of them, drawn: [N, D] float32; NaN where
+        none is right.
+    """
+    known = optimal.any(1, keepdim=True)
+    if isinstance(spec, Categorical):
+        right = optimal.float() @ one_hot(actions, spec.space.n).float()
+        return torch.where(known, right / right.sum(1, keepdim=True), torch.nan)
+    drawn = torch.multinomial(optimal.float() + ~known, 1).squeeze(1)
+    return torch.where(known, actions[drawn], torch.nan)

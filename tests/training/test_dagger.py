@@ -1,0 +1,111 @@
+"""DAgger: the planner labels the states that a policy visits, and the policy learns from them."""
+
+import pytest
+import torch
+from omegaconf import DictConfig
+from torchrl.data import Bounded, Categorical
+
+from splatrl.build import build_model, build_world
+from splatrl.configuration import load_config
+from splatrl.datasets import imitate, planner_episodes
+from splatrl.envs.world import World
+from splatrl.evaluation import run_episodes
+from splatrl.training import PPO, Cloner, CloningSettings, DaggerSettings, LossSettings, OptimSettings, targets, visited
+from splatrl.training.collectors import HostCollector
+from tests.tiny import tiny_overrides
+
+LOSS = LossSettings(0.97, 0.9, 0.2, 1, 64, 0.5, 0.01, True, 0.1)
+OPTIM = OptimSettings(1e-3, 1e-5, 0.5, True)
+
+
+@pytest.fixture(scope="module", params=["none", "gru", "stack"])
+def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[DictConfig, World]:
+    cfg = load_config([*tiny_overrides(tmp_path_factory.mktemp("room")), f"memory={request.param}"])
+    return cfg, build_world(cfg)
+
+
+def make_ppo(cfg: DictConfig, world: World, total: int = 10_000) -> PPO:
+    torch.manual_seed(0)
+    env = world.env(16)
+    return PPO(env, build_model(cfg, env), LOSS, OPTIM, 128, total)
+
+
+def test_what_the_policy_visits_is_labelled_by_the_planner(made: tuple[DictConfig, World]) -> None:
+    cfg, world = made
+    ppo = make_ppo(cfg, world)
+    torch.manual_seed(1)
+    batch = HostCollector(world.env(16, seed=5), ppo.model, 40).collect()
+    torch.manual_seed(1)
+    found = visited(world.env(16, seed=5), ppo.learner, world.plan, 640)
+    rows = batch.flatten(0, 1)
+    assert torch.equal(found["pixels"], rows["pixels"])
+    assert torch.equal(found["target"] > 0, world.plan.optimal(rows["state"]))
+    torch.testing.assert_close(found["target"].sum(1), torch.ones(640))
+    begins = (found["frame"] == 0).nonzero().squeeze(1)
+    assert set(range(0, 640, 40)) <= set(begins.tolist()), "each robot begins an episode"
+    ended = rows["next", "done"].squeeze(1).nonzero().squeeze(1)
+    assert {row + 1 for row in ended.tolist() if (row + 1) % 40} == {row for row in begins.tolist() if row % 40}
+    for row in ended[rows["next", "terminated"].squeeze(1)[ended]][:5].tolist():
+        assert found["value_target"][row] == pytest.approx(0.1 * float(rows["next", "reward"][row])), "its last reward"
+
+
+def test_a_policy_learns_from_its_own_mistakes(made: tuple[DictConfig, World]) -> None:
+    cfg, world = made
+    ppo, starts = make_ppo(cfg, world), world.plan.starts[::4]
+    cloner = Cloner(ppo.model, CloningSettings(40, 64, 1e-3, 0.5))
+    reached, frames, env = [], [], world.env(30)
+    shown = planner_episodes(world, 6)
+    for row in imitate(ppo, cloner, world, shown, DaggerSettings(3, 320, 25), 1):
+        assert row.keys() == {"loss_cloning"}
+        frames.append(ppo.frames)
+        reached.append(float(run_episodes(env, ppo.model.get_policy_operator(), starts).success.double().mean()))
+    assert frames == [len(shown), len(shown) + 320, len(shown) + 640, len(shown) + 960]
+    assert reached[-1] > max(0.75, reached[0] + 0.15)
+
+
+def test_it_may_begin_with_a_policy_that_knows_nothing(made: tuple[DictConfig, World]) -> None:
+    cfg, world = made
+    ppo = make_ppo(cfg, world)
+    (row,) = imitate(
+        ppo, Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), world, None, DaggerSettings(1, 64, 2), 0
+    )
+    assert ppo.frames == 64 and row["loss_cloning"] < 1.8
+
+
+def test_equal_shares_of_all_right_actions() -> None:
+    optimal = torch.tensor([[True, False, True], [False, True, False], [False, False, False]])
+    found = targets(optimal, torch.tensor([3, 0, 1]), Categorical(4))
+    assert found[:2].tolist() == [[0.0, 0.5, 0.0, 0.5], [1.0, 0.0, 0.0, 0.0]]
+    assert found[2].isnan().all()
+
+
+def test_of_continuous_actions_one_is_drawn() -> None:
+    actions = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    optimal = torch.tensor([[True, False, True]]).repeat(200, 1)
+    optimal[7] = False
+    torch.manual_seed(0)
+    found = targets(optimal, actions, Bounded(-1.0, 1.0, shape=(2,)))
+    assert found[7].isnan().all()
+    drawn = torch.cat([found[:7], found[8:]])
+    shares = [(drawn == action).all(1).float().mean() for action in actions]
+    assert shares[0] == pytest.approx(0.5, abs=0.1) and shares[1] == 0.0 and sum(shares) == 1.0
+
+
+def test_what_does_not_fit_is_refused(made: tuple[DictConfig, World]) -> None:
+    cfg, world = made
+    ppo = make_ppo(cfg, world, total=256)
+    cloner = Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5))
+    for settings, message in (
+        (DaggerSettings(1, 100, 1), "dagger.frames_per_round: expected a multiple of env.num_envs = 16, got 100"),
+        (DaggerSettings(3, 128, 1), "collector.total_frames: expected at least 384, for 0 frames of demos and 384"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            next(imitate(ppo, cloner, world, None, settings, 0))
+
+
+@pytest.mark.parametrize(
+    ("values", "name"), [((-1, 32, 1), "rounds"), ((1, 0, 1), "frames_per_round"), ((1, 32, 0.5), "epochs")]
+)
+def test_settings_out_of_range_are_named(values: tuple[int, int, int], name: str) -> None:
+    with pytest.raises(ValueError, match=f"dagger.{name}: expected a whole number"):
+        DaggerSettings(*values)
