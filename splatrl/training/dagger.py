@@ -1,5 +1,6 @@
 """Dataset aggregation (DAgger, Ross et al. 2011): the policy acts, and the planner says what would have been right."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -37,7 +38,7 @@ class DaggerSettings:
             require_number(f"dagger.{name}", getattr(self, name), 1, whole=True)
 
 
-def visited(env: EnvBase, learner: Learner, plan: Plan, frames: int) -> dict[str, Tensor]:
+def visited(env: EnvBase, learner: Learner, plans: Sequence[Plan], frames: int) -> dict[str, Tensor]:
     """Let the policy act in new episodes, and label every state that it visits.
 
     Values are those of what the policy did, bootstrapped by its critic as in PPO.
@@ -45,7 +46,7 @@ def visited(env: EnvBase, learner: Learner, plan: Plan, frames: int) -> dict[str
     Args:
         env: batched env of B robots.
         learner: holds the policy and its critic.
-        plan: knows the actions that begin a shortest path.
+        plans: know the actions that begin a shortest path, one for each of the env's scenes.
         frames: N, a multiple of B.
 
     Returns:
@@ -54,12 +55,18 @@ def visited(env: EnvBase, learner: Learner, plan: Plan, frames: int) -> dict[str
     batch = HostCollector(env, learner.model, frames // env.numel()).collect()
     with torch.no_grad():
         _, value = learner.advantages(batch)
-    state = batch["state"].flatten(0, 1).to(plan.states.device)
+    rows = batch.flatten(0, 1)
+    state, actions = rows["state"].to(plans[0].states.device), plans[0].actions
+    optimal = torch.zeros(len(state), len(actions), dtype=torch.bool, device=state.device)
+    scene = rows.get("scene", torch.zeros_like(rows["step_count"])).flatten().to(state.device)
+    for number, plan in enumerate(plans):
+        here = (scene == number).nonzero().squeeze(1)
+        optimal[here] = plan.optimal(state[here])
     return {
-        "pixels": batch["pixels"].flatten(0, 1),
-        "target": targets(plan.optimal(state), plan.actions, env.action_spec).to(value.device),
+        "pixels": rows["pixels"],
+        "target": targets(optimal, actions, env.action_spec).to(value.device),
         "value_target": value.flatten(),
-        "frame": batch["step_count"].flatten(),
+        "frame": rows["step_count"].flatten(),
     }
 
 

@@ -1,18 +1,21 @@
 """DAgger: the planner labels the states that a policy visits, and the policy learns from them."""
 
+from pathlib import Path
+
 import pytest
 import torch
 from omegaconf import DictConfig
 from torchrl.data import Bounded, Categorical
 
-from splatrl.build import build_model, build_world
+from splatrl.build import build_model, build_trainer, build_world
 from splatrl.configuration import load_config
 from splatrl.datasets import imitate, planner_episodes
-from splatrl.envs.world import World
+from splatrl.envs.world import World, Worlds
 from splatrl.evaluation import run_episodes
 from splatrl.training import PPO, Cloner, CloningSettings, DaggerSettings, LossSettings, OptimSettings, targets, visited
 from splatrl.training.collectors import HostCollector
 from tests.tiny import tiny_overrides
+from tests.two_rooms import in_both
 
 LOSS = LossSettings(0.97, 0.9, 0.2, 1, 64, 0.5, 0.01, True, 0.1)
 OPTIM = OptimSettings(1e-3, 1e-5, 0.5, True)
@@ -24,7 +27,7 @@ def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     return cfg, build_world(cfg)
 
 
-def make_ppo(cfg: DictConfig, world: World, total: int = 10_000) -> PPO:
+def make_ppo(cfg: DictConfig, world: World | Worlds, total: int = 10_000) -> PPO:
     torch.manual_seed(0)
     env = world.env(16)
     return PPO(env, build_model(cfg, env), LOSS, OPTIM, 128, total)
@@ -36,7 +39,7 @@ def test_what_the_policy_visits_is_labelled_by_the_planner(made: tuple[DictConfi
     torch.manual_seed(1)
     batch = HostCollector(world.env(16, seed=5), ppo.model, 40).collect()
     torch.manual_seed(1)
-    found = visited(world.env(16, seed=5), ppo.learner, world.plan, 640)
+    found = visited(world.env(16, seed=5), ppo.learner, [world.plan], 640)
     rows = batch.flatten(0, 1)
     assert torch.equal(found["pixels"], rows["pixels"])
     assert torch.equal(found["target"] > 0, world.plan.optimal(rows["state"]))
@@ -55,7 +58,7 @@ def test_a_policy_learns_from_its_own_mistakes(made: tuple[DictConfig, World]) -
     cloner = Cloner(ppo.model, CloningSettings(40, 64, 1e-3, 0.5))
     reached, frames, env = [], [], world.env(30)
     shown = planner_episodes(world, 6)
-    for row in imitate(ppo, cloner, world, shown, DaggerSettings(3, 320, 25), 1):
+    for row in imitate(ppo, cloner, world, [shown], DaggerSettings(3, 320, 25), 1):
         assert row.keys() == {"loss_cloning"}
         frames.append(ppo.frames)
         reached.append(float(run_episodes(env, ppo.model.get_policy_operator(), starts).success.double().mean()))
@@ -63,12 +66,27 @@ def test_a_policy_learns_from_its_own_mistakes(made: tuple[DictConfig, World]) -
     assert reached[-1] > max(0.75, reached[0] + 0.15)
 
 
+def test_in_several_scenes_each_frame_is_labelled_by_the_planner_of_its_own(tmp_path: Path) -> None:
+    settings = ["demos=3", "cloning.epochs=1", "dagger.rounds=1", "dagger.epochs=1", "collector.frames_per_batch=128"]
+    cfg = load_config([*in_both(tmp_path), *settings, "collector.total_frames=256"])
+    world = build_world(cfg)
+    build_trainer(cfg, world, tmp_path / "run").fit()
+    west, east = (one.plan for one in world.worlds)
+    ppo = make_ppo(cfg, world)
+    torch.manual_seed(1)
+    rows = HostCollector(world.env(16, seed=5), ppo.model, 8).collect().flatten(0, 1)
+    torch.manual_seed(1)
+    found = visited(world.env(16, seed=5), ppo.learner, [west, east], 128)["target"] > 0
+    here = rows["scene"].squeeze(1) == 1
+    assert here.any() and not here.all()
+    assert torch.equal(found[here], east.optimal(rows["state"][here]))
+    assert torch.equal(found[~here], west.optimal(rows["state"][~here]))
+
+
 def test_it_may_begin_with_a_policy_that_knows_nothing(made: tuple[DictConfig, World]) -> None:
     cfg, world = made
     ppo = make_ppo(cfg, world)
-    (row,) = imitate(
-        ppo, Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), world, None, DaggerSettings(1, 64, 2), 0
-    )
+    (row,) = imitate(ppo, Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), world, [], DaggerSettings(1, 64, 2), 0)
     assert ppo.frames == 64 and row["loss_cloning"] < 1.8
 
 
@@ -100,7 +118,7 @@ def test_what_does_not_fit_is_refused(made: tuple[DictConfig, World]) -> None:
         (DaggerSettings(3, 128, 1), "collector.total_frames: expected at least 384, for 0 frames of demos and 384"),
     ):
         with pytest.raises(ValueError, match=message):
-            next(imitate(ppo, cloner, world, None, settings, 0))
+            next(imitate(ppo, cloner, world, [], settings, 0))
 
 
 @pytest.mark.parametrize(
