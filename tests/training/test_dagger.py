@@ -109,6 +109,21 @@ def test_of_continuous_actions_one_is_drawn() -> None:
     assert shares[0] == pytest.approx(0.5, abs=0.1) and shares[1] == 0.0 and sum(shares) == 1.0
 
 
+def test_a_policy_with_continuous_actions_learns_what_the_planner_would_do(tmp_path: Path) -> None:
+    cfg = load_config([*tiny_overrides(tmp_path, "drive"), "task.motion.spacing=0.5"])
+    world = build_world(cfg)
+    ppo, shown = make_ppo(cfg, world), planner_episodes(world, 4)
+    assert "optimal" not in shown.frames.keys(), "it has no names"  # noqa: SIM118, a TensorDict is no dict
+    cloner = Cloner(ppo.model, CloningSettings(10, 64, 1e-3, 0.5))
+    losses = [row["loss_cloning"] for row in imitate(ppo, cloner, world, [shown], DaggerSettings(1, 128, 20), 1)]
+    assert ppo.frames == len(shown) + 128 and 0 < min(losses)
+    found = visited(world.env(16, seed=5), ppo.learner, [world.plan], 128)
+    known = ~found["target"].isnan().any(1)
+    assert known.float().mean() > 0.9
+    drawn = found["target"][known].unsqueeze(1) == world.plan.actions
+    assert drawn.all(2).any(1).all(), "each is one of the planner's"
+
+
 def test_what_does_not_fit_is_refused(made: tuple[DictConfig, World]) -> None:
     cfg, world = made
     ppo = make_ppo(cfg, world, total=256)
