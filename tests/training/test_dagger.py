@@ -116,7 +116,7 @@ def test_a_policy_with_continuous_actions_learns_what_the_planner_would_do(tmp_p
     assert "optimal" not in shown.frames.keys(), "it has no names"  # noqa: SIM118, a TensorDict is no dict
     cloner = Cloner(ppo.model, CloningSettings(10, 64, 1e-3, 0.5))
     losses = [row["loss_cloning"] for row in imitate(ppo, cloner, world, [shown], DaggerSettings(1, 128, 20), 1)]
-    assert ppo.frames == len(shown) + 128 and 0 < min(losses)
+    assert ppo.frames == len(shown) + 128 and min(losses) > 0
     found = visited(world.env(16, seed=5), ppo.learner, [world.plan], 128)
     known = ~found["target"].isnan().any(1)
     assert known.float().mean() > 0.9
