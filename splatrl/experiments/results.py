@@ -144,4 +144,5 @@ def success_near(rows: Sequence[Mapping[str, float]], frames: int) -> float | No
     if not taken:
         return None
     at, success = min(taken, key=lambda test: abs(test[0] - frames))
-    return success if abs(at - frames) < rows[0]["frames"] else None
+    before, after = [0.0, *(row["frames"] for row in rows)][-2:]  # the first row may be of frames that were shown
+    return success if abs(at - frames) < after - before else None

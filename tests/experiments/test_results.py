@@ -56,3 +56,5 @@ def test_a_test_counts_for_frames_within_one_batch_of_it() -> None:
     assert success_near(rows, 161) == success_near(rows, 239) == 0.5
     assert success_near(rows, 160) is None
     assert success_near([], 160) is None
+    shown = [{"frames": 5, "test_success": 0.1}, {"frames": 45}, {"frames": 85, "test_success": 0.7}]
+    assert success_near(shown, 110) == 0.7, "ten demonstrated frames are no batch"
