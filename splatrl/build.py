@@ -295,10 +295,8 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], 
         return None
 
     def teach() -> Iterator[dict[str, float]]:
-        episodes, cloner = (
-            shown or _walked(world, cfg.demos or 0, cfg.seed),
-            Cloner(ppo.model, instantiate(cfg.cloning)),
-        )
+        cloner = Cloner(ppo.model, instantiate(cfg.cloning))
+        episodes = shown or _walked(world, cfg.demos or 0, cfg.seed)
         yield from imitate(ppo, cloner, world, episodes, dagger, worker_seed(cfg.seed, 0))
 
     return teach
