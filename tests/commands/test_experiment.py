@@ -50,11 +50,11 @@ def test_every_experiment_composes_and_states_its_budget(
     kitchen = f"kitchen={tmp_path / 'kitchen.spz'}"
     words = ["name=all", f"folder={tmp_path}", kitchen, "jobs=2", "experiments.loop.prepare=null"]
     experiment(load_config(words, "experiment"))
-    assert len(trained) == 25 + 8 + 6 + 8 + 2 + 16
+    assert len(trained) == 25 + 8 + 6 + 8 + 2 + 5 + 16 + 6
     assert "kitchen-gru-s0" in trained
     said = capsys.readouterr().out
-    assert "65 of 65 trainings to do" in said
-    for name in ("grid", "fps", "apple", "sim2real", "loop", "demonstrations"):
+    assert "76 of 76 trainings to do" in said
+    for name in ("grid", "fps", "apple", "sim2real", "loop", "generalise", "demonstrations", "weather"):
         assert f"{name:<14} " in said
         assert (tmp_path / name / "report.md").is_file()
     assert (tmp_path / "report.md").is_file()
@@ -111,11 +111,11 @@ def test_a_training_is_run_reported_and_not_run_again(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "name: expected one of grid, fps, apple, sim2real, loop, demonstrations, all, got nothing"),
+        ([], "sim2real, loop, generalise, weather, demonstrations, all, got nothing"),
         (["name=gird"], "got gird"),
         (
             ["name=grid", "scenes=[cellar]"],
-            "expected some of backyard, kitchen, recaptured, or a path that exists, got cellar",
+            "expected some of yards, unseen_yards, backyard, kitchen, recaptured, or a path that exists, got cellar",
         ),
         (["name=grid", "scenes=[kitchen]"], "expected kitchen=<its file>"),
         (["name=grid", "sedes=[0]"], "did you mean seeds"),
