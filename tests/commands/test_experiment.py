@@ -192,4 +192,4 @@ def test_what_an_experiment_needs_is_made_first(tmp_path: Path, monkeypatch: pyt
     experiment(load_config([*words, "report_only=true"], "experiment"))
     assert not made
     experiment(load_config(words, "experiment"))
-    assert made == [(tmp_path / "loop", ["backyard", "recaptured"])]
+    assert made == [(tmp_path / "loop", ["yards", "unseen_yards", "backyard", "recaptured"])]
