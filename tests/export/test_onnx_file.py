@@ -107,9 +107,7 @@ def test_a_transform_that_only_simulates_nothing_cannot_be_left_out(tmp_path: Pa
         return [RewardScaling(0.0, 0.5)]
 
     scaled = replace(world, make_transforms=partial(transforms))
-    with pytest.raises(
-        ValueError, match=r"transforms: expected some of Appearance, PoseNoise, Weather, FrameStack.*RewardScal"
-    ):
+    with pytest.raises(ValueError, match=r"transforms: expected some of Appearance, .*FrameStack.*RewardScal"):
         export_policy(model, scaled, tmp_path / "out")
 
 
