@@ -22,8 +22,8 @@ FLAGS = "-fsanitize=address,undefined -fno-sanitize=vptr -fno-sanitize-recover=u
 TESTS = ["tests/native", "tests/collision", "tests/renderers", "tests/capture/test_fit.py", "tests/test_fuzzing.py"]
 ALONE = ["-n", "0", "--capture=sys", "-p", "no:cacheprovider", "-m", "not slow and not gpu"]
 LEFT_OUT = "emulated or test_compiler or threads_that_cannot_start or every_instruction_set_gives_the_same_bytes"
-"""CUDA sources are compiled by other tools; a shadow of all memory does not fit under a limit of addresses; a process that
-a test starts does not find the tests."""
+"""CUDA sources are compiled by other tools; a shadow of all memory does not fit under a limit of addresses; and a
+process that a test starts does not find the tests."""
 
 
 def environment() -> Path:
