@@ -2,7 +2,6 @@
 
 import functools
 import itertools
-import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,6 +20,7 @@ from tqdm import tqdm
 
 from splatrl.documents import read_config
 from splatrl.files import replacing
+from splatrl.native.threads import usable_cores
 from splatrl.scene_overrides import scene_overrides
 from splatrl.scenes import yards
 from splatrl.scenes.description import SCENE_FILE, read_description
@@ -206,7 +206,7 @@ def _yard_paths(overrides: Sequence[str]) -> list[str]:
     require_number("scene.count", count, 1, 2**20, whole=True)
     require_number("scene.first", first, 0, 2**62, whole=True)
     seeds = range(first, first + count)
-    made = yards.made_yards(seeds, len(os.sched_getaffinity(0)))
+    made = yards.made_yards(seeds, usable_cores())
     for _ in tqdm(made, "yards", count, unit="yard", dynamic_ncols=True):
         pass
     return [f"yard:{seed}" for seed in seeds]

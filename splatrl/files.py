@@ -5,8 +5,9 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from hashlib import blake2b
 from pathlib import Path
 from typing import BinaryIO
 
@@ -112,6 +113,14 @@ def checked_name(what: str, name: object) -> str:
     if not plain or re.search(r"[/\\\x00-\x1f\x7f]", str(name)):
         raise ValueError(f"{what}: expected a name, without slashes, got {name!r:.200}")
     return str(name)
+
+
+def digest_of(paths: Iterable[Path]) -> str:
+    """Fingerprint of the content of small files, in this order."""
+    digest = blake2b(digest_size=16)
+    for path in paths:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def natural(path: Path) -> list[tuple[int, str]]:

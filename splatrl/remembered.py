@@ -13,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 from splatrl.collision.base import Checker
 from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum.field import Field, Reached, cost_field
+from splatrl.files import digest_of
 from splatrl.motions.base import PlannedMotion
 from splatrl.scenes.cache import cached_arrays
 from splatrl.targets import targets
@@ -50,8 +51,9 @@ def remembering(cfg: DictConfig, occupancy: Occupancy) -> Callable[[PlannedMotio
 @cache
 def _code() -> str:
     """Fingerprint of the code that costs depend on."""
-    digest, package = blake2b(digest_size=16), Path(__file__).parent
-    for room in DEPENDS_ON:
-        for path in sorted([*package.glob(f"{room}/*.py"), *package.glob(f"{room}/collision*.h")]):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+    package = Path(__file__).parent
+    return digest_of(
+        path
+        for room in DEPENDS_ON
+        for path in sorted([*package.glob(f"{room}/*.py"), *package.glob(f"{room}/collision*.h")])
+    )

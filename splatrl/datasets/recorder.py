@@ -1,6 +1,6 @@
 """Records demonstrations: the planner walks shortest paths to the goal."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -61,7 +61,7 @@ def _walked(world: World, plan: Plan, starts: Tensor, seed: int, generator: torc
     """One episode from each start along shortest paths, or to where no path goes on: frames [T] each, on the CPU."""
     env, names = world.env(len(starts), seed=seed), world.task.motion.action_names
     now = env.reset(TensorDict({"state": starts}, [len(starts)], device=env.device), set_state=True)
-    keys = ["pixels", "action", "state", *world.task.memory_spec]
+    remembered = tuple(world.task.memory_spec)
     steps: list[TensorDictBase] = []
     length = torch.zeros(len(starts), dtype=torch.int64)  # of the episodes that have ended
     running = torch.ones(len(starts), dtype=torch.bool)
@@ -70,11 +70,9 @@ def _walked(world: World, plan: Plan, starts: Tensor, seed: int, generator: torc
         chosen = torch.multinomial(best.float() + 1e-9, 1, generator=generator).squeeze(1)
         now["action"] = plan.actions.cpu()[chosen].to(env.device)
         step = env.step(now)
-        seen = step.select(*keys).cpu()
-        seen["pixels"] = seen["pixels"][..., -3:].clone()
+        seen = recorded(step, remembered)
         if names:
             seen["optimal"] = best.float() @ one_hot(plan.actions.cpu(), len(names)).float() > 0
-        seen["next"] = step["next"].select(*AFTER).cpu()
         steps.append(seen)
         ended = running & seen["next", "done"].squeeze(1)
         length[ended] = len(steps)
@@ -82,3 +80,16 @@ def _walked(world: World, plan: Plan, starts: Tensor, seed: int, generator: torc
         now = env.step_mdp(step)
     whole = torch.stack(steps, 1)
     return [whole[row, :count] for row, count in enumerate(length.tolist()) if count]
+
+
+def recorded(step: TensorDictBase, remembered: Sequence[str]) -> TensorDictBase:
+    """What demonstrations keep of a step of robots, on the CPU; of stacked views the last.
+
+    Args:
+        step: [B], as ``env.step`` gives it.
+        remembered: keys of the task's memory.
+    """
+    seen = step.select("pixels", "action", "state", *remembered).cpu()
+    seen["pixels"] = seen["pixels"][..., -3:].clone()
+    seen["next"] = step["next"].select(*AFTER).cpu()
+    return seen

@@ -109,6 +109,8 @@ class SplatEnv(EnvBase):
         self.task, self.curriculum, self.sensors = task, curriculum, dict(sensors or {})
         self.made_by: Callable[..., SplatEnv] | None = None
         self.generator = torch.Generator(self.device)
+        self._task_keys, self._sensor_keys = tuple(task.memory_spec), tuple(self._sensor_memory())
+        self._needs_depth = any(sensor.needs_depth for sensor in self.sensors.values())
         self._make_specs()  # before the task moves: specs read its limits, which would synchronise with a GPU
         self.task = task.to(self.device)
         torch.nn.Module.to(self, self.device)  # EnvBase.to does nothing for the device that it already has
@@ -290,13 +292,13 @@ class SplatEnv(EnvBase):
         before, action = tensordict["state"], tensordict["action"]
         scene = tensordict["scene"].squeeze(1) if self.scenes > 1 else None
         task, checker = self._at(scene)
-        memory = {key: tensordict[key] for key in task.memory_spec}
+        memory = {key: tensordict[key] for key in self._task_keys}
         move = task.motion.move(before, action, checker)
         view = self._view(task, scene, move.state, move.body_to_world, memory, tensordict.get("camera_offset", None))
         reward, terminated, outcome, remembered = task.judge(
             Step(before, action, move, memory, view.pixels), self._chance(scene)
         )
-        kept = {key: tensordict[key] for key in self._sensor_memory()}
+        kept = {key: tensordict[key] for key in self._sensor_keys}
         sensed: dict[str, Tensor] = {}
         if self.sensors:
             look = partial(self._look, task, scene, move.state, memory, None)
@@ -345,7 +347,7 @@ class SplatEnv(EnvBase):
         cameras, parts = self.robot.cameras(body_to_world, camera_offset), task.parts(state, memory)
         if scene is not None:
             parts = in_scenes(scene, parts, body_to_world)
-        if any(sensor.needs_depth for sensor in self.sensors.values()):
+        if self._needs_depth:
             return self.drawing.draw(cameras, memory, parts, only, depth=True)
         return self.drawing.draw(cameras, memory, parts, only)
 
@@ -372,7 +374,7 @@ class SplatEnv(EnvBase):
     @property
     def remembered(self) -> list[str]:
         """Keys that an episode must begin anew with: those of sensors, and of a task that chooses its own episodes."""
-        return [*self._sensor_memory(), *(self.task.memory_spec if self.task.chooses_episodes else ())]
+        return [*self._sensor_keys, *(self._task_keys if self.task.chooses_episodes else ())]
 
     def _chance(self, scene: Tensor | None) -> Anywhere:
         return Anywhere(partial(self.anywhere, scene), self.generator)

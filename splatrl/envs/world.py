@@ -1,8 +1,9 @@
 """What all envs of one task share, in one scene or in several."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from copy import deepcopy
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import partial
 from hashlib import blake2b
 from typing import Any
@@ -23,8 +24,83 @@ from splatrl.envs.tasks.base import Task
 from splatrl.scenes.scene import Scene
 
 
+class EnvMaker(ABC):
+    """Makes envs in the worlds of one scene or of several, all of one configuration.
+
+    Attributes:
+        drawing: makes the pixels.
+        checker: tests the robot's body.
+        robot: body and camera.
+        task: motion, goals and rewards.
+        make_transforms: makes new transforms for an env, the innermost first.
+        device: default device of its envs.
+        made_by: makes the same again, from names and paths. Pickles hold this in place of all the rest, so that
+            processes are sent no scenes; None pickles everything.
+        sensors: what is observed besides the pixels, by key.
+    """
+
+    drawing: Drawing
+    checker: Checker | SeveralCheckers
+    robot: Robot
+    task: Task
+    make_transforms: Callable[[], list[Transform]]
+    device: torch.device
+    made_by: "Callable[[], World | Worlds] | None"
+    sensors: Mapping[str, Sensor]
+
+    @property
+    @abstractmethod
+    def worlds(self) -> "tuple[World, ...]":
+        """The worlds of its scenes."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self.made_by is None:
+            return type(self), tuple(vars(self).values())  # in the order of the fields
+        return _made, (self.made_by,)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "EnvMaker":
+        return self
+
+    def env(
+        self,
+        num_envs: int,
+        curriculum: Curriculum | None = None,
+        seed: int | None = 0,
+        device: torch.device | str | None = None,
+    ) -> EnvBase:
+        """A batch of robots in its scenes, under its transforms.
+
+        Args:
+            num_envs: number of robots.
+            curriculum: decides where episodes begin; None lets them begin anywhere in the start set.
+            seed: seed of the env's generator.
+            device: device of its tensors; None takes the world's.
+        """
+        if curriculum is None:
+            curriculum = Curriculum([one.plan for one in self.worlds], first=None)
+        env = self.bare_env(num_envs, curriculum, seed, device or self.device)
+        transforms = self.make_transforms()
+        return StatefulEnv(env, *transforms) if transforms else env
+
+    def bare_env(self, num_envs: int, curriculum: Curriculum, seed: int | None, device: torch.device | str) -> SplatEnv:
+        """A batch of robots without transforms, which is pickled as its maker and these arguments; see ``env``."""
+        env = SplatEnv(
+            self.drawing,
+            self.checker,
+            self.robot,
+            deepcopy(self.task),  # an env moves its task to its device; the plan's stays where it is
+            curriculum,
+            [num_envs],
+            seed,
+            device,
+            self.sensors,
+        )
+        env.made_by = partial(self.bare_env, num_envs)
+        return env
+
+
 @dataclass(frozen=True)
-class World:
+class World(EnvMaker):
     """Everything that envs of one configuration in one scene share.
 
     Attributes:
@@ -32,14 +108,8 @@ class World:
         occupancy: what is solid.
         checker: tests the robot's body against it.
         drawing: makes the pixels; its renderer may cache them.
-        robot: body and camera.
-        task: motion, goals and rewards.
+        robot, task, make_transforms, device, made_by, sensors: see ``EnvMaker``.
         plan: free poses and shortest paths.
-        make_transforms: makes new transforms for an env, the innermost first.
-        device: default device of its envs.
-        made_by: makes the same world again, from names and paths. Pickles hold this in place of all the rest, so that
-            processes are sent no scenes; None pickles everything.
-        sensors: what is observed besides the pixels, by key.
     """
 
     scene: Scene
@@ -54,17 +124,9 @@ class World:
     made_by: "Callable[[], World | Worlds] | None" = None
     sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        if self.made_by is None:
-            return World, tuple(getattr(self, field.name) for field in fields(self))
-        return _made, (self.made_by,)
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "World":
-        return self
-
     @property
     def worlds(self) -> "tuple[World, ...]":
-        """The worlds of its scenes, which is itself alone."""
+        """Itself alone."""
         return (self,)
 
     @property
@@ -77,45 +139,20 @@ class World:
         """Fingerprint of the scene."""
         return self.scene.digest
 
-    def env(
-        self,
-        num_envs: int,
-        curriculum: Curriculum | None = None,
-        seed: int | None = 0,
-        device: torch.device | str | None = None,
-    ) -> EnvBase:
-        """A batch of robots in this world, under its transforms.
-
-        Args:
-            num_envs: number of robots.
-            curriculum: decides where episodes begin; None lets them begin anywhere in the start set.
-            seed: seed of the env's generator.
-            device: device of its tensors; None takes the world's.
-        """
-        return _env(self, num_envs, curriculum, seed, device)
-
-    def bare_env(self, num_envs: int, curriculum: Curriculum, seed: int | None, device: torch.device | str) -> SplatEnv:
-        """A batch of robots without transforms, which is pickled as this world and these arguments; see ``env``."""
-        return _bare_env(self, num_envs, curriculum, seed, device)
-
 
 @dataclass(frozen=True)
-class Worlds:
+class Worlds(EnvMaker):
     """Everything that envs of one configuration in several scenes share; each episode takes place in one of them.
 
     Attributes:
-        worlds: one for each scene; they draw with the same renderer and ask the same checkers.
+        places: the world of each scene; they draw with the same renderer and ask the same checkers.
         drawing: makes the pixels; its renderer's models are the scenes, in their order.
         checker: tests the robot's body in each of them.
-        robot: body and camera.
         task: motion, goals and rewards, with what belongs to a scene ``stacked``.
-        make_transforms: makes new transforms for an env, the innermost first.
-        device: default device of its envs.
-        made_by: see ``World``.
-        sensors: see ``World``.
+        robot, make_transforms, device, made_by, sensors: see ``EnvMaker``.
     """
 
-    worlds: tuple[World, ...]
+    places: tuple[World, ...]
     drawing: Drawing
     checker: SeveralCheckers
     robot: Robot
@@ -125,69 +162,20 @@ class Worlds:
     made_by: "Callable[[], World | Worlds] | None" = None
     sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        if self.made_by is None:
-            return Worlds, tuple(getattr(self, field.name) for field in fields(self))
-        return _made, (self.made_by,)
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "Worlds":
-        return self
+    @property
+    def worlds(self) -> tuple[World, ...]:
+        """Those of its scenes, in their order."""
+        return self.places
 
     @property
     def name(self) -> str:
         """Names of the scenes."""
-        return ", ".join(world.name for world in self.worlds)
+        return ", ".join(world.name for world in self.places)
 
     @property
     def digest(self) -> str:
         """Fingerprint of the scenes, in their order."""
-        return blake2b(" ".join(world.digest for world in self.worlds).encode(), digest_size=16).hexdigest()
-
-    def env(
-        self,
-        num_envs: int,
-        curriculum: Curriculum | None = None,
-        seed: int | None = 0,
-        device: torch.device | str | None = None,
-    ) -> EnvBase:
-        """A batch of robots in these worlds, under their transforms; see ``World.env``."""
-        return _env(self, num_envs, curriculum, seed, device)
-
-    def bare_env(self, num_envs: int, curriculum: Curriculum, seed: int | None, device: torch.device | str) -> SplatEnv:
-        """A batch of robots without transforms; see ``World.bare_env``."""
-        return _bare_env(self, num_envs, curriculum, seed, device)
-
-
-def _env(
-    world: World | Worlds,
-    num_envs: int,
-    curriculum: Curriculum | None,
-    seed: int | None,
-    device: torch.device | str | None,
-) -> EnvBase:
-    if curriculum is None:
-        curriculum = Curriculum([one.plan for one in world.worlds], first=None)
-    env = world.bare_env(num_envs, curriculum, seed, device or world.device)
-    transforms = world.make_transforms()
-    return StatefulEnv(env, *transforms) if transforms else env
-
-
-def _bare_env(
-    world: World | Worlds, num_envs: int, curriculum: Curriculum, seed: int | None, device: torch.device | str
-) -> SplatEnv:
-    env = SplatEnv(
-        world.drawing,
-        world.checker,
-        world.robot,
-        deepcopy(world.task),  # an env moves its task to its device; the plan's stays where it is
-        curriculum,
-        [num_envs],
-        seed,
-        device,
-        world.sensors,
-    )
-    env.made_by = partial(world.bare_env, num_envs)
-    return env
+        return blake2b(" ".join(world.digest for world in self.places).encode(), digest_size=16).hexdigest()
 
 
 def _made(make: Callable[[], World | Worlds]) -> World | Worlds:

@@ -5,13 +5,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
-from splatrl.build import build_world
-from splatrl.configuration import load_config, run_config
+from splatrl.configuration import load_config
 from splatrl.evaluation.report import write_json
 from splatrl.experiments.experiment import Run
-from splatrl.experiments.transfer import placed, tested
+from splatrl.experiments.transfer import score_in
 
 PLACES = "places.json"
 TESTED_IN = ("unseen_yards", "backyard", "kitchen")
@@ -37,12 +34,5 @@ def score_in_places(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
         folder: of the experiment, with the places.
     """
     places: dict[str, list[str]] = json.loads((folder / PLACES).read_text())
-    same = [word for word in runs[0].overrides if not word.startswith("scene") and "scene" not in word.split("=")[0]]
-    configs = {name: load_config([*overrides, *same]) for name, overrides in places.items()}
-    worlds = {name: build_world(cfg) for name, cfg in configs.items()}
-    rows = []
-    for run in tqdm(runs, unit="run", desc="tests", dynamic_ncols=True):
-        for name, world in worlds.items():
-            cfg = placed(run_config(run.folder), configs[name])
-            rows.append({"run": run.folder.name, "place": name, **tested(run.folder, cfg, world)})
-    return rows
+    same = [word for word in runs[0].overrides if not word.startswith("scene")]
+    return score_in(runs, {name: load_config([*overrides, *same]) for name, overrides in places.items()})

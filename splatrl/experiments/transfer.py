@@ -1,6 +1,6 @@
 """Policies tested in scenes other than the one in which they were trained."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +8,7 @@ import torch
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from splatrl.build import build_one_world
+from splatrl.build import build_world
 from splatrl.configuration import run_config
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.report import summarise
@@ -31,13 +31,24 @@ def score_everywhere(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
     Returns:
         One row per run and scene: ``run`` (name of its folder), ``place`` (name of the scene), ``starts`` and rates.
     """
-    places = {run.scene: placed(run_config(run.folder), run_config(run.folder)) for run in reversed(runs)}
-    worlds = {name: build_one_world(cfg) for name, cfg in places.items()}
+    return score_in(runs, {run.scene: run_config(run.folder) for run in reversed(runs)})
+
+
+def score_in(runs: Sequence[Run], places: Mapping[str, DictConfig]) -> list[dict[str, Any]]:
+    """Test finished runs in each of some places; see ``score_everywhere``.
+
+    Args:
+        runs: with the same task and motion.
+        places: a config of each, by name, whose scene, robot and task the policies are given.
+    """
+    configs = {name: placed(cfg, cfg) for name, cfg in places.items()}
+    worlds = {name: build_world(cfg) for name, cfg in configs.items()}
     rows = []
-    for run in tqdm(runs, unit="run", desc="transfer", dynamic_ncols=True):
+    for run in tqdm(runs, unit="run", desc="tests", dynamic_ncols=True):
         own = run_config(run.folder)
         for name, world in worlds.items():
-            rows.append({"run": run.folder.name, "place": name, **tested(run.folder, placed(own, places[name]), world)})
+            rates = tested(run.folder, placed(own, configs[name]), world)
+            rows.append({"run": run.folder.name, "place": name, **rates})
     return rows
 
 

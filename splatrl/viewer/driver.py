@@ -8,7 +8,8 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from splatrl.datasets import Demonstrations
-from splatrl.datasets.demonstrations import AFTER, joined
+from splatrl.datasets.demonstrations import joined
+from splatrl.datasets.recorder import recorded
 from splatrl.envs.tasks.base import Outcome
 from splatrl.envs.world import World
 
@@ -25,7 +26,7 @@ class Driver:
     def __init__(self, world: World, seed: int = 0, kept: Callable[[TensorDictBase], object] = lambda frames: None):
         self.world, self.kept = world, kept
         self.env: EnvBase = world.env(1, seed=seed)
-        self._keys = ["pixels", "action", "state", *world.task.memory_spec]
+        self._remembered = tuple(world.task.memory_spec)
         self.begin()
 
     @torch.no_grad()
@@ -36,7 +37,7 @@ class Driver:
     @torch.no_grad()
     def again(self) -> None:
         """Begin the episode again, from where it began."""
-        first = self._first.select("state", *self.world.task.memory_spec)
+        first = self._first.select("state", *self._remembered)
         self._begin(self.env.reset(first.clone(), set_state=True))
 
     def _begin(self, now: TensorDictBase) -> None:
@@ -56,9 +57,7 @@ class Driver:
             return
         self.now["action"] = action.unsqueeze(0).to(self.env.device)
         step = self.env.step(self.now)
-        frame = step.select(*self._keys).cpu()
-        frame["pixels"] = frame["pixels"][..., -3:].clone()
-        frame["next"] = step["next"].select(*AFTER).cpu()
+        frame = recorded(step, self._remembered)
         self._frames.append(frame)
         self.outcome = Outcome(int(frame["next", "outcome"]))
         self.reward, self.free = float(frame["next", "reward"]), float(step["next", "free_fraction"])

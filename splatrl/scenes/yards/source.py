@@ -5,7 +5,6 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from hashlib import blake2b
 from pathlib import Path
 from subprocess import DEVNULL, Popen
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from splatrl.files import cache_dir
+from splatrl.files import cache_dir, digest_of
 from splatrl.scenes.cache import Arrays, cached_arrays
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Bounds, Scene
@@ -180,8 +179,5 @@ def _name(seed: int) -> str:
 @functools.cache
 def _source_digest() -> str:
     """Fingerprint of the generator's own code, so that another version never meets its yards."""
-    digest = blake2b(digest_size=8)
-    for folder in (Path(__file__).parent, Path(__file__).parents[1] / "yard"):
-        for path in sorted(folder.glob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+    folders = Path(__file__).parent, Path(__file__).parents[1] / "yard"
+    return digest_of(path for folder in folders for path in sorted(folder.glob("*.py")))
