@@ -7,7 +7,8 @@ from splatrl.motions.forward import ForwardMotion
 from splatrl.motions.lattice import LatticeMotion
 from splatrl.motions.navigate import NavigateMotion
 from splatrl.motions.orbit import OrbitMotion
-from splatrl.motions.planar import PlanarMotion
+from splatrl.motions.planar import PlanarMotion, StoppingMotion
+from splatrl.motions.steps import StepMotion
 
 __all__ = [
     "DriveMotion",
@@ -20,6 +21,8 @@ __all__ = [
     "OrbitMotion",
     "PlanarMotion",
     "PlannedMotion",
+    "StepMotion",
+    "StoppingMotion",
     "SweptMotion",
     "Taps",
 ]

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torchrl.data import Bounded
 
-from splatrl.motions.planar import PlanarMotion, along
+from splatrl.motions.planar import StoppingMotion, along
 
 CELL = 0.05
 """Distance between the positions at which paths are computed, metres."""
@@ -17,7 +17,7 @@ HEADINGS_A_TURN = 4
 """Number of headings at which paths are computed within the largest turn of a time step."""
 
 
-class DriveMotion(PlanarMotion):
+class DriveMotion(StoppingMotion):
     """Two driven wheels: an action is a linear and an angular velocity, reached at once and held for a time step.
 
     A state is [..., 3] float32: x and y in metres and yaw in radians. The robot follows the exact arc; collision is

@@ -1,18 +1,17 @@
 """The actions of navigation benchmarks: stop, a step ahead, and turns on the spot."""
 
-import math
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor
-from torchrl.data import Categorical
 
 from splatrl.collision.base import Checker
 from splatrl.motions.base import Move
-from splatrl.motions.planar import PlanarMotion, along
+from splatrl.motions.planar import StoppingMotion
+from splatrl.motions.steps import StepMotion
 
 
-class NavigateMotion(PlanarMotion):
+class NavigateMotion(StepMotion, StoppingMotion):
     """Stops, steps forward along the heading, and turns left and right, off any lattice.
 
     A state is [..., 3] float32: x and y in metres and yaw in radians. The four actions, in Habitat's order, are stop,
@@ -37,9 +36,6 @@ class NavigateMotion(PlanarMotion):
         ValueError: for a step that is not positive, an angle that does not divide a turn, or bounds without area.
     """
 
-    lengths: Tensor  # [4] float32
-    turns: Tensor  # [4] float32
-
     def __init__(
         self,
         height: float,
@@ -51,22 +47,9 @@ class NavigateMotion(PlanarMotion):
         spacing: float = 0.1,
         headings: int = 36,
     ):
-        if not step > 0:
-            raise ValueError(f"task.motion.step: expected more than 0 metres, got {step}")
-        turns = round(360.0 / angle_step_deg) if angle_step_deg > 0 else 0
-        if turns < 1 or abs(turns * angle_step_deg - 360.0) > 1e-6:
-            raise ValueError(f"task.motion.angle_step_deg: expected a divisor of 360, got {angle_step_deg}")
-        angle = math.tau / turns
-        names = ("stop", "forward", "left", "right")
-        super().__init__(names, step, angle, height, lower, upper, spacing, headings, 0.5 * step, angle)
+        actions = {"stop": (0, 0), "forward": (1, 0), "left": (0, 1), "right": (0, -1)}
+        super().__init__(actions, step, angle_step_deg, height, lower, upper, spacing, headings, 0.5 * step)
         self.sliding = sliding
-        self.register_buffer("lengths", torch.tensor([0.0, step, 0.0, 0.0]), persistent=False)
-        self.register_buffer("turns", torch.tensor([0.0, 0.0, angle, -angle]), persistent=False)
-
-    @property
-    def action_spec(self) -> Categorical:
-        """One of four actions; no batch."""
-        return Categorical(len(self.lengths), shape=(), dtype=torch.int64)
 
     def actions(self) -> Tensor:
         """The actions from which paths are made, all but stop: [3] int64."""
@@ -75,19 +58,6 @@ class NavigateMotion(PlanarMotion):
     def stops(self, action: Tensor) -> Tensor:
         """Whether actions are stop: [B] int64 -> [B] bool."""
         return action == 0
-
-    def advance(self, state: Tensor, action: Tensor) -> Tensor:
-        """Where an unobstructed action leads, possibly outside the bounds.
-
-        Args:
-            state: [B, 3] float32.
-            action: [B] int64 in [0, 4).
-
-        Returns:
-            [B, 3] float32.
-        """
-        turn = self.turns[action]
-        return along(state, self.lengths[action], turn, torch.zeros_like(turn))
 
     def move(self, state: Tensor, action: Tensor, checker: Checker) -> Move:
         """Carry out one action of each robot; see ``Motion``."""

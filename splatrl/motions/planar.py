@@ -1,11 +1,12 @@
 """Poses anywhere on a plane: what motions with x, y and yaw as their state share."""
 
 import math
+from abc import abstractmethod
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor
-from torchrl.data import Bounded
+from torchrl.data import Bounded, TensorSpec
 
 from splatrl.geometry import axis_rotations, rigid
 from splatrl.motions.base import SweptMotion, Taps
@@ -68,6 +69,15 @@ class PlanarMotion(SweptMotion):
         self.register_buffer("elevation", torch.tensor(height, dtype=torch.float32), persistent=False)
 
     @property
+    @abstractmethod
+    def action_spec(self) -> TensorSpec:
+        """Spec of one robot's action; see ``Motion``."""
+
+    @abstractmethod
+    def actions(self) -> Tensor:
+        """The actions from which paths are made; see ``PlannedMotion``."""
+
+    @property
     def state_spec(self) -> Bounded:
         """x, y and yaw, [3], within the bounds of any of several scenes; no batch."""
         lower, upper = self.lower.reshape(-1, 2).amin(0) - EDGE, self.upper.reshape(-1, 2).amax(0) + EDGE
@@ -113,6 +123,14 @@ class PlanarMotion(SweptMotion):
         """Poses of states: [B, 3] -> [B, 4, 4] float32."""
         height = self.elevation.expand(len(state)).unsqueeze(1)
         return rigid(axis_rotations(2, state[:, 2]), torch.cat([state[:, :2], height], 1))
+
+
+class StoppingMotion(PlanarMotion):
+    """A motion in which some action says that the robot is where it is to be."""
+
+    @abstractmethod
+    def stops(self, action: Tensor) -> Tensor:
+        """Whether actions say so: [B, ...] -> [B] bool."""
 
 
 def along(state: Tensor, distance: Tensor, turn: Tensor, bend: Tensor) -> Tensor:

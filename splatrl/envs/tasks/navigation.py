@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -12,8 +11,7 @@ from torchrl.data import TensorSpec, Unbounded
 from splatrl.collision.base import Checker
 from splatrl.curriculum.geodesics import Geodesics, ground
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, TaskModule, Verdict
-from splatrl.motions.base import PlannedMotion
-from splatrl.motions.planar import PlanarMotion
+from splatrl.motions.planar import StoppingMotion
 from splatrl.values import require_number
 
 TRIES = 50
@@ -39,14 +37,6 @@ class NavigationRewards:
     def __post_init__(self) -> None:
         for field in fields(self):
             require_number(f"task.rewards.{field.name}", getattr(self, field.name), -1e9, 1e9)
-
-
-class StoppingMotion(PlannedMotion, Protocol):
-    """A motion in which some action says that the robot is at its goal."""
-
-    def stops(self, action: Tensor) -> Tensor:
-        """Whether actions say so: [B, ...] -> [B] bool."""
-        ...
 
 
 class NavigationTask(TaskModule):
@@ -84,11 +74,11 @@ class NavigationTask(TaskModule):
     """
 
     chooses_episodes = True
-    motion: PlanarMotion  # type: ignore[assignment]
+    motion: StoppingMotion
 
     def __init__(
         self,
-        motion: PlanarMotion,
+        motion: StoppingMotion,
         rewards: NavigationRewards | None = None,
         success_distance: float = 0.2,
         nearest: float = 1.0,
@@ -99,12 +89,12 @@ class NavigationTask(TaskModule):
         seed: int = 0,
         max_steps: int = 500,
     ):
-        if not isinstance(motion, PlanarMotion) or not hasattr(motion, "stops"):
+        if not isinstance(motion, StoppingMotion):
             raise ValueError(
                 f"task.motion: expected one that can stop, navigate or drive, got {type(motion).__name__}; "
                 "type motion@task.motion=navigate"
             )
-        super().__init__(motion, max_steps)  # type: ignore[arg-type]
+        super().__init__(motion, max_steps)
         require_number("task.success_distance", success_distance, 1e-6, 1e6)
         require_number("task.nearest", nearest, 0.0, 1e6)
         require_number("task.farthest", farthest, nearest, 1e6)
@@ -196,7 +186,7 @@ class NavigationTask(TaskModule):
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
         """Judge a step; see ``Task.judge``."""
         memory, move = step.memory, step.move
-        stops = self.motion.stops(step.action).unsqueeze(1)  # type: ignore[operator]
+        stops = self.motion.stops(step.action).unsqueeze(1)
         place, before = self._place(move.state), self._place(step.before)
         far = self.geodesics.distance(place, memory["goal_row"].squeeze(1)).unsqueeze(1)
         blocked = ((move.free_fraction < 1) | ~move.inside).unsqueeze(1)
