@@ -1,7 +1,7 @@
 """What a training was made with, and whether another one may go on from there."""
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from splatrl.configuration import PATHS
 from splatrl.native import _core
+from splatrl.values import flat
 
 SPEED_ONLY = {"threads", "renderer.threads", "resume", "collector.cuda_graph", "optim.compile"}
 SPEED_ONLY |= {"resume_changed", "allow_targets", "view"}
@@ -19,7 +20,7 @@ FREE = ("device:", "scene.path:", "scene.name:", "logger.", "checkpoint.", "eval
 
 def differences(asked: Mapping[str, Any], found: Mapping[str, Any]) -> list[str]:
     """Keys in which two configs differ, with both values; keys that only change speed are left out."""
-    wanted, there = dict(_flat(asked)), dict(_flat(found))
+    wanted, there = _settings(asked), _settings(found)
     return [
         f"{key}: asked for {wanted.get(key, 'nothing')}, found {there.get(key, 'nothing')}"
         for key in sorted(wanted.keys() | there.keys())
@@ -69,11 +70,9 @@ def check_made_with(now: Mapping[str, Any], then: Mapping[str, Any]) -> None:
         )
 
 
-def _flat(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in node.items():
-        name = f"{prefix}{key}"
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{name}.")
-        else:
-            is_path = name in PATHS and isinstance(value, str)
-            yield name, str(Path(value).expanduser().absolute()) if is_path else value
+def _settings(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Dotted keys and their values, with absolute paths."""
+    return {
+        key: str(Path(value).expanduser().absolute()) if key in PATHS and isinstance(value, str) else value
+        for key, value in flat(config)
+    }

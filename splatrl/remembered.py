@@ -12,11 +12,11 @@ from omegaconf import DictConfig, OmegaConf
 
 from splatrl.collision.base import Checker
 from splatrl.collision.occupancy import Occupancy
+from splatrl.configuration.targets import targets
 from splatrl.curriculum.field import Field, Reached, cost_field
 from splatrl.files import digest_of
 from splatrl.motions.base import PlannedMotion
 from splatrl.scenes.cache import cached_arrays
-from splatrl.targets import targets
 
 DEPENDS_ON = ("collision", "curriculum", "envs/tasks", "motions", "native")
 """Rooms whose code costs depend on."""

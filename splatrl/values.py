@@ -1,6 +1,8 @@
-"""Numbers from settings, checked where they come in."""
+"""Values of settings: numbers checked where they come in, dotted keys."""
 
 import math
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 
 def require_number(name: str, value: object, low: float, high: float = math.inf, whole: bool = False) -> None:
@@ -21,3 +23,18 @@ def require_number(name: str, value: object, low: float, high: float = math.inf,
     if not (right and math.isfinite(value)):  # type: ignore[arg-type]
         limit = f"of at least {low}" if high == math.inf else f"from {low} to {high}"
         raise ValueError(f"{name}: expected a {'whole number' if whole else 'number'} {limit}, got {value!r}")
+
+
+def flat(node: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted keys and their values, of settings within settings; an empty mapping is a value.
+
+    Args:
+        node: keys and values.
+        place: the dotted key of ``node`` itself.
+    """
+    for key, value in node.items():
+        name = f"{place}.{key}" if place else str(key)
+        if isinstance(value, Mapping) and value:
+            yield from flat(value, name)
+        else:
+            yield name, value

@@ -34,10 +34,7 @@ ORDER = [
     {"datasets"},
     {"export"},
     {"capture"},
-    {"scene_overrides", "targets"},
     {"configuration"},
-    {"key_help"},
-    {"command_line"},
     {"made_with", "misfits", "remembered"},
     {"build"},
     {"gymnasium_ids"},
@@ -48,14 +45,11 @@ ORDER = [
 ]
 """Packages ("rooms") and single modules under splatrl/, in order; a new one is added here."""
 ONLY = {
-    "hydra": {"targets", "configuration", "key_help", "command_line", "build", "commands"},
+    "hydra": {"configuration", "build", "commands"},
     "omegaconf": {
         "documents",
-        "targets",
         "scenes",
         "configuration",
-        "key_help",
-        "command_line",
         "made_with",
         "remembered",
         "build",

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from splatrl.command_line import command_line
 from splatrl.commands import capture, scene
 from splatrl.commands.view import with_key
-from splatrl.configuration import load_config
+from splatrl.configuration import command_line, load_config
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()

@@ -9,9 +9,8 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig
 
 from splatrl.build import build_one_world
-from splatrl.command_line import command_line
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import check_config, conf_dir, run_config
+from splatrl.configuration import check_config, command_line, conf_dir, run_config
 from splatrl.evaluation.clips import REPORT, write_report
 from splatrl.experiments.clip_scores import altered, film_run, record_clips, score_run
 

@@ -8,9 +8,8 @@ import hydra
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from splatrl.command_line import command_line
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import check_config, conf_dir, run_config
+from splatrl.configuration import check_config, command_line, conf_dir, run_config
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
 from splatrl.runs import load_policy

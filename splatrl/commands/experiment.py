@@ -13,9 +13,8 @@ from hydra.utils import get_method
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationToMissingValueError, OmegaConfBaseException
 
-from splatrl.command_line import command_line
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import conf_dir, load_config, quoted
+from splatrl.configuration import command_line, conf_dir, load_config, quoted
 from splatrl.experiments import Run, Selection, budget, check_settings, planned, report_all, score, statement, train_all
 from splatrl.experiments.machine import machine
 from splatrl.native.threads import usable_cores

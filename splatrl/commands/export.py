@@ -7,9 +7,8 @@ import hydra
 import torch
 from omegaconf import DictConfig
 
-from splatrl.command_line import command_line
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import check_config, conf_dir, run_config
+from splatrl.configuration import check_config, command_line, conf_dir, run_config
 from splatrl.export import export_policy
 from splatrl.export.onnx_file import POLICY, RUNNER
 from splatrl.runs import load_policy

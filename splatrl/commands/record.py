@@ -10,9 +10,8 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from splatrl.build import build_one_world
-from splatrl.command_line import command_line
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import check_config, conf_dir, save_config
+from splatrl.configuration import check_config, command_line, conf_dir, save_config
 from splatrl.datasets import Demonstrations, planner_episodes, write_demonstrations, write_lerobot
 from splatrl.envs.world import World
 from splatrl.files import new_folder

@@ -12,11 +12,11 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from splatrl.build import build_trainer, build_world
-from splatrl.command_line import command_line
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import (
     check_config,
+    command_line,
     conf_dir,
     quoted,
     resumed_config,

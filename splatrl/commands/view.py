@@ -13,21 +13,21 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from splatrl.build import build_one_world, check_place
-from splatrl.command_line import command_line
 from splatrl.commands.faults import in_one_line, line
 from splatrl.configuration import (
     RUN_CONFIG,
     check_config,
     check_constructors,
+    command_line,
     conf_dir,
     place_configs,
     quoted,
     run_config,
 )
+from splatrl.configuration.scene_overrides import CORNERS, TARGETS
 from splatrl.envs.world import World
 from splatrl.evaluation.scene_pictures import survey_occupancy
 from splatrl.runs import TrainedPolicy, load_policy
-from splatrl.scene_overrides import CORNERS, TARGETS
 from splatrl.scenes.description import SCENE_FILE
 from splatrl.scenes.scene import Scene
 from splatrl.viewer.driving import Driving

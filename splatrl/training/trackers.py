@@ -12,6 +12,7 @@ import av
 from PIL import Image
 
 from splatrl.files import checked_name, replacing
+from splatrl.values import flat
 
 BACKENDS = ("csv", "tensorboard", "wandb")
 WIDEST, MOST_FRAMES = 480, 240
@@ -70,7 +71,7 @@ class TensorBoardTracker:
 
     def __init__(self, folder: Path, settings: Mapping[str, Any]):
         self._writer = _imported("tensorboard", "torch.utils.tensorboard").SummaryWriter(str(folder))
-        self._writer.add_text("config", "\n".join(f"    {key}: {value}" for key, value in _flat(settings)))
+        self._writer.add_text("config", "\n".join(f"    {key}: {value}" for key, value in flat(settings)))
 
     def scalars(self, values: Mapping[str, float], frames: int) -> None:
         """See ``Tracker``."""
@@ -177,9 +178,3 @@ def _imported(package: str, module: str) -> Any:
 
 def _finite(values: Mapping[str, float]) -> dict[str, float]:
     return {key: value for key, value in values.items() if math.isfinite(value)}
-
-
-def _flat(node: Any, place: str = "") -> Iterable[tuple[str, Any]]:
-    if not isinstance(node, Mapping):
-        return [(place, node)]
-    return [pair for key, value in node.items() for pair in _flat(value, f"{place}.{key}".lstrip("."))]

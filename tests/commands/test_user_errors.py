@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from splatrl.command_line import UserError, check_kind
 from splatrl.commands import capture, clips, evaluate, experiment, scene, train
 from splatrl.commands.faults import in_one_line
+from splatrl.configuration.command_line import UserError, check_kind
 from splatrl.scenes import write_gaussians
 from tests.tiny import tiny_gaussians
 

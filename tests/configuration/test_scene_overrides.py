@@ -7,8 +7,7 @@ import torch
 from omegaconf import DictConfig
 
 from splatrl.build import build_trainer, build_world
-from splatrl.command_line import command_line
-from splatrl.configuration import load_config, run_config, save_config, with_scene_paths
+from splatrl.configuration import command_line, load_config, run_config, save_config, with_scene_paths
 from splatrl.scenes import read_scene, write_gaussians
 from splatrl.scenes.description import read_description, write_description
 from tests.tiny import HEIGHT, tiny_gaussians

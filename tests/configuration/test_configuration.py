@@ -12,10 +12,10 @@ from torchrl.envs import RewardScaling
 
 from splatrl.build import _constructor, build_trainer, build_world, make_env
 from splatrl.collision import CudaChecker, NativeChecker, NoChecker
-from splatrl.command_line import command_line
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.configuration import (
     check_config,
+    command_line,
     conf_dir,
     load_config,
     place_configs,
@@ -319,7 +319,7 @@ def aimless(folder: Path) -> DictConfig:
             "~task.goal",
             "~task.rewards",
             "allow_targets=[tests]",
-            "task._target_=tests.test_configuration.Wander",
+            "task._target_=tests.configuration.test_configuration.Wander",
             "task.max_steps=8",
             *(f"collector.{key}={value}" for key, value in settings.items()),
             "env.num_envs=16",
@@ -427,10 +427,10 @@ def test_a_config_of_ones_own_has_keys_of_its_own(tmp_path: Path) -> None:
     arguments = ["--config-dir", str(tmp_path), "--config-name", "mine", "mykey=4"]
     assert command_line("train", arguments) == arguments
     (tmp_path / "mine.yaml").write_text(
-        "defaults: [train, _self_]\nmykey: 3\nnetwork: {_target_: tests.test_configuration.Wander}\n"
+        "defaults: [train, _self_]\nmykey: 3\nnetwork: {_target_: tests.configuration.test_configuration.Wander}\n"
     )
     cfg = load_config()
-    cfg.network["_target_"] = "tests.test_configuration.Wander"
+    cfg.network["_target_"] = "tests.configuration.test_configuration.Wander"
     with initialize_config_dir(str(tmp_path), version_base="1.3"):
         check_config(cfg)  # a config of theirs is as good as ours
         assert GlobalHydra.instance().is_initialized()

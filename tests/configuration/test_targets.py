@@ -116,18 +116,22 @@ def test_references_that_unfold_are_refused(folder: Path) -> None:
 def test_a_package_is_allowed_what_it_defines_and_not_what_it_imports(folder: Path) -> None:
     changed(folder, "network._target_", "tests.training.toys.policy")
     given = "expected a constructor that stands in conf/"
-    changed(folder, "network._target_", "tests.test_targets.tiny_overrides")
+    changed(folder, "network._target_", "tests.configuration.test_targets.tiny_overrides")
     with pytest.raises(ValueError, match=given):
         run_config(folder)
-    assert run_config(folder, ["tests"]).network._target_ == "tests.test_targets.tiny_overrides"
+    assert run_config(folder, ["tests"]).network._target_ == "tests.configuration.test_targets.tiny_overrides"
     resumed = resumed_config(folder, [f"resume={folder}", "allow_targets=[tests]"])
     assert resumed.allow_targets == ["tests"]
-    for target in ("tests.test_targets.sys.exit", "tests.test_targets.OmegaConf.load", "tests.test_targets.Path"):
+    for target in (
+        "tests.configuration.test_targets.sys.exit",
+        "tests.configuration.test_targets.OmegaConf.load",
+        "tests.configuration.test_targets.Path",
+    ):
         changed(folder, "network._target_", target)
         with pytest.raises(ValueError, match=given):
             run_config(folder, ["tests"])
-    changed(folder, "network._target_", "tests.test_targets.nothing")
-    with pytest.raises(ValueError, match=r"expected tests\.test_targets\.nothing to be there"):
+    changed(folder, "network._target_", "tests.configuration.test_targets.nothing")
+    with pytest.raises(ValueError, match=r"expected tests\.configuration\.test_targets\.nothing to be there"):
         run_config(folder, ["tests"])
 
 

@@ -12,8 +12,10 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from splatrl.configuration import RUN_CONFIG, composed, is_group, load_config, options, with_scene_paths
-from splatrl.key_help import help_page
+from splatrl.configuration.key_help import help_page
+from splatrl.configuration.run_configs import RUN_CONFIG
+from splatrl.configuration.scene_choice import load_config, with_scene_paths
+from splatrl.configuration.search_path import composed, is_group, options
 
 OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
 """Options of Hydra that choose a config other than ours."""

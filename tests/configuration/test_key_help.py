@@ -2,9 +2,9 @@
 
 import pytest
 
-from splatrl.command_line import MAIN_KEYS, command_line
 from splatrl.configuration import load_config, options
-from splatrl.key_help import MOST_USED, WIDTH, comments_of, help_page, key_help
+from splatrl.configuration.command_line import MAIN_KEYS, command_line
+from splatrl.configuration.key_help import MOST_USED, WIDTH, comments_of, help_page, key_help
 
 CHOICES = [
     *([f"task={task}"] for task in options("task")),

@@ -12,7 +12,7 @@ from hydra.core.config_loader import ConfigLoader
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
-from splatrl.configuration import composed, config_loader
+from splatrl.configuration.search_path import composed, config_loader
 
 WIDTH, COLUMN = 100, 36
 """Characters of a line, and before an explanation."""

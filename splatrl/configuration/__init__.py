@@ -1,0 +1,35 @@
+"""Hydra configs: composed from what is typed, checked, and kept in run folders."""
+
+from splatrl.configuration.checking import check_config, check_constructors
+from splatrl.configuration.command_line import UserError, command_line
+from splatrl.configuration.grammar import quoted
+from splatrl.configuration.run_configs import (
+    PATHS,
+    RUN_CONFIG,
+    resumed_config,
+    run_config,
+    save_config,
+    with_absolute_paths,
+)
+from splatrl.configuration.scene_choice import load_config, place_configs, with_scene_paths
+from splatrl.configuration.search_path import conf_dir, is_group, options
+
+__all__ = [
+    "PATHS",
+    "RUN_CONFIG",
+    "UserError",
+    "check_config",
+    "check_constructors",
+    "command_line",
+    "conf_dir",
+    "is_group",
+    "load_config",
+    "options",
+    "place_configs",
+    "quoted",
+    "resumed_config",
+    "run_config",
+    "save_config",
+    "with_absolute_paths",
+    "with_scene_paths",
+]

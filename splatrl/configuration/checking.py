@@ -1,0 +1,94 @@
+"""What a whole config has to hold before anything is built of it."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from hydra.core.global_hydra import GlobalHydra
+from omegaconf import DictConfig, ListConfig, OmegaConf
+
+from splatrl.configuration.scene_choice import place_configs
+from splatrl.configuration.search_path import config_loader
+from splatrl.configuration.targets import check_targets
+from splatrl.values import require_number
+
+MOST = 2**31 - 1
+WHOLE_NUMBERS = {
+    "seed": (0, 2**63 - 1),
+    "threads": (1, 1024),
+    "env.num_envs": (1, MOST),
+    "collector.frames_per_batch": (1, MOST),
+    "collector.total_frames": (1, 2**53),
+    "logger.test_interval": (1, 2**53),
+    "logger.num_test_episodes": (1, MOST),
+    "logger.test_seed": (0, 2**63 - 1),
+    "checkpoint.interval": (1, 2**53),
+    "evaluation.starts": (1, MOST),
+    "evaluation.repeats": (1, MOST),
+    "evaluation.batch_size": (1, MOST),
+    "evaluation.seed": (0, 2**63 - 1),
+    "starts.farthest": (0, MOST),
+    "renderer.threads": (1, 1024),
+}
+"""Keys whose values are read here and there rather than by one constructor, and their ranges."""
+WORDS = {"evaluation.checkpoint": ("last", "best"), "logger.backend": ("csv", "tensorboard", "wandb")}
+"""Keys that take one of a few words, which would otherwise be refused only after a training."""
+NULLABLE = ("starts.farthest", "renderer.threads")
+BY_SCENE = "or let splatrl-scene <the splat> --out <a folder> find one, and type scene=<the folder>"
+EXAMPLES = {
+    "run": "run=<the folder of a training>",
+    "robot.height": f"robot.height=0.4, metres above the floor, {BY_SCENE}",
+    "landmarks.goal": f"landmarks.goal=[x,y,yaw], two in metres and one in degrees, of what sees something, {BY_SCENE}",
+    "landmarks.object": f"landmarks.object=[x,y,z], in metres, of a free place for a thing, {BY_SCENE}",
+    "scene.path": "scene.path=<a splat file or a folder>",
+}
+"""What to type for values that people forget."""
+
+
+def check_constructors(cfg: DictConfig) -> None:
+    """Check targets against the configs on our search path, and on that of a Hydra that runs: ``--config-dir``."""
+    outer = GlobalHydra.instance().hydra
+    with config_loader() as loader:
+        check_targets(cfg, loader.get_sources() + ([] if outer is None else outer.config_loader.get_sources()))
+
+
+def check_config(cfg: DictConfig) -> None:
+    """Refuse a config with missing values, or one that would build what is neither known nor allowed.
+
+    Everything that is built passes here first; see ``check_targets``.
+
+    Raises:
+        ValueError: names the keys, what was expected and what came.
+    """
+    if isinstance(OmegaConf.select(cfg, "scene.places"), ListConfig) and not cfg.scene.places:
+        raise ValueError("scene.paths: expected some scenes, got none; type scene.paths=[garden/,yard:3]")
+    for place in place_configs(cfg):
+        check_constructors(place)
+        plain = OmegaConf.to_container(place, resolve=False)
+        needed = sorted(_missing(plain)) or sorted(_unset_landmarks(plain))
+        if needed:
+            example = EXAMPLES.get(needed[0], needed[0] + "=...")
+            raise ValueError(f"{needed[0]}: expected a value, got none; type {example}")
+    for key, (low, high) in WHOLE_NUMBERS.items() if "collector" in cfg else ():  # of a training
+        value = OmegaConf.select(cfg, key)
+        if value is not None or key not in NULLABLE:
+            require_number(key, value, low, high, whole=True)
+    for key, valid in WORDS.items() if "collector" in cfg else ():
+        if (value := OmegaConf.select(cfg, key)) not in valid:
+            raise ValueError(f"{key}: expected one of {', '.join(valid)}, got {value}")
+
+
+def _missing(node: Any, place: str = "") -> Iterator[str]:
+    """Keys of plain values that have to be given."""
+    items = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    for key, value in items:
+        where = f"{place}.{key}" if place else str(key)
+        if value == "???":
+            yield where
+        yield from _missing(value, where)
+
+
+def _unset_landmarks(plain: Any) -> list[str]:
+    """Landmarks that the task refers to and that are null."""
+    said = str(plain.get("task"))
+    names = [f"landmarks.{key}" for key, value in (plain.get("landmarks") or {}).items() if value is None]
+    return [name for name in names if f"${{{name}}}" in said]

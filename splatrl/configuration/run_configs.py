@@ -1,0 +1,110 @@
+"""The config of a run: kept in its folder, read as data, changed where the run goes on."""
+
+import functools
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from splatrl.configuration.checking import check_constructors
+from splatrl.configuration.scene_choice import load_config
+from splatrl.configuration.search_path import is_group
+from splatrl.documents import read_config
+from splatrl.files import replacing
+
+
+@functools.cache
+def _new_folder(path: str) -> str:
+    """A new folder of this name, or with a number behind it: two runs may begin in the same second."""
+    for number in itertools.count(1):
+        folder = Path(path if number == 1 else f"{path}-{number}")
+        try:
+            folder.mkdir(parents=True)
+            return str(folder)
+        except FileExistsError:
+            continue
+    raise AssertionError
+
+
+OmegaConf.register_new_resolver("splatrl.run_dir", lambda resume, fresh: resume or _new_folder(fresh), replace=True)
+RUN_CONFIG = "config.yaml"
+"""The config of a run, in its folder."""
+PATHS = ("scene.path", "collision.occupancy.cloud", "demos", "evaluation.episodes")
+"""Keys that hold a path, which is made absolute in a run folder; numbers are none."""
+
+
+def save_config(cfg: DictConfig, folder: Path) -> None:
+    """Write ``config.yaml`` into a run folder: everything needed to resume and evaluate, from any working folder."""
+    with replacing(folder / RUN_CONFIG) as stream:
+        stream.write(OmegaConf.to_yaml(with_absolute_paths(cfg)).encode())
+
+
+def with_absolute_paths(cfg: DictConfig) -> DictConfig:
+    """A config that means the same files from any working folder."""
+    cfg = cfg.copy()
+    for key in PATHS:
+        path = OmegaConf.select(cfg, key)
+        if isinstance(path, str):
+            OmegaConf.update(cfg, key, str(Path(path).expanduser().absolute()))
+    return cfg
+
+
+def run_config(folder: Path, allow_targets: Sequence[str] = ()) -> DictConfig:
+    """The config with which a run folder was made, read as data.
+
+    Args:
+        folder: the run folder, which may come from a stranger.
+        allow_targets: packages that may define what the config builds; what the folder itself says of them is nothing.
+
+    Raises:
+        FileNotFoundError: if the folder is not a run folder.
+        ValueError: for a config that is damaged, or names something else to build than what stands in conf/.
+    """
+    path = folder / RUN_CONFIG
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder}: expected a run folder with {RUN_CONFIG}, found none")
+    cfg = read_config(path)
+    try:
+        cfg.allow_targets = list(allow_targets)
+        _check_sections(cfg, load_config())
+        check_constructors(cfg)
+    except (OmegaConfBaseException, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from error
+    return cfg
+
+
+def _check_sections(cfg: DictConfig, usual: DictConfig, place: str = "") -> None:
+    """Refuse a config without the sections and settings that are read from it; nodes with a target check their own."""
+    for key in usual:
+        where = f"{place}.{key!s}".lstrip(".")
+        if not place and isinstance(usual[key], DictConfig) and not usual[key]:
+            continue  # such as sensors, of which there may be any or none
+        if not place and isinstance(usual[key], DictConfig):
+            if not isinstance(cfg.get(key), DictConfig):
+                raise ValueError(f"{where}: expected keys and values, got {cfg.get(key)!r}")
+            if "_target_" not in usual[key]:
+                _check_sections(cfg[key], usual[key], where)
+        elif key not in list(cfg):
+            raise ValueError(f"{where}: expected a value, found no such key")
+
+
+def resumed_config(folder: Path, overrides: Sequence[str]) -> DictConfig:
+    """The config of a run folder, with the changes from the command line.
+
+    Args:
+        folder: the run folder.
+        overrides: overrides of the command line, including ``resume``.
+
+    Raises:
+        ValueError: for an override that chooses a config group, which would make it a different run.
+    """
+    changes = [o for o in overrides if not o.startswith("resume=")]
+    cfg = run_config(folder, OmegaConf.from_dotlist(changes).get("allow_targets", ()))
+    groups = [o for o in changes if is_group(o.split("=")[0])]
+    if groups:
+        raise ValueError(f"resume={folder}: expected changes of single keys, got {', '.join(groups)}")
+    merged = OmegaConf.merge(cfg, OmegaConf.from_dotlist(changes))
+    assert isinstance(merged, DictConfig), type(merged)
+    return merged

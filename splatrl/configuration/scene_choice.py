@@ -1,0 +1,195 @@
+"""Which scenes a command line chooses, by name, path or seed, and what they propose for training in them."""
+
+import itertools
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from hydra import compose
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from tqdm import tqdm
+
+from splatrl.configuration.grammar import last_typed, nested, quoted, unquoted
+from splatrl.configuration.scene_overrides import scene_overrides
+from splatrl.configuration.search_path import composed, config_loader, group_node, is_group, options
+from splatrl.native.threads import usable_cores
+from splatrl.scenes import yards
+from splatrl.scenes.description import SCENE_FILE, read_description
+from splatrl.scenes.formats.reading import META
+from splatrl.scenes.nerfstudio import antialiased_beside
+from splatrl.values import flat, require_number
+
+
+def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfig:
+    """Compose a config as the command line does.
+
+    Args:
+        overrides: overrides in Hydra's grammar, such as ``task=fps`` or ``task.max_steps=100``; ``scene=`` also takes a
+            path.
+        name: name of the root config.
+    """
+    return composed(with_scene_paths(overrides, name), name)
+
+
+def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]:
+    """Overrides in which a path after ``scene=`` is rewritten as ``scene=file scene.path=...``.
+
+    The name of a scene's config takes precedence over a file of the same name in the working folder. What the
+    ``scene.yaml`` of a folder proposes for training in it stands before all other overrides, so that each of them has
+    the last word.
+
+    Args:
+        overrides: overrides in Hydra's grammar.
+        name: name of the root config.
+
+    Raises:
+        ValueError: for what looks like a path but does not exist, or for a wrong ``scene.yaml``.
+    """
+    result: list[str] = []
+    for override in overrides:
+        key, _, value = override.partition("=")
+        path = value.strip("'\"")
+        if key == "scene" and path and Path(path).expanduser().exists() and path not in options("scene"):
+            _check_scene(Path(path).expanduser())
+            result += ["scene=file", f"scene.path={quoted(path)}"]
+        elif key == "scene" and Path(path).suffix and "," not in path and path not in options("scene"):
+            raise ValueError(f"scene: expected {', '.join(options('scene'))} or a path that exists, got {path}")
+        else:
+            result.append(override)
+    return [*_proposals(result, name), *result, *_places(result, name)]
+
+
+def place_configs(cfg: DictConfig) -> list[DictConfig]:
+    """A config with one scene for each of the scenes of a config; itself where it has only one.
+
+    ``scene.places`` lists what belongs to each: ``scene``, what to build, and values of other keys.
+    """
+    places = cfg.scene.get("places") if "scene" in cfg and isinstance(cfg.scene, DictConfig) else None
+    if not places:
+        return [cfg]
+    plain = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "scene"])
+    result = []
+    for place in places:
+        merged = OmegaConf.merge(plain, place)
+        assert isinstance(merged, DictConfig), type(merged)
+        merged.allow_targets = cfg.allow_targets  # a place does not say whom to trust
+        result.append(merged)
+    return result
+
+
+def _places(overrides: Sequence[str], name: str) -> list[str]:
+    """``scene.places`` for ``scene=yards``, or for what ``scene=many`` lists, as an override; else nothing.
+
+    Each is a folder, a splat file, the name of a scene's config, or that name with a seed: ``yard:3``. What it says
+    stands behind what was typed, which holds in all scenes.
+
+    Raises:
+        ValueError: for a name that is neither a config nor a path.
+    """
+    if "scene=yards" in overrides:
+        paths = _yard_paths(overrides)
+    elif "scene=many" in overrides:
+        paths = last_typed(overrides, "scene.paths", [])
+        if not isinstance(paths, list):
+            raise ValueError(f"scene.paths: expected a list such as [garden/,yard:3], got {paths}")
+    else:
+        return []
+    typed = {override.partition("=")[0] for override in overrides}
+    others = [override for override in overrides if not override.startswith(("scene=", "scene."))]
+    places = []
+    for path in paths:
+        text = str(unquoted(path))
+        chosen = _chosen(text)
+        place = dict(flat(group_node("scene", chosen[0].partition("=")[2])))
+        for override in [*chosen[1:], *_proposals([*others, *chosen], name)]:
+            parsed = OverridesParser.create().parse_override(override)
+            place[parsed.key_or_group] = unquoted(parsed.value())
+        places.append({key: value for key, value in place.items() if key not in typed})
+    return [f"scene.places=[{','.join(nested(place) for place in places)}]"] if places else []
+
+
+def _yard_paths(overrides: Sequence[str]) -> list[str]:
+    """What ``scene=yards`` stands for in ``scene.paths``; the yards are made, side by side, if they are new."""
+    usual = group_node("scene", "yards")["scene"]
+    count, first = (last_typed(overrides, f"scene.{key}", usual[key]) for key in ("count", "first"))
+    require_number("scene.count", count, 1, 2**20, whole=True)
+    require_number("scene.first", first, 0, 2**62, whole=True)
+    seeds = range(first, first + count)
+    made = yards.made_yards(seeds, usable_cores())
+    for _ in tqdm(made, "yards", count, unit="yard", dynamic_ncols=True):
+        pass
+    return [f"yard:{seed}" for seed in seeds]
+
+
+def _chosen(text: str) -> list[str]:
+    """Overrides that choose one scene: the group first."""
+    known, (config, _, seed) = options("scene"), text.partition(":")
+    if config in known and seed.isdigit():
+        return [f"scene={config}", f"scene.seed={seed}"]
+    if text in known:
+        return [f"scene={text}"]
+    if not Path(text).expanduser().exists():
+        raise ValueError(
+            f"scene.paths: expected {', '.join(known)}, one of them with a seed (yard:3), or a path, got {text}"
+        )
+    _check_scene(Path(text).expanduser())
+    return ["scene=file", f"scene.path={quoted(Path(text).expanduser().absolute())}"]
+
+
+def _check_scene(path: Path) -> None:
+    if path.is_dir() and not (path / SCENE_FILE).is_file() and not (path / META).is_file():
+        raise ValueError(
+            f"scene: expected a splat file, or a folder with {SCENE_FILE}, got {path}; "
+            f"splatrl-scene <the splat> --out {path} writes one"
+        )
+
+
+def _proposals(overrides: Sequence[str], name: str) -> list[str]:
+    """What the chosen scene's folder, or what lies beside its file, proposes for the chosen task, as overrides."""
+    try:
+        if "scene=yard" in overrides:
+            return scene_overrides(yards.proposals(_yard_seed(overrides)), lambda key: True)
+        if "scene=file" not in overrides or not any(override.startswith("scene.path=") for override in overrides):
+            return []
+        place = Path(str(last_typed(overrides, "scene.path", ""))).expanduser()
+        stated = read_description(place) if (place / SCENE_FILE).is_file() else {}
+        drawn = antialiased_beside(place / stated["splat"] if stated else place)
+        if drawn is not None:
+            stated.setdefault("antialiased", drawn)
+        configs = _choices(overrides, name) if stated else []
+    except HydraException:
+        return []  # Hydra itself tells what is wrong with the overrides
+    return scene_overrides(stated, lambda key: all(_has(cfg, key) for cfg in configs))
+
+
+def _yard_seed(overrides: Sequence[str]) -> int:
+    """The seed of ``scene=yard``, to which its goal belongs."""
+    seeds = [override.partition("=")[2] for override in overrides if override.startswith("scene.seed=")]
+    if seeds and not re.fullmatch("[0-9]{1,18}", seeds[-1]):
+        raise ValueError(
+            f"scene.seed: expected one whole number from 0, to which the yard's goal belongs, got {seeds[-1]}"
+        )
+    return int(seeds[-1]) if seeds else 0
+
+
+def _has(cfg: DictConfig, key: str) -> bool:
+    """Whether a config has a key, with or without a value."""
+    parent, _, leaf = key.rpartition(".")
+    node = OmegaConf.select(cfg, parent)
+    return isinstance(node, DictConfig) and leaf in list(node)  # "in node" leaves out what still has no value
+
+
+def _choices(overrides: Sequence[str], name: str) -> list[DictConfig]:
+    """The configs that the groups of some overrides make, one for each combination of a sweep."""
+    plain = [one for one in overrides if "=" in one and not one.startswith(("-", "+", "~", "hydra"))]
+    groups = []
+    for text, parsed in zip(plain, OverridesParser.create().parse_overrides(plain), strict=True):
+        key = text.partition("=")[0]
+        if is_group(key):
+            swept = parsed.is_sweep_override()
+            values = list(parsed.sweep_string_iterator()) if swept else [parsed.get_value_element_as_str()]
+            groups.append([f"{key}={value}" for value in values])
+    with config_loader():
+        return [compose(name, list(chosen)) for chosen in itertools.product(*groups)]
