@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 import torch
-from gymnasium.spaces import Box, Discrete
+from gymnasium.spaces import Box, Dict, Discrete, MultiBinary
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from tensordict import TensorDict, TensorDictBase
@@ -18,6 +18,7 @@ from splatrl.envs.nesting import check_layers, layers
 from splatrl.faults import Faulty
 
 Pixels = npt.NDArray[np.uint8]
+Observation = Pixels | dict[str, npt.NDArray[Any]]
 Action = np.int64 | npt.NDArray[np.float32]
 Actions = npt.NDArray[np.int64] | npt.NDArray[np.float32]
 Infos = dict[str, Any]
@@ -25,10 +26,11 @@ Infos = dict[str, Any]
 _METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
 
 
-class GymnasiumEnv(gymnasium.Env[Pixels, Action]):
+class GymnasiumEnv(gymnasium.Env[Observation, Action]):
     """One robot.
 
-    Observation: [H, W, 3] uint8, the ego view.
+    Observation: [H, W, 3] uint8, the ego view; with ``sensors`` a dictionary of it, under ``pixels``, and of what each
+        senses, by its key.
     Action: the task's, ``Discrete``; with continuous control a ``Box`` of float32 in [-1, 1], as Gymnasium's clients
         expect, mapped linearly onto the task's limits: ``drive`` stands still at (-1/3, 0), not at 0.
     Info: ``outcome`` (int, an ``Outcome``), ``goals`` (int, reached so far), ``success`` (bool) and ``state`` (the
@@ -59,13 +61,13 @@ class GymnasiumEnv(gymnasium.Env[Pixels, Action]):
         self.observation_space, self.action_space = _spaces(env)
         self._present: TensorDictBase | None = None
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Pixels, Infos]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Infos]:
         """Begin an episode."""
         super().reset(seed=seed)
         self._present = _begin(self.env, seed, options)
-        return _pixels(self._present)[0], _one(_infos(self._present))
+        return _seen_by(_observed(self.env, self._present), 0), _one(_infos(self._present))
 
-    def step(self, action: Action) -> tuple[Pixels, float, bool, bool, Infos]:
+    def step(self, action: Action) -> tuple[Observation, float, bool, bool, Infos]:
         """Take one action."""
         if self._present is None:
             raise gymnasium.error.ResetNeeded("step: expected reset first")
@@ -74,7 +76,8 @@ class GymnasiumEnv(gymnasium.Env[Pixels, Action]):
         after = step["next"]
         self._present = self.env.step_mdp(step)
         terminated, truncated = bool(after["terminated"]), bool(after["truncated"])
-        return _pixels(after)[0], after["reward"].item(), terminated, truncated, _one(_infos(after))
+        seen = _seen_by(_observed(self.env, after), 0)
+        return seen, after["reward"].item(), terminated, truncated, _one(_infos(after))
 
     def render(self) -> Pixels | None:
         """The current view, [H, W, 3] uint8; None without a render mode."""
@@ -85,13 +88,13 @@ class GymnasiumEnv(gymnasium.Env[Pixels, Action]):
         return _pixels(self._present)[0]
 
 
-class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
+class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
     """A batch of robots.
 
     A robot whose episode ends begins the next in the same step, or in the next one, in which its action is ignored and
     its reward is 0, as ``autoreset_mode`` says.
 
-    Observation: [B, H, W, 3] uint8.
+    Observation: [B, H, W, 3] uint8; with ``sensors`` a dictionary, see ``GymnasiumEnv``.
     Action: [B] int64, or [B, n] float32 in [-1, 1] with continuous control; see ``GymnasiumEnv``.
     Info: ``outcome``, ``goals``, ``success`` and ``state`` that belong to the observation, [B, ...] each. With a reset
         in the same step, ``final_obs`` and ``final_info`` hold the last observation and info of robots whose episode
@@ -126,7 +129,7 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Pixels, Infos]:
+    ) -> tuple[Observation, Infos]:
         """Restart all episodes."""
         several = isinstance(seed, (Sequence, np.ndarray))
         seeds = [None if one is None else int(one) for one in seed] if several else None  # type: ignore[union-attr]
@@ -136,11 +139,11 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
         super().reset(seed=together)  # type: ignore[arg-type]
         self._present = _begin(self.env, together, options, seeds)  # type: ignore[arg-type]
         self._over[:] = False
-        return _pixels(self._present), self._told()
+        return _observed(self.env, self._present), self._told()
 
     def step(
         self, actions: Actions
-    ) -> tuple[Pixels, npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_], Infos]:
+    ) -> tuple[Observation, npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_], Infos]:
         """Take one action with each robot."""
         if self._present is None:
             raise gymnasium.error.ResetNeeded("step: expected reset first")
@@ -155,14 +158,15 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
         after = step["next"]
         infos, ended = self._told(), _column(after, "done")
         if same and ended.any():
-            last = np.full(self.num_envs, None, dtype=object)
-            for row in ended.nonzero()[0]:
-                last[row] = _pixels(after)[row]
+            last, seen = np.full(self.num_envs, None, dtype=object), _observed(self.env, after)
+            for row in ended.nonzero()[0].tolist():
+                last[row] = _seen_by(seen, row)
             infos |= _masked({"final_obs": last, "final_info": _masked(_infos(after), ended)}, ended)
         if not same:
             self._over = ended
         reward = _column(after, "reward").astype(np.float64)
-        return _pixels(self._present), reward, _column(after, "terminated"), _column(after, "truncated"), infos
+        seen = _observed(self.env, self._present)
+        return seen, reward, _column(after, "terminated"), _column(after, "truncated"), infos
 
     def _step_over(self, acted: TensorDictBase) -> tuple[Any, ...]:
         """A step in which some robots begin an episode, and the others act."""
@@ -175,7 +179,7 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
         terminated, truncated = (_column(after, key) & ~over for key in ("terminated", "truncated"))
         self._over = terminated | truncated
         reward = np.where(over, 0.0, _column(after, "reward").astype(np.float64))
-        return _pixels(self._present), reward, terminated, truncated, self._told()
+        return _observed(self.env, self._present), reward, terminated, truncated, self._told()
 
     def _stepped(self, acted: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
         step = self.env.step(acted)
@@ -196,7 +200,19 @@ class GymnasiumVectorEnv(VectorEnv[Pixels, Actions, npt.NDArray[Any]]):
 def _spaces(env: EnvBase) -> tuple[gymnasium.Space[Any], gymnasium.Space[Any]]:
     """Observation and action space of one robot."""
     check_layers(env)
-    return Box(0, 255, tuple(env.observation_spec["pixels"].shape[1:]), np.uint8), _action_space(env.action_spec)
+    observed = {key: _observation_space(env.observation_spec[key]) for key in _observed_keys(env)}
+    return Dict(observed) if len(observed) > 1 else observed["pixels"], _action_space(env.action_spec)
+
+
+def _observation_space(spec: TensorSpec) -> gymnasium.Space[Any]:
+    """Space of what one robot observes under a key, from the spec of the batch."""
+    shape = tuple(spec.shape[1:])
+    if spec.dtype == torch.bool:
+        return MultiBinary(shape)
+    kind = torch.empty(0, dtype=spec.dtype).numpy().dtype
+    if isinstance(spec, Bounded):
+        return Box(spec.low[0].cpu().numpy(), spec.high[0].cpu().numpy(), shape, kind)
+    return Box(-np.inf, np.inf, shape, kind)
 
 
 def _action_space(spec: TensorSpec) -> gymnasium.Space[Any]:
@@ -250,6 +266,25 @@ def _raise_faults(env: EnvBase) -> None:
     base = layers(env)[0]
     if isinstance(base, Faulty):
         base.raise_faults()
+
+
+def _observed_keys(env: EnvBase) -> list[str]:
+    """The pixels, and what sensors observe besides."""
+    return ["pixels", *(key for key in layers(env)[0].sensors if key != "pixels")]
+
+
+def _observed(env: EnvBase, td: TensorDictBase) -> Observation:
+    """What the robots of a batch observe."""
+    keys = _observed_keys(env)
+    if len(keys) == 1:
+        return _pixels(td)
+    arrays = {key: td[key].cpu().numpy() for key in keys}
+    return {key: each.astype(np.int8) if each.dtype == bool else each for key, each in arrays.items()}
+
+
+def _seen_by(observed: Observation, row: int) -> Observation:
+    """What one robot of a batch observes."""
+    return {key: each[row] for key, each in observed.items()} if isinstance(observed, dict) else observed[row]
 
 
 def _pixels(td: TensorDictBase) -> Pixels:

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from gymnasium import Wrapper
 from torchrl.envs import EnvBase
 
-from splatrl.envs.gymnasium_env import Actions, GymnasiumVectorEnv, Infos, Pixels
+from splatrl.envs.gymnasium_env import Actions, GymnasiumVectorEnv, Infos, Observation, Pixels
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
@@ -46,8 +46,8 @@ class StableBaselinesVecEnv(VecEnv):
         spaces = self.vector.single_observation_space, self.vector.single_action_space
         super().__init__(self.vector.num_envs, *spaces)
 
-    def reset(self) -> Pixels:
-        """Begin all episodes anew: [B, H, W, 3] uint8."""
+    def reset(self) -> Observation:
+        """Begin all episodes anew: [B, H, W, 3] uint8, or a dictionary."""
         seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
         observations, infos = self.vector.reset(seed=seeds, options=_together(self._options))
         self.reset_infos = [_row(infos, row) for row in range(self.num_envs)]
@@ -59,7 +59,7 @@ class StableBaselinesVecEnv(VecEnv):
         """Note the actions of the next ``step_wait``."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[Pixels, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[Infos]]:
+    def step_wait(self) -> tuple[Observation, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[Infos]]:
         """Take one action with each robot."""
         assert self._actions is not None, "expected step_async first"
         observations, rewards, terminated, truncated, infos = self.vector.step(self._actions)

@@ -20,6 +20,7 @@ from torchrl.envs.transforms import RewardScaling, TransformedEnv
 from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
 from splatrl.envs.tasks import Outcome
 from tests.envs.rooms import coarse_apple, drive_env, painted_env
+from tests.envs.sensors.test_sensors import sensing_env
 from tests.envs.transforms.views import transformed
 from tests.tiny import tiny_env
 
@@ -41,12 +42,18 @@ def make_painted(render_mode: str | None = None) -> GymnasiumEnv:
     return GymnasiumEnv(painted_env(coarse_apple(), 1), render_mode=render_mode)
 
 
-@pytest.mark.parametrize("make", [make_tiny, make_driving, make_painted])
+def make_sensing(render_mode: str | None = None) -> GymnasiumEnv:
+    """An env with every kind of sensor: images, vectors and bits."""
+    return GymnasiumEnv(sensing_env((1,)), render_mode=render_mode)
+
+
+@pytest.mark.parametrize("make", [make_tiny, make_driving, make_painted, make_sensing])
 def test_gymnasiums_checker_has_nothing_to_say(make: Callable[..., GymnasiumEnv]) -> None:
     spec = gymnasium.envs.registration.EnvSpec("Tiny-v0", entry_point=make, disable_env_checker=True)
     env = gymnasium.make(spec, render_mode="rgb_array").unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*infinity")  # metres from the start have no limit
         check_env(env)
 
 
@@ -90,6 +97,23 @@ def test_a_reset_without_a_seed_goes_on_with_the_generator() -> None:
         runs.append(np.stack(states))
     assert np.array_equal(*runs)
     assert len(np.unique(runs[0], axis=0)) > 1
+
+
+def test_what_is_sensed_is_observed_beside_the_pixels() -> None:
+    batch, bare = GymnasiumVectorEnv(sensing_env((3,), seed=5)), sensing_env((3,), seed=5)
+    keys = {"pixels", *bare.sensors}
+    seen, _ = batch.reset()
+    td, ends = bare.reset(), 0
+    for _ in range(12):
+        assert set(seen) == keys and batch.observation_space.contains(seen)
+        assert all(np.array_equal(seen[key], td[key].numpy()) for key in keys)
+        after, td = bare.step_and_maybe_reset(td.set("action", torch.full((3,), FORWARD_X)))
+        seen, _, terminated, truncated, infos = batch.step(np.full(3, FORWARD_X))
+        for row in (terminated | truncated).nonzero()[0]:
+            ends += 1
+            last = infos["final_obs"][row]
+            assert all(np.array_equal(last[key], after["next", key][row].numpy()) for key in keys)
+    assert ends > 0
 
 
 def test_later_steps_do_not_change_an_observation_that_was_handed_out() -> None:

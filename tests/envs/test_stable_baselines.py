@@ -10,9 +10,11 @@ import torch
 
 pytest.importorskip("stable_baselines3", reason="needs the extra sb3: pip install 'splatrl[sb3]'")
 
+from gymnasium.spaces import Dict
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecFrameStack, VecMonitor
 
 from splatrl.build import env_makers
@@ -20,6 +22,7 @@ from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
 from splatrl.envs.stable_baselines import StableBaselinesVecEnv
 from splatrl.envs.tasks import Outcome
 from tests.envs.rooms import drive_env
+from tests.envs.sensors.test_sensors import sensing_env
 from tests.tiny import tiny_env, tiny_overrides
 
 FORWARD_X, BACK_X, LEFT_Y, RIGHT_Y, SPIN, SPIN_BACK = range(6)
@@ -100,6 +103,23 @@ def test_a_batch_learns() -> None:
 
 def test_a_batch_with_wheels_learns_too() -> None:
     model = PPO("MlpPolicy", StableBaselinesVecEnv(drive_env([4])), n_steps=8, batch_size=32, n_epochs=1, device="cpu")
+    assert model.learn(64).num_timesteps == 64
+
+
+class Flattened(BaseFeaturesExtractor):
+    """All that is observed, in one row."""
+
+    def __init__(self, space: Dict):
+        super().__init__(space, sum(int(np.prod(one.shape)) for one in space.values()))
+
+    def forward(self, observed: dict[str, torch.Tensor]) -> torch.Tensor:
+        return torch.cat([one.flatten(1) for one in observed.values()], 1)
+
+
+def test_a_batch_with_sensors_learns_too() -> None:
+    env = StableBaselinesVecEnv(sensing_env((4,)))
+    flat = {"features_extractor_class": Flattened}  # the views are too small for its convolutions
+    model = PPO("MultiInputPolicy", env, policy_kwargs=flat, n_steps=8, batch_size=32, n_epochs=1, device="cpu")
     assert model.learn(64).num_timesteps == 64
 
 
