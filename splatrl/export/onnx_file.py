@@ -6,6 +6,7 @@ import shutil
 import warnings
 from collections.abc import Mapping
 from copy import deepcopy
+from inspect import getdoc
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 
 from splatrl.envs.robot import Robot
+from splatrl.envs.sensors import Sensor
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.rollouts import acting
 from splatrl.export.policy import NEXT, StandalonePolicy
@@ -27,6 +29,7 @@ PARITY = 1e-5
 """Largest difference from the policy in PyTorch with which a file is written: of a probability, or of an action."""
 POLICY, RUNNER = "policy.onnx", "run_policy.py"
 ROBOTS = 8
+NO_SENSORS: Mapping[str, Sensor] = {}
 _MISSING = "an ONNX file needs onnx, onnxscript and onnxruntime: pip install 'splatrl[export]'"
 
 
@@ -58,7 +61,8 @@ def export_policy(
     """
     env = world.env(ROBOTS)
     policy = StandalonePolicy(model, env)
-    content = onnx_bytes(policy, metadata(policy, world.robot, world.task.motion) | dict(facts or {}))
+    about = metadata(policy, world.robot, world.task.motion, world.sensors)
+    content = onnx_bytes(policy, about | dict(facts or {}))
     found = largest_difference(content, policy, model, env, frames)
     if not found <= PARITY:  # NaN is not
         raise ValueError(f"{POLICY}: expected what PyTorch gives within {PARITY}, got a difference of {found:.1e}")
@@ -70,14 +74,16 @@ def export_policy(
     return found
 
 
-def metadata(policy: StandalonePolicy, robot: Robot, motion: Motion) -> dict[str, str]:
+def metadata(
+    policy: StandalonePolicy, robot: Robot, motion: Motion, sensors: Mapping[str, Sensor] = NO_SENSORS
+) -> dict[str, str]:
     """What stands in an ONNX file about a policy: texts, of which lists are JSON.
 
     ``fov_deg`` is the horizontal field of view; ``actions`` are the names of discrete actions, ``low`` and ``high`` the
     limits of continuous ones; ``step`` is the longest way of an action in metres, ``angle_step`` its largest turn in
     radians; ``left_out`` are transforms of the simulated camera, which a real one does not need.
     """
-    height, width, _ = policy.image_shape
+    height, width = robot.image_height, robot.image_width
     facts: dict[str, Any] = {
         "image_width": width,
         "image_height": height,
@@ -88,6 +94,7 @@ def metadata(policy: StandalonePolicy, robot: Robot, motion: Motion) -> dict[str
         "step": motion.step,
         "angle_step": motion.angle_step,
         "left_out": policy.left_out,
+        "sensors": {each.name: _about(sensors[each.name]) for each in policy.observed if each.name in sensors},
     }
     if not policy.discrete:
         space = motion.action_spec.space
@@ -99,6 +106,13 @@ def metadata(policy: StandalonePolicy, robot: Robot, motion: Motion) -> dict[str
     return {"preprocessing": preprocessing} | {
         key: value if isinstance(value, str) else json.dumps(value) for key, value in facts.items()
     }
+
+
+def _about(sensor: Sensor) -> dict[str, Any]:
+    """The first sentence about a sensor, and its settings."""
+    words = " ".join((getdoc(type(sensor)) or "").partition("\n\n")[0].split())
+    settings = {key: value for key, value in vars(sensor).items() if isinstance(value, (bool, int, float, str))}
+    return {"is": words, **settings}
 
 
 def onnx_bytes(policy: StandalonePolicy, facts: Mapping[str, str]) -> bytes:
@@ -114,8 +128,7 @@ def onnx_bytes(policy: StandalonePolicy, facts: Mapping[str, str]) -> bytes:
         raise ImportError(_MISSING) from error
     example = policy.example(2)
     batch = torch.export.Dim("batch")
-    axes = tuple({0: batch} for _ in example)
-    shapes = (axes[0],) if len(axes) == 1 else (axes[0], axes[1], axes[2:])
+    shapes = (tuple({0: batch} for _ in example),)  # of one argument that stands for all
     with _quietly():
         program = torch.onnx.export(
             policy,
@@ -178,7 +191,9 @@ def largest_difference(
     given = dict(zip(policy.inputs, (each.numpy() for each in policy.example(env.numel())), strict=True))
     worst = 0.0
     for step in range(steps):
-        given["pixels"] = batch["pixels"][:, step, ..., -3:].contiguous().numpy()
+        for each in policy.observed:
+            seen = batch[each.name][:, step]
+            given[each.name] = (seen[..., -3:] if each.name == "pixels" else seen).contiguous().numpy()
         if policy.states and step:
             given["begin"] = batch["next", "done"][:, step - 1, 0].numpy()
         answer = dict(zip(policy.outputs, session.run(None, given), strict=True))

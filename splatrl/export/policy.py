@@ -25,11 +25,11 @@ REMEMBERING = (FrameStack, InitTracker, RecurrentReset)
 """Transforms whose work ``StandalonePolicy`` does itself."""
 
 
-class State(NamedTuple):
-    """Something that a policy remembers.
+class Named(NamedTuple):
+    """Something that a policy observes or remembers.
 
     Attributes:
-        name: of the input; the output has ``NEXT`` before it.
+        name: of the input; where it is remembered, the output has ``NEXT`` before it.
         shape: without the batch.
         dtype: of its numbers.
     """
@@ -42,8 +42,9 @@ class State(NamedTuple):
 class StandalonePolicy(nn.Module):
     """The policy of an actor-critic, with the transforms that it needs, as a function of tensors.
 
-    Input: ``pixels`` [B, H, W, 3] uint8, one view; for a policy that remembers also ``begin`` [B] bool, true in the
-        first step of an episode, and its ``states``, which are not read there.
+    Input: what it observes: ``pixels`` [B, H, W, 3] uint8, one view, and what it reads of sensors, as they sense it;
+        for a policy that remembers also ``begin`` [B] bool, true in the first step of an episode, and its ``states``,
+        which are not read there.
     Output: ``action``, the most probable one, [B] int64, or [B, D] float32 within the task's limits; for discrete
         actions ``probabilities`` [B, A] float32, for continuous ones ``loc`` and ``scale`` [B, D] float32, mean and
         standard deviation before the tanh; then the states of the next step.
@@ -53,35 +54,36 @@ class StandalonePolicy(nn.Module):
         env: the env in which it acts, with its transforms.
 
     Raises:
-        ValueError: for a policy that reads something other than ``pixels``, or an env with a transform that can be
-            neither carried over nor left out.
+        ValueError: for an env with a transform that can be neither carried over nor left out.
     """
 
     def __init__(self, model: ActorValueOperator, env: EnvBase):
         super().__init__()
         model = deepcopy(model).cpu().eval()
         self.trunk, self.head = model.module[0], model.get_policy_head()
-        reads = self.trunk.module[0].in_keys
-        if list(reads) != ["pixels"]:
-            raise ValueError(f"inputs: expected a policy that reads pixels alone, got one of {', '.join(reads)}")
         for module in self.trunk.modules():
             if isinstance(module, Memory):
                 module.stepwise = True
         spec = env.action_spec
         self.discrete = isinstance(spec, Categorical)
-        height, width, channels = env.observation_spec["pixels"].shape[1:]
-        self.image_shape = (height, width, 3)
-        self.views, self.states = channels // 3, list[State]()
+        seen = env.observation_spec
+        observed = {str(key): tuple(seen[key].shape[1:]) for key in self.trunk.module[0].in_keys}
+        stacked = observed.get("pixels", (0, 0, 3))
+        self.views, self.states = stacked[2] // 3, list[Named]()
+        if "pixels" in observed:
+            observed["pixels"] = (*stacked[:2], 3)
+        self.observed = [Named(key, shape, seen[key].dtype) for key, shape in observed.items()]
         if self.views > 1:
-            self.states.append(State(FRAMES, (height, width, channels), torch.uint8))
-        if STATE in env.observation_spec.keys():  # noqa: SIM118, a spec is no dict
-            self.states.append(State(STATE, tuple(env.observation_spec[STATE].shape[1:]), torch.float32))
+            self.states.append(Named(FRAMES, stacked, torch.uint8))
+        if STATE in seen.keys():  # noqa: SIM118, a spec is no dict
+            self.states.append(Named(STATE, tuple(seen[STATE].shape[1:]), torch.float32))
         self.left_out = _left_out(env)
 
     @property
     def inputs(self) -> list[str]:
         """Names of the inputs, in the order of ``forward``."""
-        return ["pixels", *(["begin"] if self.states else []), *(state.name for state in self.states)]
+        known = [each.name for each in self.observed], [state.name for state in self.states]
+        return [*known[0], *(["begin"] if self.states else []), *known[1]]
 
     @property
     def outputs(self) -> list[str]:
@@ -91,25 +93,24 @@ class StandalonePolicy(nn.Module):
 
     def example(self, batch: int) -> tuple[Tensor, ...]:
         """Inputs of zeros for a number of robots that begin."""
-        pixels = torch.zeros(batch, *self.image_shape, dtype=torch.uint8)
-        if not self.states:
-            return (pixels,)
-        states = (torch.zeros(batch, *state.shape, dtype=state.dtype) for state in self.states)
-        return (pixels, torch.ones(batch, dtype=torch.bool), *states)
+        seen, states = (
+            [torch.zeros(batch, *each.shape, dtype=each.dtype) for each in named]
+            for named in (self.observed, self.states)
+        )
+        return (*seen, *([torch.ones(batch, dtype=torch.bool)] if states else []), *states)
 
-    def forward(self, pixels: Tensor, begin: Tensor | None = None, *states: Tensor) -> tuple[Tensor, ...]:
+    def forward(self, *given: Tensor) -> tuple[Tensor, ...]:
         """Act; see the class for inputs and outputs."""
-        known = dict(zip((state.name for state in self.states), states, strict=True))
+        known = dict(zip(self.inputs, given, strict=True))
+        observed = {each.name: known[each.name] for each in self.observed}
         following = {}
         if FRAMES in known:
-            assert begin is not None, "a policy that remembers is told where episodes begin"
-            kept = torch.cat([known[FRAMES][..., 3:], pixels], -1)
-            pixels = torch.where(begin.view(-1, 1, 1, 1), torch.cat([pixels] * self.views, -1), kept)
-            following[FRAMES] = pixels
-        seen = TensorDict({"pixels": pixels}, batch_size=[])  # a batch size would become a constant of the file
+            kept, begun = torch.cat([known[FRAMES][..., 3:], known["pixels"]], -1), [known["pixels"]] * self.views
+            observed["pixels"] = torch.where(known["begin"].view(-1, 1, 1, 1), torch.cat(begun, -1), kept)
+            following[FRAMES] = observed["pixels"]
+        seen = TensorDict(observed, batch_size=[])  # a batch size would become a constant of the file
         if STATE in known:
-            assert begin is not None, "a policy that remembers is told where episodes begin"
-            seen.update({STATE: known[STATE], "is_init": begin.unsqueeze(-1)})
+            seen.update({STATE: known[STATE], "is_init": known["begin"].unsqueeze(-1)})
         thought = self.trunk(seen)
         if STATE in known:
             following[STATE] = thought["next", STATE]

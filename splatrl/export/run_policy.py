@@ -1,6 +1,7 @@
 """Runs policy.onnx, beside this file, on a video or a camera: python run_policy.py walk.mp4 --fov 69
 
-Prints the policy's action for each frame. Needs numpy, onnxruntime and opencv-python, and no splatrl.
+Prints the policy's action for each frame. Needs numpy, onnxruntime and opencv-python, and no splatrl. What a policy
+observes besides is given as it stays: --give pointgoal_with_gps_compass=2.5,0.3 or --give imagegoal=goal.png
 """
 
 import argparse
@@ -15,6 +16,7 @@ import onnxruntime
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("source", help="a video, or the number of a camera")
 parser.add_argument("--fov", type=float, help="of the camera, degrees across; the policy's own where it is not given")
+parser.add_argument("--give", action="append", default=[], metavar="NAME=NUMBERS", help="or a picture; see above")
 options = parser.parse_args()
 session = onnxruntime.InferenceSession(str(Path(__file__).with_name("policy.onnx")))
 facts = session.get_modelmeta().custom_metadata_map
@@ -24,6 +26,17 @@ kinds = {"tensor(uint8)": np.uint8, "tensor(float)": np.float32, "tensor(bool)":
 given: dict[str, np.ndarray] = {
     each.name: np.zeros([1, *each.shape[1:]], kinds[each.type]) for each in session.get_inputs()
 }
+observed = [name for name in json.loads(facts["sensors"]) if name in given]
+told = dict(one.partition("=")[::2] for one in options.give)
+if missing := [name for name in [*observed, *told] if (name in told) != (name in observed)]:
+    parser.error(f"--give: expected {' and '.join(observed) or 'nothing'} for this policy; see {missing[0]}")
+for name, value in told.items():
+    picture = cv2.imread(value) if Path(value).is_file() else None
+    if picture is not None:
+        given[name][:] = cv2.resize(picture, given[name].shape[2:0:-1], interpolation=cv2.INTER_AREA)[..., ::-1]
+    else:
+        numbers = np.array(value.split(","), np.float32)
+        given[name] = numbers.reshape(given[name].shape).astype(given[name].dtype)
 begin, names = np.ones(1, np.bool_), json.loads(facts["actions"])
 camera = cv2.VideoCapture(int(options.source) if options.source.isdigit() else options.source)
 for number in range(10**9):
@@ -34,7 +47,7 @@ for number in range(10**9):
     rows, columns = max(round(scale * height), 1), max(round(scale * width), 1)
     top, left = (image.shape[0] - rows) // 2, (image.shape[1] - columns) // 2
     view = cv2.resize(image[top : top + rows, left : left + columns], (width, height), interpolation=cv2.INTER_AREA)
-    given["pixels"] = view[None, :, :, ::-1].copy()  # OpenCV's blue comes first
+    given |= {"pixels": view[None, :, :, ::-1].copy()} if "pixels" in given else {}  # OpenCV's blue comes first
     given |= {"begin": begin & (number == 0)} if "begin" in given else {}
     answer = {each.name: value for each, value in zip(session.get_outputs(), session.run(None, given), strict=True)}
     given |= {name.removeprefix("next_"): value for name, value in answer.items() if name.startswith("next_")}

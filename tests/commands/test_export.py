@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from splatrl.commands.export import main
+from splatrl.configuration import load_config
 from splatrl.evaluation.clips import fitted
 from splatrl.images import open_video
 from splatrl.runs import load_policy
 from tests.experiments.trained import BEST, NAMES, config, save_run
+from tests.tiny import tiny_overrides
 
 pytest.importorskip("onnxruntime", reason="needs the extra export")
 pytest.importorskip("onnxscript", reason="needs the extra export")
@@ -76,6 +78,24 @@ def test_a_wider_camera_is_cropped_to_the_policys_field_of_view(
         told[fov] = subprocess.run(line, capture_output=True, text=True, check=True).stdout
         assert told[fov].startswith(f"0 {NAMES[BEST]} ")
     assert told["90"] == told["60"] != told["127"]
+
+
+def test_what_a_policy_observes_besides_is_given_by_hand(
+    film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen = load_config([*tiny_overrides(tmp_path, "pointnav"), "sensors=[rgb,imagegoal,pointgoal]"])
+    run = save_run(tmp_path / "run", chosen, 1)
+    command(monkeypatch, f"run={run}", "frames=8")
+    picture = str(tmp_path / "goal.png")
+    cv2.imwrite(picture, np.full((24, 32, 3), 90, np.uint8))
+    line = [sys.executable, str(run / "export" / "run_policy.py"), str(film), "--give", f"imagegoal={picture}"]
+    told = [
+        subprocess.run([*line, *more], capture_output=True, text=True)
+        for more in (["--give", "pointgoal_with_gps_compass=2.5,0.3"], [], ["--give", "pointgoal_with_gps_compass=2"])
+    ]
+    assert told[0].returncode == 0 and len(told[0].stdout.splitlines()) == 5, told[0].stderr
+    assert "--give: expected imagegoal and pointgoal_with_gps_compass for this policy" in told[1].stderr
+    assert told[2].returncode != 0 and not told[2].stdout
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,12 @@ KINDS: dict[str, list[str]] = {
     "stack": ["task=grid", "memory=stack", *SHAKEN],
     "both": ["task=grid", "memory=stack", "network.memory=24"],
     "drive": ["task=drive", "memory=stack", "task.motion.spacing=0.25"],
+    "sensors": ["task=pointnav", "sensors=[rgb,depth,lidar,contact,pointgoal]", "memory=stack"],
+    "blind": ["task=pointnav", "sensors=[pointgoal]"],
+}
+OBSERVED = {
+    "sensors": ["pixels", "depth", "lidar", "contact", "pointgoal_with_gps_compass"],
+    "blind": ["pointgoal_with_gps_compass"],
 }
 
 
@@ -52,18 +58,23 @@ def test_onnxruntime_does_what_pytorch_does(kind: str, tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"policy.onnx", "run_policy.py"}
     session = onnxruntime.InferenceSession(tmp_path / "out" / "policy.onnx")
     remembered = {"gru": ["recurrent_state"], "both": ["frames", "recurrent_state"]}.get(kind, ["frames"])
-    remembered = [] if kind == "plain" else remembered
-    assert [each.name for each in session.get_inputs()] == ["pixels", *(["begin"] if remembered else []), *remembered]
+    remembered = [] if kind in ("plain", "blind") else remembered
+    observed = OBSERVED.get(kind, ["pixels"])
+    assert [each.name for each in session.get_inputs()] == [*observed, *(["begin"] if remembered else []), *remembered]
     about = ["loc", "scale"] if kind == "drive" else ["probabilities"]
     outputs = [each.name for each in session.get_outputs()]
     assert outputs == ["action", *about, *(f"next_{name}" for name in remembered)]
-    assert session.get_inputs()[0].shape[1:] == [12, 16, 3]
+    assert session.get_inputs()[0].shape[1:] == ([2] if kind == "blind" else [12, 16, 3])
     facts = session.get_modelmeta().custom_metadata_map
     assert (facts["image_width"], facts["image_height"], facts["scene"]) == ("16", "12", "room")
     assert float(facts["fov_deg"]) == 90.0 and "90 degrees across" in facts["preprocessing"]
     assert json.loads(facts["actions"]) == list(world.task.motion.action_names)
     assert json.loads(facts["left_out"]) == (["PoseNoise", "Appearance"] if kind == "stack" else [])
     assert ("low" in facts) == (kind == "drive")
+    sensors = json.loads(facts["sensors"])
+    assert list(sensors) == [name for name in observed if name != "pixels"]
+    if kind == "sensors":
+        assert sensors["depth"]["farthest"] == 10.0 and sensors["lidar"]["is"].startswith("A planar scan")
 
 
 def test_actions_depend_on_what_is_seen_and_remembered(tmp_path: Path) -> None:
