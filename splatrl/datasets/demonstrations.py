@@ -16,9 +16,9 @@ class Demonstrations:
 
     Attributes:
         frames: [N] ``episode`` [N] int64, from 0 on; ``frame`` [N] int64, its number in the episode; ``pixels``
-            [N, H, W, 3] uint8, one view; ``action`` and ``state``; what the task remembers; and under ``"next"``
-            ``AFTER``. Where the planner showed discrete actions, ``optimal`` [N, A] bool: all that would have been
-            right.
+            [N, H, W, 3] uint8, one view; ``action`` and ``state``; what sensors sense, and what they and the task
+            remember; and under ``"next"`` ``AFTER``. Where the planner showed discrete actions, ``optimal`` [N, A]
+            bool: all that would have been right.
         action_names: names of discrete actions, in their order; empty where actions are continuous.
         fps: steps a second, for videos.
     """

@@ -31,7 +31,7 @@ def imitate(
         ValueError: for demonstrations that do not fit the policy, a task without goal states, or more frames than
             there are.
     """
-    parts = [_frames(each, ppo) for each in shown]
+    parts = [_frames(each, ppo, cloner.reads) for each in shown]
     frames = sum(len(part["frame"]) for part in parts)
     _check(ppo, world, frames, dagger)
     if parts:
@@ -39,7 +39,7 @@ def imitate(
         yield {"loss_cloning": cloner.fit(_together(parts))}
     env, plans = world.env(ppo.env.numel(), seed=seed), [one.plan for one in world.worlds]
     for _ in range(dagger.rounds):
-        parts.append(visited(env, ppo.learner, plans, dagger.frames_per_round))
+        parts.append(visited(env, ppo.learner, plans, dagger.frames_per_round, cloner.reads))
         ppo.frames += dagger.frames_per_round
         yield {"loss_cloning": cloner.fit(_together(parts), dagger.epochs)}
 
@@ -64,11 +64,11 @@ def _check(ppo: PPO, world: World | Worlds, shown: int, dagger: DaggerSettings) 
         )
 
 
-def _frames(shown: Demonstrations, ppo: PPO) -> dict[str, Tensor]:
+def _frames(shown: Demonstrations, ppo: PPO, reads: Sequence[str]) -> dict[str, Tensor]:
     """Demonstrations as ``Cloner.fit`` takes them.
 
     Raises:
-        ValueError: for demonstrations with other actions or images than the policy's.
+        ValueError: for demonstrations with other actions or images than the policy's, or without what it reads.
     """
     frames, env = shown.frames, ppo.env
     (height, width, channels), spec = env.observation_spec["pixels"].shape[1:], env.action_spec
@@ -78,13 +78,19 @@ def _frames(shown: Demonstrations, ppo: PPO) -> dict[str, Tensor]:
             f"demos: expected images of {width} × {height} and the task's actions {', '.join(names)}, "
             f"got {found[0][1]} × {found[0][0]} and {', '.join(shown.action_names) or list(found[1])}"
         )
+    seen = {key: shown.stacked(channels // 3) if key == "pixels" else frames.get(key, None) for key in reads}
+    for key, values in seen.items():
+        spec_of = env.observation_spec[key]
+        if values is None or (values.shape[1:], values.dtype) != (spec_of.shape[1:], spec_of.dtype):
+            got = "none" if values is None else f"{values.dtype} {list(values.shape[1:])}"
+            raise ValueError(f"demos: expected {key}, {spec_of.dtype} {list(spec_of.shape[1:])}, got {got}")
     target = frames["action"]
     if names:
         optimal = frames.get("optimal", None)
         optimal = one_hot(target, len(names)).bool() if optimal is None else optimal
         target = targets(optimal, torch.arange(len(names)), spec)
     return {
-        "pixels": shown.stacked(channels // 3),
+        **seen,
         "target": target,
         "value_target": shown.returns(ppo.learner.loss.gamma) * ppo.learner.loss.reward_scale,
         "frame": frames["frame"],

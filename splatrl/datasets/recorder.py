@@ -61,7 +61,6 @@ def _walked(world: World, plan: Plan, starts: Tensor, seed: int, generator: torc
     """One episode from each start along shortest paths, or to where no path goes on: frames [T] each, on the CPU."""
     env, names = world.env(len(starts), seed=seed), world.task.motion.action_names
     now = env.reset(TensorDict({"state": starts}, [len(starts)], device=env.device), set_state=True)
-    remembered = tuple(world.task.memory_spec)
     steps: list[TensorDictBase] = []
     length = torch.zeros(len(starts), dtype=torch.int64)  # of the episodes that have ended
     running = torch.ones(len(starts), dtype=torch.bool)
@@ -70,7 +69,7 @@ def _walked(world: World, plan: Plan, starts: Tensor, seed: int, generator: torc
         chosen = torch.multinomial(best.float() + 1e-9, 1, generator=generator).squeeze(1)
         now["action"] = plan.actions.cpu()[chosen].to(env.device)
         step = env.step(now)
-        seen = recorded(step, remembered)
+        seen = recorded(step, world.told)
         if names:
             seen["optimal"] = best.float() @ one_hot(plan.actions.cpu(), len(names)).float() > 0
         steps.append(seen)
@@ -82,14 +81,14 @@ def _walked(world: World, plan: Plan, starts: Tensor, seed: int, generator: torc
     return [whole[row, :count] for row, count in enumerate(length.tolist()) if count]
 
 
-def recorded(step: TensorDictBase, remembered: Sequence[str]) -> TensorDictBase:
+def recorded(step: TensorDictBase, told: Sequence[str]) -> TensorDictBase:
     """What demonstrations keep of a step of robots, on the CPU; of stacked views the last.
 
     Args:
         step: [B], as ``env.step`` gives it.
-        remembered: keys of the task's memory.
+        told: keys of what is sensed and remembered; see ``World.told``.
     """
-    seen = step.select("pixels", "action", "state", *remembered).cpu()
+    seen = step.select("pixels", "action", "state", *told).cpu()
     seen["pixels"] = seen["pixels"][..., -3:].clone()
     seen["next"] = step["next"].select(*AFTER).cpu()
     return seen

@@ -31,14 +31,14 @@ def replay(
     """
     frames, starts, lengths = demonstrations.frames, demonstrations.starts, demonstrations.lengths
     env = world.env(min(ROBOTS, len(starts)))
-    remembered = ["state", *world.task.memory_spec]
+    told_keys = ["state", *(key for key in world.told if key in frames.keys())]  # noqa: SIM118, it is no dict
     _check(world, demonstrations)
     different: dict[str, int] = {}
     equal = 0
     for rows in torch.arange(len(starts)).split(env.numel()):
         begin = starts[rows].repeat(env.numel())[: env.numel()]  # robots without an episode of their own repeat one
         length = torch.cat([lengths[rows], torch.zeros(env.numel() - len(rows), dtype=torch.int64)])
-        given = frames[begin].select(*remembered)
+        given = frames[begin].select(*told_keys)
         now = env.reset(TensorDict(given.to_dict(), [env.numel()], device=env.device), set_state=True)
         for step in range(int(length.max())):
             here = (step < length).nonzero().squeeze(1)
@@ -46,7 +46,7 @@ def replay(
             now["action"] = written["action"].to(env.device)
             taken = env.step(now)
             seen, told = taken.cpu()[here], written[here]
-            for key in (*remembered, *(("next", name) for name in AFTER)):
+            for key in (*told_keys, *(("next", name) for name in AFTER)):
                 wrong = (seen[key] != told[key]).flatten(1).any(1) if seen[key].ndim > 1 else seen[key] != told[key]
                 name = key if isinstance(key, str) else ".".join(key)
                 different[name] = different.get(name, 0) + int(wrong.sum())

@@ -53,6 +53,13 @@ class EnvMaker(ABC):
     def worlds(self) -> "tuple[World, ...]":
         """The worlds of its scenes."""
 
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Keys of what sensors sense, and of what task and sensors remember of each robot."""
+        sensors = self.sensors.values()
+        remembered = [*self.task.memory_spec, *(key for one in sensors for key in one.memory_spec(self.robot))]
+        return tuple(dict.fromkeys([*self.sensors, *remembered]))
+
     def __reduce__(self) -> tuple[Any, ...]:
         if self.made_by is None:
             return type(self), tuple(vars(self).values())  # in the order of the fields

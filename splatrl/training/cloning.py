@@ -53,17 +53,16 @@ class Cloner:
         model: actor and critic over a shared trunk.
         settings: see ``CloningSettings``.
 
-    Raises:
-        ValueError: for a policy that reads something other than ``pixels``, which demonstrations do not hold.
+    Attributes:
+        reads: keys that the policy reads.
     """
 
     def __init__(self, model: ActorValueOperator, settings: CloningSettings):
         self.settings, self.parameters = settings, list(model.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, lr=settings.lr)
-        pool, trunk, *memory = model.module[0].module
-        if list(pool.in_keys) != ["pixels"]:
-            raise ValueError(f"demos: expected a policy that reads pixels alone, got one of {', '.join(pool.in_keys)}")
-        self._pool, self._trunk, self._memory = pool.module, trunk.module, memory
+        prepare, trunk, *memory = model.module[0].module
+        self.reads = tuple(str(key) for key in prepare.in_keys)
+        self._prepare, self._trunk, self._memory = prepare.module, trunk.module, memory
         self._policy, self._value = model.get_policy_head(), model.get_value_head().module
         self._device = self.parameters[0].device
 
@@ -71,9 +70,9 @@ class Cloner:
         """Learn from frames; returns the mean loss of the actions in the last pass.
 
         Args:
-            shown: N frames of episodes, in order: ``pixels`` [N, H, W, C] uint8, as the policy sees them; ``target``
-                [N, D] float32, see ``imitation``; ``value_target`` [N] float32; ``frame`` [N] int64, 0 where episodes
-                begin.
+            shown: N frames of episodes, in order: what the policy ``reads``, [N, ...] each, as it sees them, such as
+                ``pixels`` [N, H, W, C] uint8; ``target`` [N, D] float32, see ``imitation``; ``value_target`` [N]
+                float32; ``frame`` [N] int64, 0 where episodes begin.
             epochs: passes over the frames; None takes those of the settings.
         """
         loss = 0.0
@@ -101,7 +100,9 @@ class Cloner:
         return {key: value[rows].to(self._device) for key, value in shown.items()}
 
     def _step(self, frames: dict[str, Tensor]) -> Tensor:
-        hidden = self._hidden(self._trunk(self._pool(frames["pixels"])), frames["frame"])
+        prepared = self._prepare(*(frames[key] for key in self.reads))
+        given = prepared if isinstance(prepared, tuple) else (prepared,)
+        hidden = self._hidden(self._trunk(*given), frames["frame"])
         loss = imitation(distribution(self._policy, hidden), frames["target"])
         critic = smooth_l1_loss(self._value(hidden).squeeze(-1), frames["value_target"])
         self.optimizer.zero_grad()

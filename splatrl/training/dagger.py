@@ -38,7 +38,9 @@ class DaggerSettings:
             require_number(f"dagger.{name}", getattr(self, name), 1, whole=True)
 
 
-def visited(env: EnvBase, learner: Learner, plans: Sequence[Plan], frames: int) -> dict[str, Tensor]:
+def visited(
+    env: EnvBase, learner: Learner, plans: Sequence[Plan], frames: int, reads: Sequence[str] = ("pixels",)
+) -> dict[str, Tensor]:
     """Let the policy act in new episodes, and label every state that it visits.
 
     Values are those of what the policy did, bootstrapped by its critic as in PPO.
@@ -48,6 +50,7 @@ def visited(env: EnvBase, learner: Learner, plans: Sequence[Plan], frames: int) 
         learner: holds the policy and its critic.
         plans: know the actions that begin a shortest path, one for each of the env's scenes.
         frames: N, a multiple of B.
+        reads: keys that the policy reads.
 
     Returns:
         Frames as ``Cloner.fit`` takes them, one robot after the other.
@@ -63,7 +66,7 @@ def visited(env: EnvBase, learner: Learner, plans: Sequence[Plan], frames: int) 
         here = (scene == number).nonzero().squeeze(1)
         optimal[here] = plan.optimal(state[here])
     return {
-        "pixels": rows["pixels"],
+        **{key: rows[key] for key in reads},
         "target": targets(optimal, actions, env.action_spec).to(value.device),
         "value_target": value.flatten(),
         "frame": rows["step_count"].flatten(),

@@ -26,7 +26,7 @@ class Driver:
     def __init__(self, world: World, seed: int = 0, kept: Callable[[TensorDictBase], object] = lambda frames: None):
         self.world, self.kept = world, kept
         self.env: EnvBase = world.env(1, seed=seed)
-        self._remembered = tuple(world.task.memory_spec)
+        self._told = world.told
         self.begin()
 
     @torch.no_grad()
@@ -37,7 +37,7 @@ class Driver:
     @torch.no_grad()
     def again(self) -> None:
         """Begin the episode again, from where it began."""
-        first = self._first.select("state", *self._remembered)
+        first = self._first.select("state", *self._told)
         self._begin(self.env.reset(first.clone(), set_state=True))
 
     def _begin(self, now: TensorDictBase) -> None:
@@ -57,7 +57,7 @@ class Driver:
             return
         self.now["action"] = action.unsqueeze(0).to(self.env.device)
         step = self.env.step(self.now)
-        frame = recorded(step, self._remembered)
+        frame = recorded(step, self._told)
         self._frames.append(frame)
         self.outcome = Outcome(int(frame["next", "outcome"]))
         self.reward, self.free = float(frame["next", "reward"]), float(step["next", "free_fraction"])

@@ -7,8 +7,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import Categorical, Composite, Unbounded
 
-from splatrl.export import StandalonePolicy
-from splatrl.training import PPO, Cloner, CloningSettings, Input, LossSettings, OptimSettings, actor_critic, inputs_of
+from splatrl.training import PPO, Input, LossSettings, OptimSettings, actor_critic, inputs_of
 from splatrl.training.inputs import Prepare
 from tests.envs.sensors.test_sensors import sensing_env
 
@@ -100,13 +99,3 @@ def test_inputs_that_are_not_there_or_do_not_fit_are_refused(named, match) -> No
     spec = Composite({key: Unbounded(shape=(2, *shape)) for key, shape in shapes.items()}, shape=[2])
     with pytest.raises(ValueError, match=match):
         inputs_of(named, spec)
-
-
-def test_export_and_demonstrations_say_that_they_know_pixels_alone() -> None:
-    env = sensing_env((1,))
-    inputs = inputs_of({"depth": "image"}, env.observation_spec)
-    model = actor_critic(env.observation_spec["pixels"].shape[1:], env.action_spec, 1, inputs=inputs)
-    with pytest.raises(ValueError, match="inputs: expected a policy that reads pixels alone, got one of depth"):
-        StandalonePolicy(model, env)
-    with pytest.raises(ValueError, match="demos: expected a policy that reads pixels alone"):
-        Cloner(model, CloningSettings(1, 8, 1e-3, 0.5))

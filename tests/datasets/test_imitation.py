@@ -1,0 +1,77 @@
+"""Imitation by policies that read more than a view: what is sensed is recorded, replayed and learned from."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import DictConfig
+
+from splatrl.build import build_model, build_world
+from splatrl.configuration import load_config
+from splatrl.datasets import (
+    Demonstrations,
+    imitate,
+    planner_episodes,
+    read_demonstrations,
+    replay,
+    write_demonstrations,
+)
+from splatrl.envs.world import World
+from splatrl.training import PPO, Cloner, CloningSettings, DaggerSettings, LossSettings, OptimSettings
+from tests.tiny import tiny_overrides
+
+SENSORS = "sensors=[rgb,depth,gps,heading]"
+LOSS = LossSettings(0.97, 0.9, 0.2, 1, 64, 0.5, 0.01, True, 0.1)
+OPTIM = OptimSettings(1e-3, 1e-5, 0.5, True)
+
+
+@pytest.fixture(scope="module")
+def cfg(tmp_path_factory: pytest.TempPathFactory) -> DictConfig:
+    return load_config([*tiny_overrides(tmp_path_factory.mktemp("room")), SENSORS, "memory=stack"])
+
+
+@pytest.fixture(scope="module")
+def world(cfg: DictConfig) -> World:
+    return build_world(cfg)
+
+
+@pytest.fixture(scope="module")
+def shown(world: World) -> Demonstrations:
+    return planner_episodes(world, 30)
+
+
+def make_ppo(cfg: DictConfig, world: World) -> PPO:
+    torch.manual_seed(0)
+    env = world.env(16)
+    return PPO(env, build_model(cfg, env), LOSS, OPTIM, 128, 10_000)
+
+
+def test_what_is_sensed_is_recorded_and_replayed(world: World, shown: Demonstrations, tmp_path: Path) -> None:
+    write_demonstrations(tmp_path, shown)
+    read = read_demonstrations(tmp_path)
+    assert {"depth", "gps", "heading"} <= set(read.frames.keys())
+    assert replay(world, read) == ([], len(shown))
+    read.frames["heading"] = read.frames["heading"] + 1.0
+    assert replay(world, read)[0] == [f"heading: other bytes in {len(shown):,} frames"]
+
+
+def test_what_is_sensed_is_learned_from(cfg: DictConfig, world: World, shown: Demonstrations) -> None:
+    ppo = make_ppo(cfg, world)
+    cloner = Cloner(ppo.model, CloningSettings(25, 64, 1e-3, 0.5))
+    assert cloner.reads == ("pixels", "depth", "gps", "heading")
+    losses = [row["loss_cloning"] for row in imitate(ppo, cloner, world, [shown], DaggerSettings(1, 128, 2), 0)]
+    assert losses[0] < 1.0 and len(losses) == 2, "of six actions, untaught: 1.79"
+
+
+def test_demonstrations_without_what_a_policy_reads_are_refused(cfg: DictConfig, world: World) -> None:
+    ppo = make_ppo(cfg, world)
+    plain = build_world(load_config([*cfg_overrides(cfg), "memory=stack"]))
+    shown = planner_episodes(plain, 2)
+    cloner = Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5))
+    with pytest.raises(ValueError, match=r"demos: expected depth, torch\.float32 \[12, 16, 1\], got none"):
+        next(imitate(ppo, cloner, world, [shown], DaggerSettings(0, 128, 1), 0))
+
+
+def cfg_overrides(cfg: DictConfig) -> list[str]:
+    """Overrides of the same room without sensors."""
+    return tiny_overrides(Path(cfg.scene.path).parent)
