@@ -53,7 +53,7 @@ def alone_in(folder: Path) -> Iterator[None]:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     except BlockingIOError as error:
-        raise ValueError(f"{folder}: expected an unused folder, but another process trains there") from error
+        raise ValueError(f"{folder}: expected an unused folder, but another process works there") from error
     finally:
         os.close(held)
 

@@ -30,11 +30,13 @@ import torch
 from omegaconf import OmegaConf
 from PIL import Image
 
+from splatrl.array_files import read_arrays
 from splatrl.collision import Occupancy
 from splatrl.collision.point_clouds import read_points
 from splatrl.configuration import load_config, run_config
 from splatrl.envs.drawing.sprite import load_sprite
 from splatrl.evaluation.clip_files import read_clips, read_labels
+from splatrl.files import refusing
 from splatrl.images import read_photo
 from splatrl.scenes.description import read_description
 from splatrl.scenes.formats import read_gaussians
@@ -191,13 +193,8 @@ def _arrays() -> dict[str, bytes]:
 
 
 def _occupancy(path: Path) -> None:
-    from splatrl.files import refusing
-    from splatrl.scenes.cache import _check_size
-
-    with refusing(path, "arrays"):
-        _check_size(path, 1 << 20)
-        with np.load(path, allow_pickle=False) as arrays:
-            Occupancy.from_arrays(dict(arrays))
+    with refusing(path, "an occupancy"):
+        Occupancy.from_arrays(read_arrays(path, 1 << 20))
 
 
 @functools.cache

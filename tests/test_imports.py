@@ -19,7 +19,18 @@ from splatrl.configuration import conf_dir
 PACKAGE = Path(splatrl.__file__).parent
 ROOT = Path(__file__).parents[1]
 ORDER = [
-    {"device", "documents", "faults", "files", "geometry", "images", "several", "spherical_harmonics", "values"},
+    {
+        "array_files",
+        "device",
+        "documents",
+        "faults",
+        "files",
+        "geometry",
+        "images",
+        "several",
+        "spherical_harmonics",
+        "values",
+    },
     {"cameras"},
     {"bodies"},
     {"native"},

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.fit_cameras import Learned, turned
+from splatrl.capture.fit_checkpoint import Checkpoint
 from splatrl.capture.fit_cuda import CudaFitter
 from splatrl.capture.fit_model import Model
 from splatrl.capture.fit_pictures import Frame, Pictures, frame_of, pictures
@@ -106,7 +107,11 @@ def trained(count: int) -> Tensor:
 
 
 def fit(
-    reconstruction: Reconstruction, settings: FitSettings, progress: Told | None = None, depths: Depths | None = None
+    reconstruction: Reconstruction,
+    settings: FitSettings,
+    progress: Told | None = None,
+    depths: Depths | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> Gaussians:
     """Fit Gaussians to the photos of a reconstruction, all but those that ``held_out`` names.
 
@@ -115,6 +120,8 @@ def fit(
         settings: how.
         progress: is told after every step.
         depths: what ``find_depths`` found in ``frame_of`` the cameras; None finds them.
+        checkpoint: where the state is kept now and then; a fit that was killed goes on from there, with the bytes that
+            it would have had. None keeps nothing.
 
     Returns:
         Gaussians on the CPU, in the frame and unit of the reconstruction, to be drawn antialiased on black.
@@ -127,10 +134,13 @@ def fit(
         raise CaptureError(f"paths: expected at least 2 photos, got {count}")
     fitting = Fitting(reconstruction, settings, depths)
     total = math.ceil(settings.views / fitting.views)
-    for step in range(total):
+    first = 0 if checkpoint is None else checkpoint.resume(fitting.restore)
+    for step in range(first, total):
         loss = fitting.step(step, total)
         if progress is not None:
             progress(min((step + 1) * fitting.views, settings.views), settings.views, loss)
+        if checkpoint is not None and checkpoint.due():
+            checkpoint.write(fitting.state(step + 1))
     return fitting.model.gaussians(fitting.frame)
 
 
@@ -171,6 +181,37 @@ class Fitting:
         self._core = _core.Fitter() if device.type == "cpu" else CudaFitter(device)
         self._gradients = torch.zeros(self.views, *self.model.values.shape, device=device)
         self._order: list[int] = []
+
+    def state(self, step: int) -> dict[str, Tensor]:
+        """All that the steps from ``step`` on depend on, on the CPU, beside photos and settings."""
+        values = {name: value.cpu() for name, value in self._tensors().items()}
+        scalars = {"step": torch.tensor(step), "count": torch.tensor(self.model.count)}
+        order = torch.tensor(self._order, dtype=torch.int64)
+        return {**values, **scalars, "order": order, "generator": self.generator.get_state()}
+
+    def restore(self, state: dict[str, Tensor]) -> int:
+        """Go on from a state of the same fit; returns the step that comes next.
+
+        Raises:
+            ValueError: for a state of another fit; this one is then as it was.
+        """
+        tensors, generator = self._tensors(), torch.Generator()
+        step, count, order = int(state["step"]), int(state["count"]), state["order"]
+        generator.set_state(state["generator"])
+        for name, value in tensors.items():
+            if (state[name].shape, state[name].dtype) != (value.shape, value.dtype):
+                raise ValueError(f"{name}: expected {value.dtype} {list(value.shape)}, got {list(state[name].shape)}")
+        if step < 1 or not 1 <= count <= self.model.cap or not torch.isin(order, self.trained).all():
+            raise ValueError(f"expected a step, Gaussians and photos of this fit, got {step}, {count} and {order}")
+        for name, value in tensors.items():
+            value.copy_(state[name])
+        self.model.count, self._order, self.generator = count, order.tolist(), generator
+        return step
+
+    def _tensors(self) -> dict[str, Tensor]:
+        """What is learned, and the memory of the optimisers."""
+        parts: dict[str, Model | Learned] = {"model": self.model, "exposure": self.exposure, "moves": self.moves}
+        return {f"{part}.{name}": value for part, learned in parts.items() for name, value in learned.state().items()}
 
     def level(self, done: float) -> tuple[Pictures, Tensor]:
         """The pictures at a share of the whole work, and what is known of their depth."""

@@ -20,6 +20,10 @@ class Learned:
         self._first, self._second = torch.zeros_like(start), torch.zeros_like(start)
         self._steps = torch.zeros(len(start), dtype=torch.int64)
 
+    def state(self) -> dict[str, Tensor]:
+        """All that the next steps depend on."""
+        return {"values": self.values, "first": self._first, "second": self._second, "steps": self._steps}
+
     def improve(self, rows: Tensor, slopes: Tensor) -> Tensor:
         """Take a step for some photos, each of which is named once; returns the steps taken."""
         self._steps[rows] += 1

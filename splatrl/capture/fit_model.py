@@ -38,6 +38,10 @@ class Model:
         self.cap = cap
         self.degree = degree
 
+    def state(self) -> dict[str, Tensor]:
+        """All that the next steps depend on, but for ``count``."""
+        return {"values": self.values, "first": self.first, "second": self.second}
+
     def add(self, columns: Tensor) -> None:
         """Add Gaussians: [rows, n]."""
         end = self.count + columns.shape[1]

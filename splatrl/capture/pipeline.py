@@ -3,17 +3,20 @@
 import hashlib
 import json
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from splatrl.array_files import read_arrays
 from splatrl.capture.area import dense_voxels
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.check import Quality
 from splatrl.capture.depth_points import with_measured_points
 from splatrl.capture.fit import FitSettings, fit, held_out, trained
+from splatrl.capture.fit_checkpoint import Checkpoint
 from splatrl.capture.fit_pictures import Frame, frame_of
 from splatrl.capture.floaters import without_floaters
 from splatrl.capture.folder import write_scene
@@ -27,7 +30,8 @@ from splatrl.capture.resolution import Resolution
 from splatrl.capture.scale import Distance
 from splatrl.capture.stereo import Depths, find_depths
 from splatrl.capture.world import Placed, place
-from splatrl.files import replacing
+from splatrl.files import alone_in, remove_stale, replacing
+from splatrl.native import _core
 from splatrl.scenes import Gaussians, read_gaussians, write_gaussians
 from splatrl.scenes.description import SCENE_FILE, SPLAT
 
@@ -89,11 +93,16 @@ def capture(
         CaptureError: for a capture that cannot work; says why, and what to do.
         FileExistsError: for a scene that is there already, without ``force``.
         ImportError: without the extra ``capture``.
+        ValueError: where another process works in the folder.
     """
     if (folder / SCENE_FILE).exists() and not settings.force:
         raise FileExistsError(f"{folder / SCENE_FILE}: already exists; name another folder by --out, or give --force")
-    placed, notes = reconstruct(source, folder, settings, progress, say)
-    return build_scene(placed, folder, settings, notes, progress, say)
+    stages = folder / STAGES
+    stages.mkdir(parents=True, exist_ok=True)
+    with alone_in(stages):
+        remove_stale(stages)
+        placed, notes = reconstruct(source, folder, settings, progress, say)
+        return build_scene(placed, folder, settings, notes, progress, say)
 
 
 def reconstruct(
@@ -163,7 +172,7 @@ def build_scene(
     finely = settings.fit
     if settings.resolution is not None:
         finely = settings.resolution.of(placed.reconstruction, finely)
-    gaussians = _fitted(placed, depths, stages, finely, progress)
+    gaussians = _fitted(placed, depths, stages, finely, progress, say)
     gaussians, carved = without_floaters(gaussians, dense_voxels(gaussians, placed), placed.reconstruction)
     size = f"{finely.width} pixels wide, {carved} voxels of floaters carved away"
     say(f"fit         {gaussians.numel():,} Gaussians to images {size}")
@@ -190,10 +199,10 @@ def _first_look(photos: Photos, force: bool, progress: Progress, say: Callable[[
 def _depths(placed: Placed, frame: Frame, stages: Path, progress: Progress) -> Depths:
     """How far away the photos' pixels are, found once and kept."""
     path, digest = stages / "depths.npz", _digest(placed.reconstruction)
-    if path.exists():
-        with np.load(path) as kept:
-            if str(kept["digest"]) == digest:
-                return Depths(torch.from_numpy(kept["likely"]), torch.from_numpy(kept["known"]))
+    with suppress(FileNotFoundError, ValueError):  # what is damaged is found again
+        kept = read_arrays(path)
+        if str(kept.get("digest")) == digest:
+            return Depths(torch.from_numpy(kept["likely"]), torch.from_numpy(kept["known"]))
     rows = trained(len(placed.reconstruction.paths))
     depths = find_depths(placed.reconstruction, frame, rows, progress=progress)
     with replacing(path) as stream:
@@ -201,17 +210,32 @@ def _depths(placed: Placed, frame: Frame, stages: Path, progress: Progress) -> D
     return depths
 
 
-def _fitted(placed: Placed, depths: Depths, stages: Path, settings: FitSettings, progress: Progress) -> Gaussians:
-    """The Gaussians of a placed reconstruction, fitted once and kept."""
+def _fitted(
+    placed: Placed,
+    depths: Depths,
+    stages: Path,
+    settings: FitSettings,
+    progress: Progress,
+    say: Callable[[str], object],
+) -> Gaussians:
+    """The Gaussians of a placed reconstruction, fitted once and kept; a fit that was killed goes on."""
     path, digest = stages / "fit.ply", _digest(placed.reconstruction, settings)
     stamp = stages / "fit.txt"
-    if path.exists() and stamp.exists() and stamp.read_text() == digest:
-        return read_gaussians(path)
+    if path.exists() and stamp.exists() and stamp.read_text(errors="replace") == digest:
+        try:
+            return read_gaussians(path)
+        except ValueError as error:
+            say(f"fit         {error}; it begins anew")
     stamp.unlink(missing_ok=True)
-    gaussians = fit(placed.reconstruction, settings, lambda done, total, loss: progress("fit", done, total), depths)
+    rounding = f"{torch.device(settings.device).type} {_core.isa()}"
+    checkpoint = Checkpoint(stages / "fit.npz", f"{digest} {rounding}", say=lambda line: say(f"fit         {line}"))
+    gaussians = fit(
+        placed.reconstruction, settings, lambda done, total, loss: progress("fit", done, total), depths, checkpoint
+    )
     write_gaussians(path, gaussians)
     with replacing(stamp) as stream:
         stream.write(digest.encode())
+    checkpoint.remove()
     return gaussians
 
 

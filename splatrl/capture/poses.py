@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from splatrl.array_files import read_arrays
 from splatrl.capture import structure
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.child import run_child
@@ -60,11 +61,12 @@ def find_poses(
     job = _job(photos, seed, exact_camera)
     digest = _digest(photos, job)
     _start_over_unless(folder, work, digest)
-    if not (work / structure.MODEL).is_file():
+    try:
+        model = read_arrays(work / structure.MODEL)
+    except (FileNotFoundError, ValueError):  # what is damaged is found again
         structure.write_job(work, job)
         run_child("splatrl.capture.structure", work, progress)
-    with np.load(work / structure.MODEL) as stored:
-        model = {name: stored[name] for name in stored.files}
+        model = read_arrays(work / structure.MODEL)
     _check_share(photos, model["images"], least)
     return _reconstruction(photos, model, folder, exact_camera, progress)
 

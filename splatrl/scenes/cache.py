@@ -2,17 +2,14 @@
 
 import functools
 import warnings
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from splatrl.array_files import Arrays, read_arrays
 from splatrl.files import cache_dir, replacing
-
-Arrays = dict[str, NDArray[Any]]
 
 
 def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = None) -> Arrays:
@@ -28,13 +25,11 @@ def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = Non
     """
     path = cache_dir() / f"{name}.npz"
     try:
-        _check_size(path, most)
-        with np.load(path, allow_pickle=False) as arrays:
-            return dict(arrays)
-    except (FileNotFoundError, NotADirectoryError):
+        return read_arrays(path, most)
+    except FileNotFoundError:
         pass
-    except Exception as error:  # zipfile and np.load raise more than a dozen types for damaged files
-        warnings.warn(f"{path}: cannot read this cache file, rebuilding it: {error}", stacklevel=2)
+    except (OSError, ValueError, MemoryError) as error:
+        warnings.warn(f"{error}; this cache file is made again", stacklevel=2)
     arrays = build()
     named: dict[str, Any] = dict(arrays)
     try:
@@ -44,15 +39,6 @@ def cached_arrays(name: str, build: Callable[[], Arrays], most: int | None = Non
     except OSError as error:
         _warn_unwritable(path.parent, error.strerror)
     return arrays
-
-
-def _check_size(path: Path, most: int | None) -> None:
-    """Refuse a file that holds more than it may, before any of it is read."""
-    with zipfile.ZipFile(path) as archive:
-        held = sum(entry.file_size for entry in archive.infolist())
-    limit = path.stat().st_size if most is None else most
-    if held > limit:
-        raise ValueError(f"expected at most {limit:,} bytes of arrays, got {held:,}")
 
 
 @functools.cache

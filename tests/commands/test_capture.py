@@ -16,6 +16,7 @@ from splatrl.capture.look import Look
 from splatrl.capture.progress import Progress
 from splatrl.capture.scale import Click, Distance
 from splatrl.commands import capture
+from splatrl.files import alone_in
 from splatrl.renderers import NativeRenderer
 from tests.capture.walks import HEIGHT, WIDTH, K, strewn, walk
 
@@ -112,6 +113,57 @@ def test_an_out_that_ends_in_spz_keeps_the_splat_small(
     assert (folder / "splat.spz").stat().st_size < (folder / "stages" / "fit.ply").stat().st_size / 3
     env = splatrl.make_env([f"scene={folder}/", "device=cpu", "robot.image_width=16", "robot.image_height=16"], [2])
     assert env.rollout(3)["pixels"].float().std() > 5
+
+
+def test_a_fit_that_was_stopped_goes_on_with_the_same_bytes(
+    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(pipeline.Checkpoint, "due", lambda self: True)
+    shown, heard = capture.Bars.__call__, []
+
+    def show(self: capture.Bars, what: str, done: int, total: int) -> None:
+        heard.extend([done] if what == "fit" else [])
+        if heard == [*range(2, 122, 2)]:
+            raise KeyboardInterrupt
+        shown(self, what, done, total)
+
+    monkeypatch.setattr(capture.Bars, "__call__", show)
+    folders = [tmp_path / "stopped", tmp_path / "whole"]
+    with pytest.raises(SystemExit):
+        capture.main(["garden.mp4", "--out", str(folders[0]), *QUICK])
+    assert "the same command continues" in capsys.readouterr().err
+    for folder in folders:
+        heard.clear()
+        heard.append(0)
+        capture.main(["garden.mp4", "--out", str(folder), *QUICK])
+        assert heard[1] == (120 if folder == folders[0] else 2)
+    written = [(folder / "splat.ply").read_bytes() for folder in folders]
+    assert written[0] == written[1]
+    assert not list(tmp_path.rglob("fit.npz")) and not list(tmp_path.rglob("*.tmp"))
+
+
+def test_stages_that_were_damaged_are_done_again(
+    tmp_path: Path, stages: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK, "--force"]
+    capture.main(words)
+    whole = (tmp_path / "garden" / "splat.ply").read_bytes()
+    kept = tmp_path / "garden" / "stages"
+    for name in ("depths.npz", "fit.ply"):
+        (kept / name).write_bytes((kept / name).read_bytes()[:2000])
+    (kept / "depths.npz.0123abcd.tmp").write_text("left by a kill")
+    capsys.readouterr()
+    capture.main(words)
+    assert f"{kept / 'fit.ply'}: expected" in (said := capsys.readouterr().out) and "it begins anew" in said
+    assert (tmp_path / "garden" / "splat.ply").read_bytes() == whole and stages.count("fit") == 2
+    assert not list(tmp_path.rglob("*.tmp"))
+
+
+def test_two_captures_do_not_share_a_folder(tmp_path: Path, stages: list[str]) -> None:
+    (tmp_path / "garden" / "stages").mkdir(parents=True)
+    with alone_in(tmp_path / "garden" / "stages"), pytest.raises(SystemExit, match="another process works there"):
+        capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
+    assert stages == []
 
 
 def test_a_capture_that_cannot_work_is_refused_with_its_cause(

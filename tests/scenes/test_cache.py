@@ -47,7 +47,7 @@ def test_a_damaged_file_is_made_again_with_a_warning(folder: Path, size: int) ->
     cached_arrays("x-1", build)
     path = folder / "x-1.npz"
     path.write_bytes(path.read_bytes()[:size])
-    with pytest.warns(UserWarning, match=r"x-1\.npz: cannot read this cache file, rebuilding it"):
+    with pytest.warns(UserWarning, match=r"x-1\.npz: expected a whole .npz.*; this cache file is made again"):
         assert_arrays(cached_arrays("x-1", build))
     assert_arrays(cached_arrays("x-1", build))
     assert build.calls == 2
@@ -56,7 +56,7 @@ def test_a_damaged_file_is_made_again_with_a_warning(folder: Path, size: int) ->
 def test_a_file_with_pickled_objects_is_not_loaded(folder: Path) -> None:
     folder.mkdir(parents=True)
     np.savez(folder / "x-1.npz", a=np.array([print], dtype=object))
-    with pytest.warns(UserWarning, match="Object arrays cannot be loaded"):
+    with pytest.warns(UserWarning, match=r"a\.npy: expected object"):
         assert_arrays(cached_arrays("x-1", Build()))
 
 
@@ -79,12 +79,12 @@ def test_a_bare_array_or_an_absurd_shape_is_made_again(folder: Path) -> None:
     folder.mkdir(parents=True)
     np.save(folder / "x-1.npy", np.zeros(3))
     (folder / "x-1.npy").rename(folder / "x-1.npz")
-    with pytest.warns(UserWarning, match="cannot read this cache file"):
+    with pytest.warns(UserWarning, match="this cache file is made again"):
         assert_arrays(cached_arrays("x-1", Build()))
     with zipfile.ZipFile(folder / "x-1.npz", "w") as archive:
         header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"
         archive.writestr("a.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
-    with pytest.warns(UserWarning, match="cannot read this cache file"):
+    with pytest.warns(UserWarning, match="this cache file is made again"):
         assert_arrays(cached_arrays("x-1", Build()))
 
 

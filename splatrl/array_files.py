@@ -1,0 +1,54 @@
+"""Arrays from .npz files, of which none can make code run or ask for more memory than it holds."""
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splatrl.files import refusing
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def read_arrays(path: Path, most: int | None = None) -> Arrays:
+    """Read the arrays of a .npz file.
+
+    Args:
+        path: of the file.
+        most: bytes of the arrays at most, for a file that is compressed; None for one that is not, which cannot hold
+            more than it has.
+
+    Raises:
+        FileNotFoundError: where there is none.
+        ValueError: for anything but a whole .npz of plain arrays, or for more bytes than that.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file of arrays")
+    with refusing(path, "a whole .npz of plain arrays"):
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.infolist()
+            held, limit = sum(entry.file_size for entry in entries), path.stat().st_size if most is None else most
+            if held > limit:
+                raise ValueError(f"expected at most {limit:,} bytes of arrays, got {held:,}")
+            for entry in entries:
+                _check_entry(archive, entry)
+        with np.load(path, allow_pickle=False) as arrays:
+            return dict(arrays)
+
+
+def _check_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
+    """Refuse an array whose header promises more than follows, for which NumPy would allocate first."""
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others have dictionaries of any size
+        raise ValueError(f"{entry.filename}: expected it stored or deflated, got compression {entry.compress_type}")
+    with archive.open(entry) as stream:
+        version = np.lib.format.read_magic(stream)
+        header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = header(stream)
+        held = entry.file_size - stream.tell()
+    promised = dtype.itemsize
+    for side in shape:
+        promised *= side
+    if dtype.hasobject or promised != held:
+        raise ValueError(f"{entry.filename}: expected {dtype} {shape}, {promised:,} bytes, got {held:,}")

@@ -1,0 +1,139 @@
+"""A fit that was killed goes on from within, with the bytes of one that was not."""
+
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splatrl.capture.base import Reconstruction
+from splatrl.capture.fit import Fitting, fit
+from splatrl.capture.fit_checkpoint import Checkpoint
+from splatrl.scenes.gaussians import Gaussians
+from tests.capture.test_fit import SETTINGS, same_bytes, tiny_capture
+
+FULL = replace(SETTINGS, views=120, views_a_step=2, sh_degree=1, poses=1e-3)
+"""Every kind of thing that a fit learns; 60 steps, moved and added to after 20 and 40."""
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from splatrl.capture.fit import fit
+from splatrl.capture.fit_checkpoint import Checkpoint
+from tests.capture.test_fit_checkpoint import FULL
+from tests.capture.test_fit import tiny_capture
+
+folder, last = Path(sys.argv[1]), int(sys.argv[2])
+def told(done, total, loss):
+    if done == last:
+        os.kill(os.getpid(), signal.SIGKILL)
+fit(tiny_capture(folder), FULL, told, None, Checkpoint(folder / "fit.npz", "one", every=0))
+"""
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
+    return tiny_capture(tmp_path_factory.mktemp("photos"))
+
+
+@pytest.fixture(scope="module")
+def whole(capture: Reconstruction) -> Gaussians:
+    """Of a fit that was never killed."""
+    return fit(capture, FULL)
+
+
+def interrupted(capture: Reconstruction, checkpoint: Checkpoint, last: int) -> None:
+    """A fit that ends with an exception once so many views were drawn."""
+
+    def told(done: int, total: int, loss: float) -> None:
+        if done == last:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit(capture, FULL, told, None, checkpoint)
+
+
+def resumed(capture: Reconstruction, checkpoint: Checkpoint) -> tuple[Gaussians, int]:
+    """The rest of a fit, and after how many views it was heard of first."""
+    heard: list[int] = []
+    return fit(capture, FULL, lambda done, total, loss: heard.append(done), None, checkpoint), heard[0]
+
+
+def test_a_fit_that_was_killed_goes_on_with_the_same_bytes(tmp_path: Path, whole: Gaussians) -> None:
+    process = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path), "70"], check=False)
+    assert process.returncode == -signal.SIGKILL
+    found, first = resumed(tiny_capture(tmp_path), Checkpoint(tmp_path / "fit.npz", "one"))
+    assert first == 70  # the step that was killed, 35 of 60, and no other, is done again
+    assert same_bytes(found, whole)
+
+
+@pytest.mark.parametrize("last", [4, 40, 42, 118])
+def test_it_goes_on_from_any_step_with_the_same_bytes(
+    capture: Reconstruction, whole: Gaussians, last: int, tmp_path: Path
+) -> None:
+    interrupted(capture, Checkpoint(tmp_path / "fit.npz", "one", every=0), last)
+    found, first = resumed(capture, Checkpoint(tmp_path / "fit.npz", "one", every=0))
+    assert first == last and same_bytes(found, whole)
+
+
+def test_all_that_a_fit_changes_is_in_its_state(capture: Reconstruction) -> None:
+    fitting, other = Fitting(capture, FULL), Fitting(capture, FULL)
+    for step in range(30):
+        fitting.step(step, 60)
+    assert other.restore(fitting.state(30)) == 30
+    for step in range(30, 60):
+        assert fitting.step(step, 60) == other.step(step, 60)
+    for name, value in fitting.state(60).items():
+        assert value.equal(other.state(60)[name]), name
+
+
+def test_of_another_fit_nothing_is_taken(capture: Reconstruction, whole: Gaussians, tmp_path: Path) -> None:
+    interrupted(capture, Checkpoint(tmp_path / "fit.npz", "one", every=0), 20)
+    found, first = resumed(capture, Checkpoint(tmp_path / "fit.npz", "another"))
+    assert first == 2 and same_bytes(found, whole)
+
+
+def damaged(path: Path, how: str) -> None:
+    content = path.read_bytes()
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    if how == "cut":
+        path.write_bytes(content[: len(content) // 2])
+    elif how == "a bit":
+        place = content.index(b"model.second.npy") + 5000
+        path.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+    elif how == "empty":
+        path.write_bytes(b"")
+    else:
+        changes = {
+            "a shape": {"model.values": np.zeros((3, 3), np.float32)},
+            "a count": {"count": np.array(1 << 40)},
+            "an order": {"order": np.array([10**6])},
+            "a generator": {"generator": np.zeros(9, np.uint8)},
+        }
+        np.savez(path, **{**arrays, **changes[how]})
+
+
+@pytest.mark.parametrize("how", ["cut", "a bit", "empty", "a shape", "a count", "an order", "a generator"])
+def test_a_damaged_file_is_named_and_the_fit_begins_anew(
+    capture: Reconstruction, whole: Gaussians, how: str, tmp_path: Path
+) -> None:
+    said: list[str] = []
+    interrupted(capture, Checkpoint(tmp_path / "fit.npz", "one", every=0), 20)
+    damaged(tmp_path / "fit.npz", how)
+    found, first = resumed(capture, Checkpoint(tmp_path / "fit.npz", "one", say=said.append))
+    assert first == 2 and same_bytes(found, whole)
+    assert len(said) == 1 and said[0].startswith(f"{tmp_path / 'fit.npz'}: expected ")
+    assert said[0].endswith("; the fit begins anew") and "\n" not in said[0]
+
+
+def test_it_is_written_at_intervals(capture: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter(range(0, 10_000, 3))
+    monkeypatch.setattr("splatrl.capture.fit_checkpoint.time.monotonic", lambda: next(clock))
+    written: list[int] = []
+    monkeypatch.setattr(Checkpoint, "write", lambda self, state: written.append(int(state["step"])))
+    fit(capture, replace(FULL, views=16), None, None, Checkpoint(tmp_path / "fit.npz", "one", every=10.0))
+    assert written == [4, 5, 6, 7, 8]  # none in the first ten seconds; nothing was written, so all are due
