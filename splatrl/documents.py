@@ -19,14 +19,18 @@ REFERENCE = re.compile(r"\$\{[\w.]+\}")
 """A reference to another key, such as ${robot.height}: the whole value, so that nothing grows, and no resolver."""
 
 
-def read_yaml(path: Path) -> Any:
+def read_yaml(path: Path, limit: int = MAX_YAML) -> Any:
     """Read a YAML file as plain values; aliases, a few of which unfold to gigabytes, are refused.
+
+    Args:
+        path: of the file.
+        limit: the most bytes that it may have.
 
     Raises:
         FileNotFoundError: where there is no such file.
         ValueError: for a file that is too large, nested too deep, not YAML, or that uses aliases.
     """
-    text = _text(path, MAX_YAML)
+    text = _text(path, limit)
     try:
         _check_events(text)
         return OmegaConf.to_container(OmegaConf.create(text), resolve=False)

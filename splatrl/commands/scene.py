@@ -19,7 +19,9 @@ from splatrl.collision.occupancy import Occupancy
 from splatrl.commands.options import Parser, is_numbers, joined, split
 from splatrl.evaluation.scene_pictures import draw_scene, survey_occupancy
 from splatrl.files import replacing
+from splatrl.scenes.blocks import BLOCKS_FILE
 from splatrl.scenes.description import (
+    SCENE_FILE,
     SMALL_SPLAT,
     SPLAT,
     check_absent,
@@ -35,6 +37,7 @@ from splatrl.scenes.placement import floor_height, metres_per_unit, nerfstudio_t
 from splatrl.scenes.proposals import PROPOSALS
 from splatrl.scenes.scene import Bounds, Scene, robust_bounds
 from splatrl.scenes.sources import read_scene
+from splatrl.scenes.splitting import write_split
 from splatrl.scenes.stated import StatedFrame
 from splatrl.scenes.survey import survey
 from splatrl.scenes.upright import GIVEN, UNKNOWN, Guess, Upright, guess_upright
@@ -71,6 +74,13 @@ def parser() -> Parser:
         "holds the splat too, as a small file",
     )
     result.add_argument("--force", action="store_true", help="replace an existing scene.yaml")
+    result.add_argument(
+        "--split",
+        type=float,
+        metavar="METRES",
+        help="write blocks of this size and blocks.yaml in place of one splat and scene.yaml, for scenes larger than "
+        "memory; with --out town.spz as small files",
+    )
     result.add_argument("--height", type=float, default=0.4, help="of the robot, metres, where free space is drawn")
     result.add_argument("--resolution", type=float, help="of the occupancy, metres; by default 0.05, or what fits")
     return result
@@ -90,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def look(options: argparse.Namespace) -> None:
     """Print a summary of a scene, write its ``scene.yaml`` and draw its pictures."""
-    for name in ("height", "resolution", "scale"):
+    for name in ("height", "resolution", "scale", "split"):
         value = getattr(options, name)
         if value is not None and not 0.0 < value < float("inf"):
             raise ValueError(f"--{name}: expected a finite number above 0, got {value}")
@@ -99,7 +109,9 @@ def look(options: argparse.Namespace) -> None:
     out = (options.out or (path if path.is_dir() else path.parent)).expanduser()
     out, splat = scene_folder(out)
     small = splat == SMALL_SPLAT
-    if small or not path.is_dir():
+    if options.split is not None:
+        check_no_scene(out, options.force)
+    elif small or not path.is_dir():
         check_absent(out, options.force)
     if path.is_dir():
         look_again(options, path, out, small)
@@ -121,7 +133,9 @@ def look(options: argparse.Namespace) -> None:
         proposals["metric"] = False
     bounds, found = propose(scene, occupancy, floor, options, out, drawn is not False)
     proposals |= found
-    if small:
+    if options.split is not None:
+        write_blocks_of(out, scene, options.split, small, bounds, proposals)
+    elif small:
         write_small(out, replace(scene, bounds=bounds), proposals, options.force)
     else:
         name = beside_description(path, out, gaussians)
@@ -179,12 +193,35 @@ def look_again(options: argparse.Namespace, folder: Path, out: Path, small: bool
     drawn = proposed.get("antialiased", antialiased_beside(folder / proposed["splat"]))
     print_stated(scene.gaussians, proposed.get("metric", True))
     draw(scene, 0.0, options, out, drawn)
-    if small:
-        proposals = {key: proposed[key] for key in PROPOSALS if key in proposed}
+    proposals = {key: proposed[key] for key in PROPOSALS if key in proposed}
+    if options.split is not None:
+        told = {key: value for key, value in proposals.items() if key != "free"}
+        told |= {} if drawn is None else {"antialiased": drawn}
+        write_blocks_of(out, scene, options.split, small, scene.bounds, told)
+    elif small:
         if scene.free is not None:
             with replacing(out / scene.free.path.name) as stream:
                 stream.write(scene.free.path.read_bytes())
         write_small(out, scene, proposals | ({} if drawn is None else {"antialiased": drawn}), options.force)
+
+
+def write_blocks_of(
+    folder: Path, scene: Scene, size: float, small: bool, bounds: Bounds, proposals: dict[str, Any]
+) -> None:
+    """Write a scene as a folder of blocks."""
+    names = write_split(folder, scene, size, Path(SMALL_SPLAT if small else SPLAT).suffix, bounds, proposals)
+    print(f"wrote       {folder / BLOCKS_FILE} and {len(names)} blocks of {size:g} m")
+
+
+def check_no_scene(folder: Path, force: bool) -> None:
+    """Refuse to write blocks beside a ``scene.yaml``, which would be read in their place, or over other blocks."""
+    if (folder / SCENE_FILE).exists():
+        raise FileExistsError(
+            f"--split: expected a folder without {SCENE_FILE}, which would be read in place of the blocks, "
+            f"got {folder}; pass another one as --out"
+        )
+    if (folder / BLOCKS_FILE).exists() and not force:
+        raise FileExistsError(f"{folder / BLOCKS_FILE}: already exists; pass another folder as --out, or --force")
 
 
 def write_small(folder: Path, scene: Scene, proposals: dict[str, Any], force: bool) -> None:

@@ -16,6 +16,7 @@ from splatrl.configuration.scene_overrides import scene_overrides
 from splatrl.configuration.search_path import composed, config_loader, group_node, is_group, options
 from splatrl.native.threads import usable_cores
 from splatrl.scenes import yards
+from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, read_blocks_description
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.formats.reading import META
 from splatrl.scenes.nerfstudio import antialiased_beside
@@ -54,6 +55,8 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
         if key == "scene" and path and Path(path).expanduser().exists() and path not in options("scene"):
             _check_scene(Path(path).expanduser())
             result += ["scene=file", f"scene.path={quoted(path)}"]
+            if is_in_blocks(Path(path).expanduser()) and not any(one.startswith("renderer=") for one in overrides):
+                result.append("renderer=blocks")
         elif key == "scene" and Path(path).suffix and "," not in path and path not in options("scene"):
             raise ValueError(f"scene: expected {', '.join(options('scene'))} or a path that exists, got {path}")
         else:
@@ -139,9 +142,9 @@ def _chosen(text: str) -> list[str]:
 
 
 def _check_scene(path: Path) -> None:
-    if path.is_dir() and not (path / SCENE_FILE).is_file() and not (path / META).is_file():
+    if path.is_dir() and not any((path / name).is_file() for name in (SCENE_FILE, BLOCKS_FILE, META)):
         raise ValueError(
-            f"scene: expected a splat file, or a folder with {SCENE_FILE}, got {path}; "
+            f"scene: expected a splat file, or a folder with {SCENE_FILE} or {BLOCKS_FILE}, got {path}; "
             f"splatrl-scene <the splat> --out {path} writes one"
         )
 
@@ -154,8 +157,11 @@ def _proposals(overrides: Sequence[str], name: str) -> list[str]:
         if "scene=file" not in overrides or not any(override.startswith("scene.path=") for override in overrides):
             return []
         place = Path(str(last_typed(overrides, "scene.path", ""))).expanduser()
-        stated = read_description(place) if (place / SCENE_FILE).is_file() else {}
-        drawn = antialiased_beside(place / stated["splat"] if stated else place)
+        if is_in_blocks(place):
+            stated, drawn = read_blocks_description(place), None
+        else:
+            stated = read_description(place) if (place / SCENE_FILE).is_file() else {}
+            drawn = antialiased_beside(place / stated["splat"] if stated else place)
         if drawn is not None:
             stated.setdefault("antialiased", drawn)
         configs = _choices(overrides, name) if stated else []

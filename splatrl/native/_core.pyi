@@ -51,6 +51,22 @@ def build_levels(
 ) -> dict[str, NDArray[np.float32] | NDArray[np.uint32]]:
     """The tree over a scene, with merged Gaussians in its inner nodes; ``renderers/lod.py`` describes the arrays."""
 
+def pack_model(
+    means: Tensor,  # [N, 3] float32, metres, the model's own frame
+    axes: Tensor,  # [N, 3, 3] float32, Σ = A Aᵀ
+    opacities: Tensor,  # [N] float32
+    sh: Tensor,  # [N, (degree + 1)², 3] float32
+    degree: int,
+    levels: dict[str, NDArray[np.float32] | NDArray[np.uint32]] | None,  # those of build_levels; None draws exactly
+    background: tuple[float, float, float],
+    antialiased: bool,
+) -> dict[str, NDArray[Any]]:
+    """A model as a renderer of this background keeps it; ``renderers/packed.py`` describes the arrays.
+
+    Raises:
+        ValueError: for levels of other Gaussians.
+    """
+
 def flat_scene(
     means: Tensor,  # [N, 3] float32, metres, world frame
     axes: Tensor,  # [N, 3, 3] float32, Σ = A Aᵀ
@@ -153,6 +169,29 @@ class Renderer:
         Raises:
             ValueError: for levels of other Gaussians.
         """
+
+    def put_model(
+        self,
+        model: int,
+        arrays: dict[str, NDArray[Any]] | None,  # those of pack_model, made for this background; None for no model
+    ) -> None:
+        """Let a model be another one, or none. Not while another thread draws.
+
+        Raises:
+            ValueError: for arrays that are not those of ``pack_model``.
+        """
+
+    def needs(
+        self,
+        bounds: NDArray[np.float32],  # [N, 6], those of the roots of models in one frame
+        errors: NDArray[np.float32],  # [N], metres, the largest of the nodes that end the tops of their trees
+        camera_to_models: Tensor,  # [B, 4, 4] float32
+        K: Tensor,  # [B, 3, 3] float32
+        width: int,
+        height: int,
+        out: NDArray[np.uint8],  # [B, N], written: 0 for nothing, 1 for the top of its tree, 2 for the whole model
+    ) -> None:
+        """What cameras need to have of models that they may see."""
 
     def render(
         self,

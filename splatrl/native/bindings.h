@@ -13,6 +13,7 @@ void bind_interpreter(nanobind::module_& m);
 void bind_isa(nanobind::module_& m);
 void bind_levels(nanobind::module_& m);
 void bind_occupancy(nanobind::module_& m);
+void bind_packed(nanobind::module_& m);
 void bind_rays(nanobind::module_& m);
 void bind_renderer(nanobind::module_& m);
 void bind_stereo(nanobind::module_& m);

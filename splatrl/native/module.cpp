@@ -28,6 +28,7 @@ NB_MODULE(_core, m) {
     splatrl::bind_isa(m);
     splatrl::bind_levels(m);
     splatrl::bind_occupancy(m);
+    splatrl::bind_packed(m);
     splatrl::bind_rays(m);
     splatrl::bind_renderer(m);
     splatrl::bind_stereo(m);

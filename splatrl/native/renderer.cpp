@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
+#include <string>
 
+#include "frustum.h"
 #include "threads.h"
 
 namespace splatrl {
@@ -104,7 +106,39 @@ Renderer::Renderer(std::array<float, 3> background, bool antialiased, float tole
 Renderer::~Renderer() = default;
 
 void Renderer::add(const GaussianArrays& gaussians, const Levels& levels) {
-    scenes_.emplace_back(gaussians, levels, background_, antialiased_);
+    scenes_.emplace_back(std::in_place, gaussians, levels, background_, antialiased_);
+}
+
+void Renderer::put(size_t model, std::optional<Scene> scene) {
+    if (model >= scenes_.size()) scenes_.resize(model + 1);
+    scenes_[model] = std::move(scene);
+}
+
+const Scene& Renderer::scene(int64_t model) const {
+    const std::optional<Scene>& found = scenes_.at(size_t(model));
+    if (!found) throw std::invalid_argument("models: expected one that is there, got " + std::to_string(model));
+    return *found;
+}
+
+void Renderer::needs(const Bounds* bounds, const float* errors, size_t count, const Batch& batch, uint8_t* out) const {
+    constexpr float SLACK = 1.001f;  // the bounds of a node may reach beyond those of the root by rounding
+    for (size_t row = 0; row < batch.rows; ++row) {
+        const Camera camera = camera_of(batch.camera_to_models + 16 * row, batch.K + 9 * row, batch.width, batch.height);
+        const Frustum frustum = frustum_of(camera, {0, 0, batch.width, batch.height});
+        for (size_t model = 0; model < count; ++model) {
+            Cluster top{};
+            top.bounds = bounds[model];
+            Need need = WHOLE;
+            if (misses(frustum, camera, top.bounds)) {
+                need = NOTHING;
+            } else {
+                top.bounds.radius *= SLACK;
+                top.error = errors[model] * SLACK;
+                if (errors[model] == 0.0f || within_tolerance(frustum, camera, top, tolerance_)) need = TOP;
+            }
+            out[row * count + model] = need;
+        }
+    }
 }
 
 // The most Gaussians that the parts of a row have together.
@@ -115,7 +149,7 @@ size_t Renderer::capacity_of(const Batch& batch) const {
         size_t sum = 0;
         for (size_t part = 0; part < batch.parts; ++part) {
             const int64_t model = batch.model(row, part);
-            sum += model < 0 ? 0 : scenes_.at(size_t(model)).capacity();
+            sum += model < 0 ? 0 : scene(model).capacity();
         }
         most = std::max(most, sum);
     }
@@ -132,7 +166,7 @@ void Renderer::place(const Batch& batch, size_t row, const SceneView* views, std
         if (model < 0) continue;
         const float* pose = batch.camera_to_models + 16 * (row * batch.parts + part);
         parts.push_back({views + model, camera_of(pose, batch.K + 9 * row, batch.width, batch.height), first_index});
-        first_index += uint32_t(scenes_[size_t(model)].capacity());
+        first_index += uint32_t(scenes_[size_t(model)]->capacity());
     }
 }
 
@@ -143,7 +177,7 @@ void Renderer::render(const Batch& batch, size_t threads, const Images& images, 
     std::vector<std::unique_ptr<Loan>> loans;
     for (size_t worker = 0; worker < workers; ++worker) loans.push_back(std::make_unique<Loan>(*this, capacity));
     std::vector<SceneView> views;
-    for (const Scene& scene : scenes_) views.push_back(scene.view(tolerance_));
+    for (const std::optional<Scene>& scene : scenes_) views.push_back(scene ? scene->view(tolerance_) : SceneView{});
     std::vector<Effort> taken(batch.rows * tiles.size());
     parallel_for(taken.size(), workers, [&](size_t worker, size_t item) {
         const size_t row = item / tiles.size();

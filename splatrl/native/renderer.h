@@ -4,6 +4,7 @@
 #include <array>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <vector>
 
 #include "frame.h"
@@ -30,6 +31,16 @@ public:
 
     void add(const GaussianArrays& gaussians, const Levels& levels);
 
+    // Let a model be another, or none, which must not be drawn. Not while anything is drawn.
+    void put(size_t model, std::optional<Scene> scene);
+
+    // What each camera needs to see of models in one frame, by the bounds of their trees: NOTHING where a model cannot
+    // show, TOP where its tree is cut above nodes of this error, else WHOLE; [rows, count].
+    enum Need : uint8_t { NOTHING, TOP, WHOLE };
+    void needs(const Bounds* bounds, const float* errors, size_t count, const Batch& batch, uint8_t* out) const;
+
+    std::array<float, 3> background() const { return background_; }
+
     // The images of the batch lie one after another; efforts [rows] receives the work of each frame.
     void render(const Batch& batch, size_t threads, const Images& images, Effort* efforts);
 
@@ -40,7 +51,9 @@ private:
     size_t capacity_of(const Batch& batch) const;
     void place(const Batch& batch, size_t row, const SceneView* views, std::vector<Part>& parts) const;
 
-    std::vector<Scene> scenes_;
+    const Scene& scene(int64_t model) const;
+
+    std::vector<std::optional<Scene>> scenes_;
     std::array<float, 3> background_;
     bool antialiased_;
     float tolerance_;

@@ -6,6 +6,7 @@
 #include "bindings.h"
 #include "interpreter.h"
 #include "levels_binding.h"
+#include "packed.h"
 #include "rigid.h"
 #include "renderer.h"
 
@@ -42,6 +43,21 @@ void render(Renderer& renderer, const Models& models, const Poses& camera_to_mod
             *to++ = value;
 }
 
+void needs(const Renderer& renderer, Tensor<const float, -1, 6> bounds, Tensor<const float, -1> errors,
+           Tensor<const float, -1, 4, 4> camera_to_models, const Lenses& K, int width, int height,
+           Tensor<uint8_t, -1, -1> out) {
+    std::vector<Bounds> of_models;
+    for (size_t model = 0; model < bounds.shape(0); ++model) {
+        const float* b = bounds.data() + 6 * model;
+        of_models.push_back({{b[0], b[1], b[2]}, b[3], b[4], b[5]});
+    }
+    const Batch batch{nullptr, camera_to_models.data(), K.data(), K.shape(0), 1, width, height};
+    if (errors.shape(0) != of_models.size() || out.shape(0) != batch.rows || out.shape(1) != of_models.size() ||
+        camera_to_models.shape(0) != batch.rows)
+        throw std::invalid_argument("needs: expected an error for each model, and room for each row and model");
+    renderer.needs(of_models.data(), errors.data(), of_models.size(), batch, out.data());
+}
+
 // The first row whose pose is no camera's or whose K is no pinhole's; -1 where all are right.
 int64_t first_bad_camera(const Tensor<const float, -1, 4, 4>& poses, const Lenses& K) {
     for (size_t row = 0; row < poses.shape(0); ++row)
@@ -62,6 +78,17 @@ void bind_renderer(nb::module_& m) {
             nb::arg("antialiased"), nb::arg("background"), nb::arg("tolerance"))
         .def("add_model", &add_model, nb::arg("means"), nb::arg("axes"), nb::arg("opacities"), nb::arg("sh"),
              nb::arg("degree"), nb::arg("levels").none())
+        .def(
+            "put_model",
+            [](Renderer& self, size_t model, std::optional<nb::dict> arrays) {
+                if (arrays)
+                    self.put(model, from_arrays(*arrays, self.background()));
+                else
+                    self.put(model, std::nullopt);
+            },
+            nb::arg("model"), nb::arg("arrays").none())
+        .def("needs", &needs, nb::arg("bounds"), nb::arg("errors"), nb::arg("camera_to_models"), nb::arg("K"),
+             nb::arg("width"), nb::arg("height"), nb::arg("out"))
         .def(
             "render",
             [](Renderer& self, Models models, Poses camera_to_models, Lenses K, Tensor<float, -1, -1, -1, 3> rgb,

@@ -57,6 +57,13 @@ Bounds both(const Bounds& a, const Bounds& b) {
     return out;
 }
 
+template <class T>
+Buffer<T> copied(const T* values, size_t count) {
+    Buffer<T> buffer = make_buffer<T>(count);
+    std::copy_n(values, count, buffer.get());
+    return buffer;
+}
+
 }  // namespace
 
 float reach_of(float opacity) {
@@ -129,6 +136,18 @@ Scene::Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<f
     }
     enclose(levels.nodes);
 }
+
+Scene::Scene(const SceneView& view, size_t groups)
+    : background_{view.background[0], view.background[1], view.background[2]},
+      degree_(view.degree),
+      groups_(groups),
+      first_merged_(view.first_merged),
+      geometry_(copied(view.geometry, groups * GEOMETRY * GROUP)),
+      merging_(copied(view.merging, (groups - view.first_merged) * MERGING * GROUP)),
+      colors_(copied(view.colors, groups * 3 * size_t((view.degree + 1) * (view.degree + 1)) * GROUP)),
+      original_index_(copied(view.original_index, groups * GROUP)),
+      clusters_(view.clusters, view.clusters + view.cluster_count),
+      group_bounds_(view.group_bounds, view.group_bounds + view.cluster_count) {}
 
 // Append the Gaussians of a node, in whole groups.
 void Scene::pack(const GaussianArrays& gaussians, const float* opacities, const uint32_t* order, const Node& node,

@@ -29,8 +29,11 @@ class Scene {
 public:
     // The colours are kept relative to the background.
     Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<float, 3> background, bool antialiased);
+    // A copy of a scene with so many groups.
+    Scene(const SceneView& view, size_t groups);
 
     SceneView view(float tolerance) const;
+    size_t groups() const { return groups_; }
     size_t capacity() const { return groups_ * GROUP; }
 
 private:

@@ -1,6 +1,7 @@
 """Renderers: from cameras to images of a scene, or of several placed models."""
 
 from splatrl.renderers.base import Renderer, RenderOutput
+from splatrl.renderers.blocks import BlockRenderer
 from splatrl.renderers.cuda import CudaRenderer
 from splatrl.renderers.gsplat import GsplatRenderer
 from splatrl.renderers.native import Effort, NativeRenderer
@@ -10,6 +11,7 @@ from splatrl.renderers.view_cache import LatticeRenderer
 
 __all__ = [
     "ABSENT",
+    "BlockRenderer",
     "CudaRenderer",
     "Effort",
     "GsplatRenderer",

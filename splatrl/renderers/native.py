@@ -70,17 +70,21 @@ class NativeRenderer:
     ) -> None:
         self.threads = threads_of(threads)
         models = models_of(scene)
-        self._made_of = scene, antialiased, background, threads, tolerance
+        self._made_of: tuple[Any, ...] = scene, antialiased, background, threads, tolerance
         self._models = len(models)
         self._core = _core.Renderer(antialiased, checked_background(background), tolerance)
         for model in models:
-            gaussians = gaussians_of(model)
-            arrays = gaussian_arrays(gaussians)
-            levels = levels_for(model, arrays, tolerance)
-            self._core.add_model(**arrays, degree=gaussians.sh_degree, levels=levels)
+            self._add(model, tolerance)
+
+    def _add(self, model: Scene | Gaussians, tolerance: float) -> None:
+        """Let the core hold one more model."""
+        gaussians = gaussians_of(model)
+        arrays = gaussian_arrays(gaussians)
+        levels = levels_for(model, arrays, tolerance)
+        self._core.add_model(**arrays, degree=gaussians.sh_degree, levels=levels)
 
     def __reduce__(self) -> tuple[type["NativeRenderer"], tuple[Any, ...]]:
-        return NativeRenderer, self._made_of
+        return type(self), self._made_of
 
     @torch.compiler.disable
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
@@ -124,7 +128,7 @@ class NativeRenderer:
         return out
 
     def _pixels(self, cameras: Cameras, parts: Parts | None) -> Tensor:
-        pixels = _empty_pixels(cameras)
+        pixels = empty_pixels(cameras)
         self._draw(cameras, parts, pixels)
         return pixels.to(cameras.camera_to_world.device)
 
@@ -132,7 +136,7 @@ class NativeRenderer:
     def efforts(self, cameras: Cameras, parts: Parts | None = None) -> Effort:
         """What it takes to draw each view, measured by drawing it."""
         parts = checked_parts(parts, cameras, self._models)
-        values = self._draw(cameras, parts, _empty_pixels(cameras)).unbind(1)
+        values = self._draw(cameras, parts, empty_pixels(cameras)).unbind(1)
         return Effort(*(value.int() for value in values[:3]), *values[3:])
 
     def _draw(self, cameras: Cameras, parts: Parts | None, pixels: Tensor) -> Tensor:
@@ -142,7 +146,8 @@ class NativeRenderer:
         return efforts
 
 
-def _empty_pixels(cameras: Cameras) -> Tensor:
+def empty_pixels(cameras: Cameras) -> Tensor:
+    """Room for the pixels of cameras, not written: [B, H, W, 3] uint8, in main memory."""
     return torch.empty(len(cameras), cameras.height, cameras.width, 3, dtype=torch.uint8)
 
 
@@ -155,16 +160,23 @@ def _checked_out(out: Tensor, cameras: Cameras) -> Tensor:
     return out
 
 
-def _cpu_floats(value: Tensor) -> Tensor:
+def cpu_floats(value: Tensor) -> Tensor:
+    """Values as the core reads them: float32, contiguous, in main memory."""
     return value.detach().to("cpu", torch.float32).resolve_neg().contiguous()
 
 
-def _placed(cameras: Cameras, parts: Parts | None) -> tuple[Tensor | None, Tensor, Tensor]:
-    """Models, poses in their frames and intrinsics as the core reads them, after the checks that it relies on."""
-    poses, K = _cpu_floats(cameras.camera_to_world), _cpu_floats(cameras.K)
+def checked_cameras(cameras: Cameras) -> tuple[Tensor, Tensor]:
+    """Poses and intrinsics as the core reads them, after the checks that it relies on."""
+    poses, K = cpu_floats(cameras.camera_to_world), cpu_floats(cameras.K)
     if _core.first_bad_camera(poses, K) >= 0:
         require_cameras(cameras)
         raise ValueError("cameras: expected rigid poses and pinholes")
+    return poses, K
+
+
+def _placed(cameras: Cameras, parts: Parts | None) -> tuple[Tensor | None, Tensor, Tensor]:
+    """Models, poses in their frames and intrinsics as the core reads them."""
+    poses, K = checked_cameras(cameras)
     if parts is None:
         return None, poses.unsqueeze(1), K
-    return parts.model.cpu().contiguous(), _cpu_floats(camera_to_models(cameras, parts)), K
+    return parts.model.cpu().contiguous(), cpu_floats(camera_to_models(cameras, parts)), K

@@ -10,7 +10,7 @@ from splatrl.documents import read_yaml
 from splatrl.files import replacing
 from splatrl.scenes.description import COMMENTS, SCENE_FILE, read_description
 from splatrl.scenes.proposals import check_proposals
-from splatrl.scenes.sources import checked_bounds
+from splatrl.scenes.scene import checked_bounds
 
 
 def edit_description(

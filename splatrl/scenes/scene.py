@@ -1,7 +1,8 @@
 """A scene: Gaussians in a metric world frame, where they are, and what has been derived from them."""
 
 import json
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import blake2b
@@ -60,6 +61,10 @@ class Scene:
     def __post_init__(self) -> None:
         checked_name("scene.name", self.name)
 
+    def pieces(self) -> Iterator[Gaussians]:
+        """All Gaussians, a piece at a time, so that a scene need not be in memory at once."""
+        yield self.gaussians
+
     def cached(
         self, kind: str, settings: Mapping[str, Any], build: Callable[[], Arrays], most: int | None = None
     ) -> Arrays:
@@ -100,3 +105,23 @@ def robust_bounds(gaussians: Gaussians) -> Bounds:
     means = opaque if len(opaque) else gaussians.means
     lower, upper = np.quantile(means.detach().cpu().double().numpy(), [TRIM, 1 - TRIM], axis=0).tolist()
     return (lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])
+
+
+def checked_bounds(corners: Sequence[Sequence[float]]) -> Bounds:
+    """A lower and an upper corner as they are, world, metres.
+
+    Raises:
+        ValueError: for anything else, or empty bounds.
+    """
+    if not isinstance(corners, Sequence) or [len(c) if isinstance(c, Sequence) else 0 for c in corners] != [3, 3]:
+        raise ValueError(f"bounds: expected a lower and an upper corner of 3 metres each, got {corners!r}")
+    lower, upper = (_point(corner) for corner in corners)
+    for axis, low, high in zip("xyz", lower, upper, strict=True):
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise ValueError(f"bounds: expected lower below upper along {axis}, got {low} and {high}")
+    return lower, upper
+
+
+def _point(corner: Sequence[float]) -> Point:
+    x, y, z = (float(value) for value in corner)
+    return x, y, z

@@ -1,6 +1,5 @@
 """Where scenes come from: the generated backyard, splat files, and folders that say how their splat file lies."""
 
-import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -9,13 +8,14 @@ from typing import Any
 
 from torch import Tensor
 
+from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, read_blocks
 from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.formats.limits import MAX_INFLATION
 from splatrl.scenes.formats.reading import META
 from splatrl.scenes.frame import checked_similarity, similarity
 from splatrl.scenes.nerfstudio import DATAPARSER, stands, transform_beside
-from splatrl.scenes.scene import Bounds, FreeSpace, Point, Scene, robust_bounds
+from splatrl.scenes.scene import Bounds, FreeSpace, Scene, checked_bounds, robust_bounds
 from splatrl.scenes.yard import backyard_gaussians
 from splatrl.scenes.yard.layout import HALF_WIDTH
 
@@ -58,6 +58,9 @@ def read_scene(
     ``world_from_splat`` and ``bounds``, and those of ``PROPOSALS``, which say how to train in it. Arguments override
     what it says, key by key. A folder that says ``metric: false`` is warned of.
 
+    A folder with a ``blocks.yaml`` and no ``scene.yaml`` is a ``BlockScene``, whose splats are read when they are
+    needed.
+
     Example:
         >>> read_scene("kitchen.spz", world_from_splat={"axes": ["x", "-z", "y"]})  # doctest: +SKIP
 
@@ -75,6 +78,10 @@ def read_scene(
         ValueError: for a damaged file, unknown keys, a frame that is not a similarity, or empty bounds.
     """
     splat = Path(path).expanduser()
+    if is_in_blocks(splat):
+        if _says_something(world_from_splat):
+            raise ValueError(f"world_from_splat: expected none, since {splat / BLOCKS_FILE} says where each block lies")
+        return read_blocks(splat, None if bounds is None else checked_bounds(bounds), name, max_inflation)
     stated: dict[str, Any] = {}
     fallback, free = splat.stem, None
     if splat.name == META:
@@ -131,23 +138,3 @@ def _transform(own: Mapping[str, Any] | None, given: Mapping[str, Any] | Tensor 
         raise ValueError(f"world_from_splat: expected the keys {', '.join(FRAME_KEYS)}, got {', '.join(unknown)}")
     stated = {key: value for key, value in stated.items() if value is not None}
     return similarity(**stated) if stated else None
-
-
-def checked_bounds(corners: Sequence[Sequence[float]]) -> Bounds:
-    """A lower and an upper corner as they are, world, metres.
-
-    Raises:
-        ValueError: for anything else, or empty bounds.
-    """
-    if not isinstance(corners, Sequence) or [len(c) if isinstance(c, Sequence) else 0 for c in corners] != [3, 3]:
-        raise ValueError(f"bounds: expected a lower and an upper corner of 3 metres each, got {corners!r}")
-    lower, upper = (_point(corner) for corner in corners)
-    for axis, low, high in zip("xyz", lower, upper, strict=True):
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise ValueError(f"bounds: expected lower below upper along {axis}, got {low} and {high}")
-    return lower, upper
-
-
-def _point(corner: Sequence[float]) -> Point:
-    x, y, z = (float(value) for value in corner)
-    return x, y, z

@@ -15,8 +15,7 @@ import torch
 from splatrl.files import cache_dir, digest_of
 from splatrl.scenes.cache import Arrays, cached_arrays
 from splatrl.scenes.gaussians import Gaussians
-from splatrl.scenes.scene import Bounds, Scene
-from splatrl.scenes.sources import checked_bounds
+from splatrl.scenes.scene import Bounds, Scene, checked_bounds
 from splatrl.scenes.yards.generator import made_yard
 from splatrl.values import require_number
 

@@ -1,0 +1,280 @@
+"""The renderer for CPUs in scenes that are larger than memory: blocks are read when a camera needs them."""
+
+import json
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from hashlib import blake2b
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from tqdm import tqdm
+
+from splatrl.cameras import Cameras
+from splatrl.files import cache_dir
+from splatrl.native.threads import threads_of
+from splatrl.renderers.base import RenderOutput, checked_background
+from splatrl.renderers.lod import LEVELS_VERSION
+from splatrl.renderers.native import Effort, NativeRenderer, checked_cameras, cpu_floats, empty_pixels
+from splatrl.renderers.packed import PACKED_VERSION, packed_bytes, packed_model, top_of
+from splatrl.renderers.parts import ABSENT, Parts, camera_to_models, in_scenes
+from splatrl.scenes.blocks import Block, BlockScene
+from splatrl.scenes.cache import Arrays, cached_arrays
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.scene import Scene
+from splatrl.values import require_number
+
+TOP_GROUPS = 512
+"""Groups of 16 Gaussians that stay in memory of each block, whatever is near."""
+TOP, WHOLE = 1, 2
+"""What a camera may need of a block that it can see: ``Need`` of native/renderer.h."""
+
+
+class _Kept(NamedTuple):
+    """What is known of a block while it is not in memory.
+
+    Attributes:
+        block: the block.
+        name: of its arrays in the cache.
+        bounds: [6] float32, those of its root, as in ``packed``.
+        error: metres, the largest of the nodes that end its top; infinite where it has none.
+        bytes: that the whole model takes.
+    """
+
+    block: Block
+    name: str
+    bounds: NDArray[np.float32]
+    error: float
+    bytes: int
+
+
+class _Stack(NamedTuple):
+    """The blocks of a scene; block k has its top in slot ``first + 2 k`` of the core, and the whole in the next."""
+
+    first: int
+    kept: list[_Kept]
+    bounds: NDArray[np.float32]  # [N, 6]
+    errors: NDArray[np.float32]  # [N]
+
+
+class BlockRenderer(NativeRenderer):
+    """A ``NativeRenderer`` whose scenes may be ``BlockScene``, of which it keeps in memory what cameras see.
+
+    Each camera draws the blocks that it can see as parts of one image, so a picture across a border is that of one
+    merged scene: with a ``tolerance`` of 0 but for Gaussians of equal depth, and with level of detail as if each block
+    were a model. The top of each block's tree, merged Gaussians alone, is always in memory, and shows what is far: a
+    block is read where the tolerance asks for more than its top has, so what is in memory never changes a byte.
+
+    ``budget`` bounds the memory of blocks; those that were used least recently make room. Where a batch needs more at
+    once, it is drawn in groups of rows. Where one camera needs more, the blocks nearest to it are whole and the others
+    are their tops: a frame depends on its camera and the settings, and on nothing that was drawn before.
+
+    The first time that a scene is drawn, its blocks are packed, one after the other, into the user's cache directory:
+    about 140 bytes a Gaussian without harmonics.
+
+    Args:
+        scene: as for ``NativeRenderer``; or a ``BlockScene``, or several models of which some are.
+        antialiased: likewise; so are ``background``, ``threads`` and ``tolerance``.
+        background: colour behind the Gaussians, in [0, 1].
+        threads: cores that a batch is spread over, at most all that this process may use, as None does.
+        tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
+        budget: bytes that blocks may take in memory.
+
+    Raises:
+        ValueError: as ``NativeRenderer``; for a budget without room for all tops and the largest block; and, when
+            something is drawn with a tolerance of 0, for one that does not hold all blocks that a camera sees.
+    """
+
+    def __init__(
+        self,
+        scene: Scene | Gaussians | Sequence[Scene | Gaussians],
+        antialiased: bool = True,
+        background: Sequence[float] = (0.0, 0.0, 0.0),
+        threads: int | None = None,
+        tolerance: float = 0.0,
+        budget: float = 2e9,
+    ) -> None:
+        require_number("renderer.budget", budget, 1)
+        self._pack = partial(
+            packed_model, merge=tolerance > 0.0, background=checked_background(background), antialiased=antialiased
+        )
+        self._drawing = threading.Lock()  # what is in memory must not change while something is drawn
+        self._held: OrderedDict[int, int] = OrderedDict()  # slots of whole blocks, least recently used first: bytes
+        self._whole: dict[int, _Kept] = {}  # by slot
+        self._models_at: list[int | _Stack] = []
+        self._slots = self._tops = 0
+        super().__init__(scene, antialiased, background, threads, tolerance)
+        self._made_of += (budget,)
+        largest = max((kept.bytes for kept in self._whole.values()), default=0)
+        if budget < self._tops + largest:
+            raise ValueError(
+                f"renderer.budget: expected at least {self._tops + largest:,} bytes, for the tops of all blocks and "
+                f"the largest block, got {budget:,.0f}"
+            )
+        self._room = int(budget) - self._tops
+
+    @property
+    def bytes_held(self) -> int:
+        """Memory that blocks take now, at most the budget."""
+        return self._tops + sum(self._held.values())
+
+    def _add(self, model: Scene | Gaussians, tolerance: float) -> None:
+        if not isinstance(model, BlockScene):
+            super()._add(model, tolerance)
+            self._models_at.append(self._slots)
+            self._slots += 1
+            return
+        names = [self._name(block) for block in model.blocks]
+        known = all((cache_dir() / f"top-{name}.npz").is_file() for name in names)
+        with ThreadPoolExecutor(threads_of(None)) as pool:
+            tops = pool.map(self._top, model.blocks, names)
+            bar = tqdm(tops, "blocks", len(names), unit="block", disable=known, dynamic_ncols=True)
+            for number, (top, kept) in enumerate(bar):
+                slot = self._slots + 2 * number
+                self._core.put_model(slot, top or None)
+                self._core.put_model(slot + 1, None)
+                self._tops += packed_bytes(top)
+                self._whole[slot + 1] = kept
+        every = [self._whole[self._slots + 2 * number + 1] for number in range(len(names))]
+        bounds, errors = np.stack([kept.bounds for kept in every]), np.array([kept.error for kept in every], np.float32)
+        self._models_at.append(_Stack(self._slots, every, bounds, errors))
+        self._slots += 2 * len(names)
+
+    def _name(self, block: Block) -> str:
+        """Of a block in the cache, by all that its arrays depend on."""
+        recipe = [PACKED_VERSION, LEVELS_VERSION, TOP_GROUPS, self._pack.keywords, block.digest]
+        return blake2b(json.dumps(recipe).encode(), digest_size=16).hexdigest()
+
+    def _top(self, block: Block, name: str) -> tuple[Arrays, _Kept]:
+        """The top of a block, without arrays where every Gaussian is drawn, and what is known of it."""
+
+        def build() -> Arrays:
+            whole = self._packed(block, name)
+            top, error = top_of(whole, TOP_GROUPS) if self._pack.keywords["merge"] else ({}, float("inf"))
+            return top | {"root": whole["bounds"][0], "error": np.array(error), "size": np.array(packed_bytes(whole))}
+
+        top = cached_arrays(f"top-{name}", build)
+        kept = _Kept(block, name, top.pop("root"), float(top.pop("error")), int(top.pop("size")))
+        return top, kept
+
+    def _packed(self, block: Block, name: str) -> Arrays:
+        return cached_arrays(f"packed-{name}", lambda: self._pack(block.read()))
+
+    def _rendered(self, cameras: Cameras, parts: Parts | None) -> RenderOutput:
+        shape = (len(cameras), cameras.height, cameras.width)
+        device = cameras.camera_to_world.device
+        out = RenderOutput(*(torch.empty(*shape, *more, device=device) for more in ((3,), (), ())))
+        for rows, placed in self._groups(cameras, parts):
+            for whole, drawn in zip(out, super()._rendered(cameras[rows], placed), strict=True):
+                whole[rows] = drawn
+        return out
+
+    def _draw(self, cameras: Cameras, parts: Parts | None, pixels: Tensor) -> Tensor:
+        efforts = torch.empty(len(cameras), len(Effort._fields))
+        for rows, placed in self._groups(cameras, parts):
+            drawn = empty_pixels(cameras[rows])
+            efforts[rows] = super()._draw(cameras[rows], placed, drawn)
+            pixels[rows] = drawn
+        return efforts
+
+    def _groups(self, cameras: Cameras, parts: Parts | None) -> Iterator[tuple[Tensor, Parts]]:
+        """Rows that are drawn together, all of whose blocks are in memory until the next are asked for.
+
+        Yields:
+            Rows, [R] int64, and what they draw, by slots of the core.
+        """
+        if len(cameras) == 0:
+            return
+        if parts is None:
+            parts = in_scenes(torch.zeros(len(cameras), dtype=torch.int64), None, cameras.camera_to_world.cpu())
+        placed = self._placed_blocks(cameras, Parts(parts.model.cpu(), parts.model_to_world.cpu()))
+        needed = [frozenset(slot for slot in row if slot in self._whole) for row in placed.model.tolist()]
+        with self._drawing:
+            for rows in _groups(needed, self._whole, self._room):
+                self._keep(set().union(*(needed[row] for row in rows)))
+                chosen = torch.tensor(rows, dtype=torch.int64)
+                yield chosen, placed.rows(chosen)
+
+    def _keep(self, needed: set[int]) -> None:
+        """Have some whole blocks in memory."""
+        for slot in sorted(needed & self._held.keys()):
+            self._held.move_to_end(slot)
+        for slot in sorted(needed - self._held.keys()):
+            kept = self._whole[slot]
+            for oldest in [held for held in self._held if held not in needed]:
+                if sum(self._held.values()) + kept.bytes <= self._room:
+                    break
+                self._core.put_model(oldest, None)
+                del self._held[oldest]
+            self._core.put_model(slot, self._packed(kept.block, kept.name))
+            self._held[slot] = kept.bytes
+
+    def _placed_blocks(self, cameras: Cameras, parts: Parts) -> Parts:
+        """What rows draw by slots of the core: the blocks that they see in place of their scene."""
+        poses, K = cpu_floats(camera_to_models(cameras, parts)), checked_cameras(cameras)[1]
+        plain = torch.tensor([ABSENT, *(ABSENT if isinstance(at, _Stack) else at for at in self._models_at)])
+        columns = []
+        for part, model in enumerate(parts.model.unbind(1)):
+            columns.append((plain[model + 1].unsqueeze(1), part))
+            for number, stack in enumerate(self._models_at):
+                rows = model == number
+                if isinstance(stack, _Stack) and rows.any():
+                    seen = self._seen(stack, poses[rows, part], K[rows], cameras)
+                    slots = torch.full((len(model), seen.shape[1]), ABSENT)
+                    slots[rows] = seen
+                    columns.append((slots, part))
+        stands = [part for slots, part in columns for _ in range(slots.shape[1])]
+        return Parts(torch.cat([slots for slots, _ in columns], 1), parts.model_to_world[:, stands])
+
+    def _seen(self, stack: _Stack, poses: Tensor, K: Tensor, cameras: Cameras) -> Tensor:
+        """The slots that cameras draw of a scene in blocks, in the order of the blocks: [R, most] int64."""
+        needs = np.empty((len(poses), len(stack.kept)), np.uint8)
+        self._core.needs(stack.bounds, stack.errors, poses.contiguous(), K, cameras.width, cameras.height, needs)
+        sizes = np.array([kept.bytes for kept in stack.kept])
+        for row in np.flatnonzero((needs == WHOLE) @ sizes > self._room):
+            self._spare(stack, needs[row], sizes, poses[row, :3, 3].numpy())
+        shown = torch.from_numpy(needs > 0)
+        order = (~shown).to(torch.uint8).sort(dim=1, stable=True).indices[:, : int(shown.sum(1).max())]
+        slots = stack.first + 2 * torch.arange(len(stack.kept)) + torch.from_numpy(needs == WHOLE)
+        return torch.where(shown, slots, ABSENT).gather(1, order)
+
+    def _spare(
+        self, stack: _Stack, needs: NDArray[np.uint8], sizes: NDArray[np.int64], camera: NDArray[np.float32]
+    ) -> None:
+        """Let a camera do with the tops of all blocks but the nearest that fit into memory."""
+        whole = np.flatnonzero(needs == WHOLE)
+        if not self._pack.keywords["merge"]:
+            raise ValueError(
+                f"renderer.budget: expected at least {int(sizes[whole].sum()):,} bytes for the {len(whole)} blocks "
+                f"that a camera sees with tolerance=0, got {self._room:,}"
+            )
+        away = np.linalg.norm(stack.bounds[whole, :3] - camera, axis=1) - stack.bounds[whole, 3]
+        nearest = whole[np.argsort(away, kind="stable")]
+        needs[nearest[np.cumsum(sizes[nearest]) > self._room]] = TOP
+
+
+def _groups(needed: Sequence[frozenset[int]], whole: dict[int, _Kept], room: int) -> Iterator[list[int]]:
+    """Rows whose blocks fit into memory together: all where they do, else neighbours in the order of their blocks."""
+    group, union, held = list[int](), set[int](), 0
+    for row in range(len(needed)) if _size(set().union(*needed), whole) <= room else _alike(needed):
+        held += _size(needed[row] - union, whole)
+        if held > room and group:
+            yield group
+            group, union, held = [], set(), _size(needed[row], whole)
+        group.append(row)
+        union |= needed[row]
+    if group:
+        yield group
+
+
+def _alike(needed: Sequence[frozenset[int]]) -> list[int]:
+    return sorted(range(len(needed)), key=lambda row: sorted(needed[row]))
+
+
+def _size(slots: frozenset[int] | set[int], whole: dict[int, _Kept]) -> int:
+    return sum(whole[slot].bytes for slot in slots)

@@ -1,0 +1,255 @@
+"""Scenes in blocks: many splat files in one world, none of which is read before it is needed.
+
+A folder holds the files and a ``blocks.yaml`` that says where each of them lies.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from splatrl.documents import read_yaml
+from splatrl.files import checked_name, replacing
+from splatrl.scenes.description import SCENE_FILE
+from splatrl.scenes.formats import read_gaussians
+from splatrl.scenes.formats.limits import MAX_INFLATION
+from splatrl.scenes.frame import similarity
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.scenes.proposals import PROPOSALS, check_proposals
+from splatrl.scenes.scene import Bounds, Scene, checked_bounds
+
+BLOCKS_FILE = "blocks.yaml"
+MOST_BLOCKS = 1024
+MAX_BYTES = 256 * MOST_BLOCKS
+"""Of a ``blocks.yaml``; a block takes a line of 100 bytes."""
+BLOCK_KEYS = ("splat", "bounds", "world_from_splat")
+BLOCKS_KEYS = ("name", "bounds", "blocks", *(key for key in PROPOSALS if key != "free"))
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A splat file and where it lies.
+
+    Attributes:
+        splat: the file.
+        bounds: lower and upper corner of the place that it shows, world, metres; Gaussians may reach beyond.
+        world_from_splat: [4, 4] float64; None where the file is in the world frame, in metres.
+        max_inflation: as in ``read_gaussians``.
+    """
+
+    splat: Path
+    bounds: Bounds
+    world_from_splat: Tensor | None = None
+    max_inflation: float = MAX_INFLATION
+
+    def read(self) -> Gaussians:
+        """Its Gaussians in the world frame, read from the file each time.
+
+        Raises:
+            FileNotFoundError: where the file is gone.
+            ValueError: for a damaged file.
+        """
+        gaussians = read_gaussians(self.splat, self.max_inflation)
+        return gaussians if self.world_from_splat is None else gaussians.transformed(self.world_from_splat)
+
+    @cached_property
+    def digest(self) -> str:
+        """Fingerprint of what it shows: of the file as it is, and of where it lies."""
+        frame = None if self.world_from_splat is None else self.world_from_splat.tolist()
+        digest = blake2b(f"{self.splat.suffix} {frame};".encode(), digest_size=16)
+        with self.splat.open("rb") as stream:
+            while chunk := stream.read(2**20):
+                digest.update(chunk)
+        return digest.hexdigest()
+
+
+class BlockScene(Scene):
+    """A scene whose Gaussians are in blocks, which may be larger than memory; otherwise it is as any scene.
+
+    ``BlockRenderer`` draws it block by block, and its occupancy is made so. What takes a scene whole, such as
+    ``ReferenceRenderer``, reads ``gaussians``.
+
+    Attributes:
+        name: for captions and file names.
+        blocks: at least one; where Gaussians lie equally deep, those of the first block are in front.
+        bounds: lower and upper corner of where the scene is, metres.
+        free: None.
+
+    Args:
+        name: a name of a file.
+        blocks: its blocks.
+        bounds: None takes the box around those of the blocks.
+
+    Raises:
+        ValueError: for a name that is no name of a file, or no blocks.
+    """
+
+    blocks: tuple[Block, ...]
+
+    def __init__(self, name: str, blocks: Sequence[Block], bounds: Bounds | None = None):
+        if not blocks:
+            raise ValueError("blocks: expected at least one, got none")
+        fields = {"name": name, "blocks": tuple(blocks), "bounds": bounds or _around(blocks), "free": None}
+        for field, value in fields.items():
+            object.__setattr__(self, field, value)
+        self.__post_init__()
+
+    def __repr__(self) -> str:
+        return f"BlockScene({self.name!r}, {len(self.blocks)} blocks, bounds={self.bounds})"
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """All Gaussians in one, in the order of the blocks, read each time that it is asked for."""
+        return joined(list(self.pieces()))
+
+    def pieces(self) -> Iterator[Gaussians]:
+        """The Gaussians of one block after the other."""
+        return (block.read() for block in self.blocks)
+
+    @cached_property
+    def digest(self) -> str:
+        """Fingerprint of all blocks, in their order."""
+        return blake2b(" ".join(block.digest for block in self.blocks).encode(), digest_size=16).hexdigest()
+
+
+def joined(parts: Sequence[Gaussians]) -> Gaussians:
+    """Several Gaussians as one, in their order; harmonics of a lower degree are filled up with zeros."""
+    most = max(part.sh.shape[1] for part in parts)
+    fields = {name: torch.cat([getattr(part, name) for part in parts]) for name in _PLAIN}
+    sh = torch.cat([pad(part.sh, (0, 0, 0, most - part.sh.shape[1])) for part in parts])
+    return Gaussians(**fields, sh=sh, batch_size=[len(sh)])
+
+
+_PLAIN = ("means", "quats", "scales", "opacities")
+
+
+def is_in_blocks(path: Path) -> bool:
+    """Whether a path is a folder of blocks; a ``scene.yaml`` in it has the first word."""
+    return (path / BLOCKS_FILE).is_file() and not (path / SCENE_FILE).is_file()
+
+
+def read_blocks(
+    folder: Path, bounds: Bounds | None = None, name: str | None = None, max_inflation: float = MAX_INFLATION
+) -> BlockScene:
+    """Open a folder of blocks, without reading any of its splats.
+
+    Args:
+        folder: with a ``blocks.yaml``.
+        bounds: in place of those that it states.
+        name: in place of the one that it states; by default that of the folder.
+        max_inflation: as in ``read_gaussians``.
+
+    Raises:
+        FileNotFoundError: where it, or a file that it names, is missing.
+        ValueError: for a ``blocks.yaml`` that is not as it should be; names the block and the key.
+    """
+    path, stated = folder / BLOCKS_FILE, read_blocks_description(folder)
+    blocks = [_block(folder, number, entry, max_inflation) for number, entry in enumerate(stated["blocks"])]
+    if bounds is None and "bounds" in stated:
+        bounds = _bounds(str(path), stated["bounds"])
+    return BlockScene(name or stated.get("name", folder.resolve().name), blocks, bounds)
+
+
+def read_blocks_description(folder: Path) -> dict[str, Any]:
+    """Read a folder's ``blocks.yaml``: the ``BLOCKS_KEYS`` that are not null, always including ``blocks``.
+
+    Raises:
+        FileNotFoundError: for a folder without one.
+        ValueError: for a file that is not YAML, unknown keys or values of another type.
+    """
+    path = folder / BLOCKS_FILE
+    content = read_yaml(path, MAX_BYTES)
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: expected keys and values, got {content!r:.80}")
+    _require_keys(str(path), content, BLOCKS_KEYS)
+    stated = {str(key): value for key, value in content.items() if value is not None}
+    if "name" in stated:
+        checked_name(f"{path}: name", stated["name"])
+    entries = stated.get("blocks")
+    if not isinstance(entries, list) or not 0 < len(entries) <= MOST_BLOCKS:
+        got = f"{len(entries):,}" if isinstance(entries, list) else f"{entries!r:.80}"
+        raise ValueError(f"{path}: blocks: expected a list of 1 to {MOST_BLOCKS:,} blocks, got {got}")
+    check_proposals(path, stated)
+    return stated
+
+
+def write_blocks(
+    folder: Path,
+    name: str,
+    blocks: Mapping[str, Bounds],
+    bounds: Bounds | None = None,
+    proposals: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write the ``blocks.yaml`` of splat files in the world frame, for ``read_scene`` to read and people to edit.
+
+    Args:
+        folder: that holds the files, or will.
+        name: of the scene.
+        blocks: names of the files, and their bounds.
+        bounds: of the whole; None for the box around all blocks.
+        proposals: what the scene proposes for training in it; see ``PROPOSALS``.
+    """
+    lines = [f"name: {json.dumps(name, ensure_ascii=False)}  # for captions and file names"]
+    if bounds is not None:
+        lines.append(f"bounds: {_rounded(bounds)}  # lower and upper corner of what counts, world, metres")
+    lines += [f"{key}: {json.dumps(value)}" for key, value in (proposals or {}).items()]
+    lines.append(
+        "blocks:  # splat files in this folder, the place that each shows, and world_from_splat as in scene.yaml"
+    )
+    lines += [
+        f"  - {{splat: {json.dumps(splat, ensure_ascii=False)}, bounds: {_rounded(corners)}}}"
+        for splat, corners in blocks.items()
+    ]
+    with replacing(folder / BLOCKS_FILE) as stream:
+        stream.write("".join(f"{line}\n" for line in lines).encode())
+    return folder / BLOCKS_FILE
+
+
+def _block(folder: Path, number: int, entry: object, max_inflation: float) -> Block:
+    """One entry of ``blocks``."""
+    where = f"{folder / BLOCKS_FILE}: blocks[{number}]"
+    if not isinstance(entry, dict):
+        raise ValueError(f"{where}: expected the keys {', '.join(BLOCK_KEYS)}, got {entry!r:.80}")
+    _require_keys(where, entry, BLOCK_KEYS)
+    splat = folder / checked_name(f"{where}.splat", entry.get("splat"))
+    if not splat.is_file():
+        raise FileNotFoundError(f"{where}.splat: expected a file in this folder, found no {splat.name}")
+    frame = entry.get("world_from_splat") or {}
+    try:
+        transform = similarity(**frame) if frame else None
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{where}: {error}") from error
+    return Block(splat, _bounds(where, entry.get("bounds")), transform, max_inflation)
+
+
+def _bounds(where: str, corners: Any) -> Bounds:
+    try:
+        return checked_bounds(corners)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{where}.{error}" if "[" in where else f"{where}: {error}") from error
+
+
+def _require_keys(where: str, content: Mapping[Any, Any], known: Sequence[str]) -> None:
+    unknown = [str(key) for key in content if key not in known]
+    if unknown:
+        raise ValueError(f"{where}: expected the keys {', '.join(known)}, got {', '.join(unknown):.80}")
+
+
+def _rounded(bounds: Bounds) -> str:
+    return json.dumps([[float(f"{value:.7g}") for value in corner] for corner in bounds])
+
+
+def _around(blocks: Sequence[Block]) -> Bounds:
+    """The box around all blocks."""
+    x, y, z = (
+        (min(block.bounds[0][axis] for block in blocks), max(block.bounds[1][axis] for block in blocks))
+        for axis in range(3)
+    )
+    return (x[0], y[0], z[0]), (x[1], y[1], z[1])

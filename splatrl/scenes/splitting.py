@@ -1,0 +1,76 @@
+"""Cuts a large splat into blocks: a folder that ``read_scene`` opens without reading all of it."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatrl.scenes.blocks import MOST_BLOCKS, write_blocks
+from splatrl.scenes.formats import write_gaussians
+from splatrl.scenes.gaussians import INVISIBLE, Gaussians
+from splatrl.scenes.scene import Bounds, Scene
+from splatrl.values import require_number
+
+AROUND = "around"
+"""Name of the block of what lies outside: sky, the country up to the horizon, and what strays."""
+
+
+def write_split(
+    folder: Path,
+    scene: Scene,
+    size: float,
+    ending: str = ".ply",
+    bounds: Bounds | None = None,
+    proposals: Mapping[str, Any] | None = None,
+) -> list[str]:
+    """Cut a scene into square blocks along x and y, and write them with their ``blocks.yaml``.
+
+    A Gaussian belongs to the block that its mean is in. What lies more than a block outside the scene's bounds is a
+    block of its own.
+
+    Args:
+        folder: an existing folder.
+        scene: in the world frame.
+        size: of a block, metres.
+        ending: .ply keeps the values, .spz rounds them to a fifth of the size.
+        bounds: of where robots can be, as ``blocks.yaml`` states them; None for the scene's own.
+        proposals: what the scene proposes for training in it; ``antialiased`` goes into SPZ files too.
+
+    Returns:
+        Names of the files.
+
+    Raises:
+        ValueError: for a size that is not above 0, or that makes more than ``MOST_BLOCKS`` blocks.
+    """
+    require_number("--split", size, 1e-3)
+    (left, bottom, low), (right, top, high) = scene.bounds
+    columns, rows = (max(1, math.ceil((end - start) / size - 1e-6)) for start, end in ((left, right), (bottom, top)))
+    gaussians: Gaussians = scene.gaussians[scene.gaussians.opacities >= INVISIBLE]  # readers drop the others
+    places = gaussians.means[:, :2].double().numpy()
+    cells = np.floor((places - (left, bottom)) / size).astype(np.int64)
+    outside = ((cells < -1) | (cells > (columns, rows))).any(1)
+    numbers = (cells[:, 0] + 1) * (rows + 2) + cells[:, 1] + 1
+    numbers[outside] = -1
+    found = np.unique(numbers)
+    if len(found) > MOST_BLOCKS:
+        raise ValueError(
+            f"--split: expected at most {MOST_BLOCKS:,} blocks, got {len(found):,} of {size:g} m; take larger ones"
+        )
+    blocks: dict[str, Bounds] = {}
+    for number in found.tolist():
+        chosen = gaussians[numbers == number]
+        column, row = number // (rows + 2), number % (rows + 2)
+        x, y = left + (column - 1) * size, bottom + (row - 1) * size
+        name = f"{AROUND if number < 0 else f'block-{column}-{row}'}{ending}"
+        blocks[name] = _box(chosen.means.numpy()) if number < 0 else ((x, y, low), (x + size, y + size, high))
+        write_gaussians(folder / name, chosen, (proposals or {}).get("antialiased", True))
+    write_blocks(folder, scene.name, blocks, bounds or scene.bounds, proposals)
+    return list(blocks)
+
+
+def _box(means: np.ndarray[Any, Any]) -> Bounds:
+    """The box around points, which has some volume."""
+    low, high = means.min(0).tolist(), means.max(0).tolist()
+    return (low[0], low[1], low[2]), (high[0] + 1e-3, high[1] + 1e-3, high[2] + 1e-3)

@@ -1,0 +1,226 @@
+"""Scenes in blocks are drawn as if they were whole, whatever is in memory."""
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.geometry import axis_rotations, rigid
+from splatrl.renderers import BlockRenderer, NativeRenderer, Parts, blocks
+from splatrl.scenes import Gaussians, Scene, read_scene
+from splatrl.scenes.blocks import BlockScene
+from splatrl.scenes.splitting import write_split
+from tests.renderers.cases import random_gaussians
+from tests.renderers.parts_cases import at, placed
+
+SIZE = (48, 36)
+
+
+def hilly(count: int = 12_000) -> Gaussians:
+    """A hilly place of 24 × 16 m, in which a camera that stands in it sees all ranges."""
+    g = torch.Generator().manual_seed(7)
+    cloud = random_gaussians(8, count)
+    x, y = 24 * torch.rand(count, generator=g), 16 * torch.rand(count, generator=g)
+    cloud.means = torch.stack([x, y, 0.4 * torch.sin(x) + 0.3 * torch.sin(2 * y)], 1)
+    cloud.scales = 0.04 + 0.06 * torch.rand(count, 3, generator=g)
+    cloud.sh = (torch.sin(torch.stack([x, y, x + y], 1)) + 0.3 * torch.randn(count, 3, generator=g)).unsqueeze(1)
+    return cloud
+
+
+@pytest.fixture(scope="module")
+def whole() -> Scene:
+    return Scene("hills", hilly(), ((0.0, 0.0, -1.0), (24.0, 16.0, 1.0)))
+
+
+@pytest.fixture(scope="module")
+def town(whole: Scene, tmp_path_factory: pytest.TempPathFactory) -> BlockScene:
+    folder = tmp_path_factory.mktemp("town")
+    write_split(folder, whole, 4.0)
+    scene = read_scene(folder)
+    assert isinstance(scene, BlockScene)
+    assert len(scene.blocks) == 24
+    return scene
+
+
+@pytest.fixture(autouse=True)
+def small_tops(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks of 500 Gaussians would otherwise be in memory whole."""
+    monkeypatch.setattr(blocks, "TOP_GROUPS", 20)
+
+
+def walkers(seed: int = 1, batch: int = 24) -> Cameras:
+    """Cameras that stand in the place and look about."""
+    g = torch.Generator().manual_seed(seed)
+    eyes = torch.rand(batch, 3, generator=g) * torch.tensor([24.0, 16.0, 0.5]) + torch.tensor([0.0, 0.0, 0.8])
+    turns = 6.3 * torch.rand(batch, generator=g)
+    targets = eyes + torch.stack([torch.cos(turns), torch.sin(turns), torch.full((batch,), -0.15)], 1)
+    poses = [look_at(eye.tolist(), target.tolist()) for eye, target in zip(eyes, targets, strict=True)]
+    return Cameras(torch.stack(poses), intrinsics(1.3, *SIZE), *SIZE)
+
+
+def all_in_memory(town: BlockScene, cameras: Cameras, tolerance: float) -> Tensor:
+    """Every block as a part, whole."""
+    renderer = NativeRenderer([block.read() for block in town.blocks], tolerance=tolerance)
+    count = len(town.blocks)
+    model = torch.arange(count).expand(len(cameras), count).contiguous()
+    return renderer.pixels(cameras, Parts(model, torch.eye(4).expand(len(cameras), count, 4, 4)))
+
+
+def room_for(renderer: BlockRenderer, count: int) -> int:
+    """A budget for the tops and so many blocks."""
+    return renderer._tops + count * max(kept.bytes for kept in renderer._whole.values())
+
+
+@pytest.mark.parametrize("antialiased", [True, False])
+def test_exact_pictures_across_borders_are_those_of_one_merged_file(
+    whole: Scene, town: BlockScene, antialiased: bool
+) -> None:
+    cameras = walkers()
+    renderer = BlockRenderer(town, antialiased, background=(0.2, 0.4, 0.6))
+    merged = NativeRenderer(whole.gaussians, antialiased, background=(0.2, 0.4, 0.6))
+    drawn, expected = renderer.pixels(cameras), merged.pixels(cameras)
+    assert (drawn != expected).float().mean() < 1e-4
+    assert expected.float().std() > 20
+    for ours, theirs in zip(renderer.render(cameras), merged.render(cameras), strict=True):
+        torch.testing.assert_close(ours, theirs, atol=5e-3, rtol=5e-3)  # files round, and ties are broken otherwise
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 1.0, 3.0])
+def test_pictures_have_the_bytes_of_all_blocks_in_memory(town: BlockScene, tolerance: float) -> None:
+    cameras = walkers()
+    assert torch.equal(
+        BlockRenderer(town, tolerance=tolerance).pixels(cameras), all_in_memory(town, cameras, tolerance)
+    )
+
+
+def test_what_is_far_is_shown_by_merged_gaussians_that_stay_in_memory(town: BlockScene) -> None:
+    above = Cameras(look_at([12.0, 8.0, 90.0], [12.0, 8.1, 0.0])[None], intrinsics(0.3, *SIZE), *SIZE)
+    renderer = BlockRenderer(town, tolerance=1.0)
+    assert renderer.bytes_held == renderer._tops > 0
+    assert torch.equal(renderer.pixels(above), all_in_memory(town, above, 1.0))
+    assert renderer.bytes_held == renderer._tops
+    near = walkers(batch=1)
+    renderer.pixels(near)
+    assert 0 < renderer.bytes_held - renderer._tops < sum(kept.bytes for kept in renderer._whole.values()) // 2
+
+
+def test_frames_have_the_same_bytes_whatever_the_batch_the_order_and_what_is_in_memory(town: BlockScene) -> None:
+    cameras, g = walkers(), torch.Generator().manual_seed(3)
+    roomy = BlockRenderer(town, tolerance=3.0)
+    expected, depths = roomy.pixels(cameras), roomy.render(cameras).depth
+    most = max(len([slot for slot in row if slot in roomy._whole]) for row in slots_of(roomy, cameras))
+    assert most > 1
+    tight = BlockRenderer(town, tolerance=3.0, budget=room_for(roomy, most))
+    for _ in range(12):
+        rows = torch.randint(0, len(cameras), (int(torch.randint(1, 9, (), generator=g)),), generator=g)
+        assert torch.equal(tight.pixels(cameras[rows]), expected[rows])
+        assert tight.bytes_held <= room_for(roomy, most)
+    assert torch.equal(tight.pixels(cameras), expected)
+    assert torch.equal(tight.render(cameras).depth, depths)
+    assert len(tight._held) < len(roomy._held)
+
+
+def slots_of(renderer: BlockRenderer, cameras: Cameras) -> list[list[int]]:
+    """What each row draws, by slots of the core."""
+    seen = Parts(torch.zeros(len(cameras), 1, dtype=torch.int64), torch.eye(4).expand(len(cameras), 1, 4, 4))
+    slots: list[list[int]] = renderer._placed_blocks(cameras, seen).model.tolist()
+    return slots
+
+
+def test_where_one_camera_needs_more_than_fits_its_picture_still_depends_on_nothing_drawn_before(
+    town: BlockScene,
+) -> None:
+    cameras = walkers()
+    full = BlockRenderer(town, tolerance=1.0)
+    budget = room_for(full, 1)
+    fresh = torch.cat(
+        [BlockRenderer(town, tolerance=1.0, budget=budget).pixels(cameras[row : row + 1]) for row in range(6)]
+    )
+    used = BlockRenderer(town, tolerance=1.0, budget=budget)
+    for order in ([5, 4, 3, 2, 1, 0], [0, 2, 4, 1, 3, 5]):
+        assert torch.equal(used.pixels(cameras[torch.tensor(order)]), fresh[order])
+    assert used.bytes_held <= budget
+    exact = full.pixels(cameras[:6])
+    assert not torch.equal(fresh, exact)  # merged Gaussians in place of some blocks
+    assert (fresh.float() - exact.float()).abs().mean() < 10
+
+
+def test_the_least_recently_used_block_makes_room(town: BlockScene) -> None:
+    renderer = BlockRenderer(town, tolerance=1.0)
+    a, b, c = sorted(renderer._whole)[:3]
+    tight = BlockRenderer(town, tolerance=1.0, budget=room_for(renderer, 2))
+    for needed, held in (({a}, [a]), ({b}, [a, b]), ({a}, [b, a]), ({c}, [a, c]), ({b, c}, [c, b])):
+        tight._keep(needed)
+        assert list(tight._held) == held
+
+
+def test_a_batch_that_does_not_fit_is_drawn_in_groups(town: BlockScene) -> None:
+    cameras = walkers()
+    roomy = BlockRenderer(town, tolerance=3.0)
+    whole = [frozenset(slot for slot in row if slot in roomy._whole) for row in slots_of(roomy, cameras)]
+    room = max(blocks._size(row, roomy._whole) for row in whole)
+    groups = list(blocks._groups(whole, roomy._whole, room))
+    assert 1 < len(groups) < len(cameras)
+    assert sorted(row for group in groups for row in group) == list(range(len(cameras)))
+    assert all(
+        blocks._size(frozenset().union(*(whole[row] for row in group)), roomy._whole) <= room for group in groups
+    )
+
+
+def test_a_scene_in_blocks_can_be_placed_beside_other_models(town: BlockScene, whole: Scene) -> None:
+    ball, cameras = random_gaussians(9, 60), walkers(batch=2)
+    pose = rigid(axis_rotations(2, torch.tensor(0.7)), torch.tensor([3.0, -2.0, 0.5]))
+    parts = placed(2, (1, pose), (0, at(12.0, 8.0, 0.5)))
+    mixed = BlockRenderer([ball, town], background=(0.2, 0.4, 0.6)).pixels(cameras, parts)
+    expected = NativeRenderer([ball, whole.gaussians], background=(0.2, 0.4, 0.6)).pixels(cameras, parts)
+    assert (mixed != expected).float().mean() < 1e-4
+    only = torch.tensor([False, True])
+    drawn = BlockRenderer([town, ball]).pixels(cameras, only=only)
+    assert not drawn[0].any()
+    assert torch.equal(drawn[1], BlockRenderer(town).pixels(cameras)[1])
+    assert BlockRenderer(town).pixels(cameras[:0]).shape == (0, SIZE[1], SIZE[0], 3)
+
+
+def test_a_pickled_renderer_draws_the_same(town: BlockScene) -> None:
+    renderer, cameras = BlockRenderer(town, tolerance=1.0, budget=1e8), walkers(batch=3)
+    again = pickle.loads(pickle.dumps(renderer))
+    assert torch.equal(again.pixels(cameras), renderer.pixels(cameras))
+    assert again._room == renderer._room
+
+
+def test_too_small_a_budget_is_refused_by_what_it_would_take(town: BlockScene) -> None:
+    with pytest.raises(
+        ValueError, match=r"renderer.budget: expected at least [0-9,]+ bytes, for the tops of all blocks"
+    ):
+        BlockRenderer(town, tolerance=1.0, budget=1e4)
+    renderer = BlockRenderer(town, budget=room_for(BlockRenderer(town), 1))
+    with pytest.raises(ValueError, match=r"renderer.budget: expected at least [0-9,]+ bytes for the \d+ blocks"):
+        renderer.pixels(walkers())
+    with pytest.raises(ValueError, match=r"camera_to_world\[1\]: expected"):
+        cameras = walkers(batch=3)
+        cameras.camera_to_world[1] *= 2
+        renderer.pixels(cameras)
+
+
+def test_blocks_are_packed_once(town: BlockScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
+    BlockRenderer(town, tolerance=1.0)
+    assert len(list(tmp_path.glob("packed-*"))) == len(list(tmp_path.glob("top-*"))) == 24
+
+    def repacked(*_: Any, **__: Any) -> None:
+        raise RuntimeError("packed again")
+
+    monkeypatch.setattr(blocks, "packed_model", repacked)
+    renderer = BlockRenderer(town, tolerance=1.0)
+    renderer.pixels(walkers(batch=2))
+    for damaged in tmp_path.glob("packed-*"):
+        damaged.write_bytes(b"damaged")
+    with (
+        pytest.warns(UserWarning, match="cannot read this cache file"),
+        pytest.raises(RuntimeError, match="packed again"),
+    ):
+        BlockRenderer(town, tolerance=1.0).pixels(walkers(batch=2))

@@ -1,0 +1,158 @@
+"""Folders of blocks: how they are read, written and refused."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from splatrl.scenes import Gaussians, Scene, read_scene, similarity, write_gaussians
+from splatrl.scenes.blocks import BLOCKS_FILE, MOST_BLOCKS, BlockScene, joined, read_blocks_description
+from splatrl.scenes.gaussians import INVISIBLE
+from splatrl.scenes.splitting import AROUND, write_split
+from tests.renderers.cases import random_gaussians
+
+BOUNDS = "[[0, 0, 0], [1, 1, 1]]"
+LINE = f"blocks: [{{splat: a.ply, bounds: {BOUNDS}}}]"
+
+
+def folder_with(tmp_path: Path, text: str) -> Path:
+    """A folder with two splats and this ``blocks.yaml``."""
+    for seed, name in enumerate("ab"):
+        write_gaussians(tmp_path / f"{name}.ply", random_gaussians(seed, 20, degree=seed))
+    (tmp_path / BLOCKS_FILE).write_text(text)
+    return tmp_path
+
+
+def in_order(gaussians: Gaussians) -> Gaussians:
+    """The same Gaussians, ordered by x."""
+    ordered: Gaussians = gaussians[gaussians.means[:, 0].argsort()]
+    return ordered
+
+
+def test_a_block_lies_where_its_frame_says(tmp_path: Path) -> None:
+    frame = "world_from_splat: {axes: [x, -z, y], scale: 2.0, translation: [1, 2, 3]}"
+    other = f"  - {{splat: b.ply, bounds: [[-9, 0, 0], [1, 5, 1]], {frame}}}"
+    scene = read_scene(folder_with(tmp_path, f"blocks:\n  - {{splat: a.ply, bounds: {BOUNDS}}}\n{other}"))
+    assert isinstance(scene, BlockScene)
+    assert scene.name == tmp_path.name
+    assert scene.bounds == ((-9, 0, 0), (1, 5, 1))
+    first, second = scene.pieces()
+    moved = random_gaussians(1, 20, 1).transformed(similarity(["x", "-z", "y"], 2.0, [1.0, 2.0, 3.0]))
+    torch.testing.assert_close(first.means, random_gaussians(0, 20).means)
+    for name in ("means", "scales", "sh"):
+        torch.testing.assert_close(getattr(second, name), getattr(moved, name), rtol=1e-4, atol=1e-5)
+    assert len(scene.gaussians) == 40
+    assert scene.gaussians.sh_degree == 1
+    assert not scene.gaussians.sh[:20, 1:].any()
+
+
+def test_a_digest_is_that_of_files_and_frames(tmp_path: Path) -> None:
+    texts = [LINE, LINE.replace("bounds", "world_from_splat: {scale: 2.0}, bounds"), LINE.replace("a.ply", "b.ply")]
+    digests = [read_scene(folder_with(tmp_path, text)).digest for text in texts]
+    write_gaussians(tmp_path / "b.ply", random_gaussians(3, 20))
+    assert len({*digests, read_scene(tmp_path).digest}) == 4
+    assert read_scene(folder_with(tmp_path, texts[0])).digest == digests[0]
+
+
+def test_a_scene_yaml_in_the_folder_has_the_first_word(tmp_path: Path) -> None:
+    (folder_with(tmp_path, LINE) / "scene.yaml").write_text("splat: b.ply")
+    assert not isinstance(read_scene(tmp_path), BlockScene)
+
+
+def test_what_is_said_of_the_whole_is_read_and_can_be_replaced(tmp_path: Path) -> None:
+    stated = f"name: town\nbounds: [[-1, -1, 0], [2, 2, 2]]\nrobot_height: 0.5\ngoal: [1, 2, 90]\n{LINE}"
+    folder = folder_with(tmp_path, stated)
+    scene, other = read_scene(folder), read_scene(folder, bounds=[[0, 0, 0], [3, 3, 3]], name="other")
+    assert (scene.name, scene.bounds) == ("town", ((-1, -1, 0), (2, 2, 2)))
+    assert (other.name, other.bounds) == ("other", ((0, 0, 0), (3, 3, 3)))
+    assert read_blocks_description(folder)["goal"] == [1, 2, 90]
+    with pytest.raises(ValueError, match=r"world_from_splat: expected none, since .*says where each block lies"):
+        read_scene(folder, world_from_splat={"scale": 2.0})
+
+
+MALFORMED = {
+    "no blocks": ("name: town", r"blocks: expected a list of 1 to 1,024 blocks, got None"),
+    "an empty list": ("blocks: []", r"blocks: expected a list of 1 to 1,024 blocks, got 0"),
+    "a text": ("blocks: a.ply", r"blocks: expected a list of 1 to 1,024 blocks, got 'a.ply'"),
+    "no keys": ("- a.ply", r"blocks.yaml: expected keys and values"),
+    "an unknown key": (f"{LINE}\ncolour: red", r"expected the keys name, bounds, .*, got colour"),
+    "a key of captures": (f"{LINE}\nfree: free.ply", r"expected the keys .*, got free"),
+    "a block that is a text": ("blocks: [a.ply]", r"blocks\[0\]: expected the keys splat, bounds"),
+    "a block with another key": (LINE.replace("bounds", "at"), r"blocks\[0\]: expected the keys .*, got at"),
+    "a path": (
+        LINE.replace("a.ply", "../a.ply"),
+        r"blocks\[0\].splat: expected a name, without slashes, got '../a.ply'",
+    ),
+    "an absolute path": (LINE.replace("a.ply", "/a.ply"), r"blocks\[0\].splat: expected a name, without slashes"),
+    "the folder above": (LINE.replace("a.ply", ".."), r"blocks\[0\].splat: expected a name"),
+    "no splat": (f"blocks: [{{bounds: {BOUNDS}}}]", r"blocks\[0\].splat: expected a name, without slashes, got None"),
+    "a missing file": (
+        LINE.replace("a.ply", "c.ply"),
+        r"blocks\[0\].splat: expected a file in this folder, found no c",
+    ),
+    "bounds upside down": (
+        LINE.replace("1, 1, 1", "1, 1, -1"),
+        r"blocks\[0\].bounds: expected lower below upper along z",
+    ),
+    "no bounds": ("blocks: [{splat: a.ply}]", r"blocks\[0\].bounds: expected a lower and an upper corner"),
+    "bounds of text": (LINE.replace("1, 1, 1", "1, 1, high"), r"blocks\[0\].*could not convert"),
+    "an unknown frame": (LINE.replace("bounds", "world_from_splat: {turn: 3}, bounds"), r"blocks\[0\]: .*turn"),
+    "a reflection": (
+        LINE.replace("bounds", "world_from_splat: {axes: [x, y, -z]}, bounds"),
+        r"blocks\[0\]: .*reflection",
+    ),
+    "a goal of one number": (f"{LINE}\ngoal: [1]", r"goal: expected \[x, y, yaw\]"),
+    "a name with a slash": (f"{LINE}\nname: a/b", r"name: expected a name, without slashes"),
+    "bounds of the whole": (f"{LINE}\nbounds: [[0, 0, 0], [1, 0, 1]]", r"blocks.yaml: bounds: expected lower below"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), MALFORMED.values(), ids=MALFORMED)
+def test_a_malformed_file_is_refused_in_one_line_that_names_file_and_key(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    with pytest.raises((ValueError, FileNotFoundError), match=message) as refused:
+        read_scene(folder_with(tmp_path, text))
+    assert BLOCKS_FILE in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("count", "message"),
+    [(MOST_BLOCKS + 1, r"expected a list of 1 to 1,024 blocks, got 1,025"), (10000, r"expected at most 262,144 bytes")],
+)
+def test_thousands_of_blocks_are_refused_before_any_is_opened(tmp_path: Path, count: int, message: str) -> None:
+    line = f"  - {{splat: gone.ply, bounds: {BOUNDS}}}\n"
+    with pytest.raises(ValueError, match=message):
+        read_scene(folder_with(tmp_path, f"blocks:\n{line * count}"))
+
+
+def test_splitting_loses_nothing_and_says_which_place_each_block_shows(tmp_path: Path) -> None:
+    cloud = random_gaussians(4, 400, degree=1)
+    cloud.opacities[:3] = 0.5
+    cloud.means[:3] = torch.tensor([[90.0, 0.0, 0.0], [0.01, -80.0, 5.0], [0.02, 0.0, 2.0]])
+    scene = Scene("cloud", cloud, ((-1.0, -0.5, -2.0), (1.0, 0.5, 2.0)))
+    names = write_split(tmp_path, scene, 1.0, proposals={"robot_height": 0.5})
+    blocks = read_scene(tmp_path)
+    assert isinstance(blocks, BlockScene)
+    assert blocks.bounds == scene.bounds
+    assert {block.splat.name for block in blocks.blocks} == set(names)
+    for block in blocks.blocks:
+        means, (low, high) = block.read().means, block.bounds
+        assert ((means >= torch.tensor(low) - 1e-5) & (means <= torch.tensor(high) + 1e-5))[:, :2].all(), block.splat
+        assert block.splat.stem == AROUND or high[0] - low[0] == pytest.approx(1.0)
+    around = next(block for block in blocks.blocks if block.splat.stem == AROUND)
+    assert {90.0, -80.0} <= set(around.read().means[:, :2].flatten().tolist())
+    whole, cut = in_order(cloud[cloud.opacities >= INVISIBLE]), in_order(joined(list(blocks.pieces())))
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        torch.testing.assert_close(getattr(cut, name), getattr(whole, name), rtol=1e-5, atol=1e-6)
+    assert read_blocks_description(tmp_path)["robot_height"] == 0.5
+
+
+def test_too_small_a_size_is_refused(tmp_path: Path) -> None:
+    scene = Scene("cloud", random_gaussians(4, 2000), ((-3.0, -3.0, -2.0), (3.0, 3.0, 2.0)))
+    with pytest.raises(ValueError, match=r"--split: expected at most 1,024 blocks, got .* take larger ones"):
+        write_split(tmp_path, scene, 0.05)
+    with pytest.raises(ValueError, match="--split: expected a number of at least"):
+        write_split(tmp_path, scene, 0.0)
+    assert not list(tmp_path.iterdir())
