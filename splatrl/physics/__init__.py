@@ -1,0 +1,21 @@
+"""Physics from MuJoCo: robots and things with bodies in a scene."""
+
+from splatrl.physics.compose import Composed, compose
+from splatrl.physics.gaussians import BodyGaussians, gaussians_from_mjcf
+from splatrl.physics.kinematics import Kinematics
+from splatrl.physics.mjcf import read_mjcf
+from splatrl.physics.stepping import Physics, Stepped
+from splatrl.physics.terrain import Terrain, level_ground
+
+__all__ = [
+    "BodyGaussians",
+    "Composed",
+    "Kinematics",
+    "Physics",
+    "Stepped",
+    "Terrain",
+    "compose",
+    "gaussians_from_mjcf",
+    "level_ground",
+    "read_mjcf",
+]

@@ -1,0 +1,191 @@
+"""Where the bodies of a state are: batched forward kinematics in PyTorch, the same bits whatever the batch.
+
+Sensors of a step see the state before its integration, so poses are computed from the state itself, as
+``mj_kinematics`` does. Every operation works element by element in double precision, without matrix products, which
+may be summed in another order in another batch.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from splatrl.geometry import rigid
+from splatrl.physics.optional import needed
+from splatrl.physics.stepping import BANK
+
+TIME = 1
+"""Columns of MuJoCo's state before the positions."""
+
+
+class _Level(NamedTuple):
+    """Bodies at one depth of the tree, whose poses follow from those above."""
+
+    bodies: Tensor  # [K] int64
+    parents: Tensor  # [K] int64
+    place: Tensor  # [K, 3], in the parent's frame
+    turn: Tensor  # [K, 4]
+    joints: list[tuple[str, Tensor, Tensor, Tensor, Tensor, Tensor]]  # in order; see Kinematics._joints
+
+
+class Kinematics(torch.nn.Module):
+    """Poses of the bodies of a model, from its states.
+
+    Args:
+        model: an ``MjModel``.
+        bodies: names of the bodies that are asked for, in their order; only these and those above them are computed.
+
+    Raises:
+        ValueError: for a body that the model lacks.
+    """
+
+    def __init__(self, model: Any, bodies: Sequence[str]):
+        super().__init__()
+        mujoco = needed()
+        wanted = []
+        for name in bodies:
+            number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+            if number < 0:
+                known = [model.body(each).name for each in range(1, model.nbody)]
+                raise ValueError(f"body: expected one of {', '.join(known)}, got {name!r}")
+            wanted.append(number)
+        self.nq, self.count = int(model.nq), int(model.nbody)
+        self.register_buffer("wanted", torch.tensor(wanted, dtype=torch.int64), persistent=False)
+        self._names: list[list[str]] = []
+        depth, needed_bodies = {0: 0}, {0}
+        for number in wanted:
+            while number not in needed_bodies:
+                needed_bodies.add(number)
+                number = int(model.body_parentid[number])
+        for number in range(1, model.nbody):
+            depth[number] = depth[int(model.body_parentid[number])] + 1
+        self._levels = []
+        for level in range(1, max((depth[number] for number in needed_bodies), default=0) + 1):
+            numbers = [number for number in range(1, model.nbody) if depth[number] == level and number in needed_bodies]
+            self._levels.append(self._level(mujoco, model, numbers))
+
+    @staticmethod
+    def _level(mujoco: Any, model: Any, numbers: list[int]) -> _Level:
+        kinds = {
+            int(mujoco.mjtJoint.mjJNT_FREE): "free",
+            int(mujoco.mjtJoint.mjJNT_BALL): "ball",
+            int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
+            int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
+        }
+        joints = []
+        for order in range(max((int(model.body_jntnum[number]) for number in numbers), default=0)):
+            for kind in ("free", "ball", "slide", "hinge"):
+                chosen = [
+                    (row, int(model.body_jntadr[number]) + order)
+                    for row, number in enumerate(numbers)
+                    if order < model.body_jntnum[number]
+                    and kinds[int(model.jnt_type[model.body_jntadr[number] + order])] == kind
+                ]
+                if chosen:
+                    rows, which = (torch.tensor(column) for column in zip(*chosen, strict=True))
+                    first = torch.from_numpy(np.asarray(model.jnt_qposadr, np.int64))[which]
+                    anchor = torch.from_numpy(model.jnt_pos.copy())[which]
+                    axis = torch.from_numpy(model.jnt_axis.copy())[which]
+                    rest = torch.from_numpy(model.qpos0.copy())[first]
+                    joints.append((kind, rows, first, anchor, axis, rest))
+        bodies = torch.tensor(numbers, dtype=torch.int64)
+        parents = torch.from_numpy(np.asarray(model.body_parentid, np.int64))[bodies]
+        place, turn = torch.from_numpy(model.body_pos.copy())[bodies], torch.from_numpy(model.body_quat.copy())[bodies]
+        return _Level(bodies, parents, place, turn, joints)
+
+    def _apply(self, fn: Any, recurse: bool = True) -> "Kinematics":
+        """Move the levels with the module, without a change of type."""
+        super()._apply(fn, recurse)
+        device = self.wanted.device
+        self._levels = [
+            _Level(
+                *(part.to(device) for part in level[:4]),
+                [(joint[0], *(part.to(device) for part in joint[1:])) for joint in level.joints],
+            )
+            for level in self._levels
+        ]
+        return self
+
+    def forward(self, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Places and orientations of the bodies that were asked for.
+
+        Args:
+            state: [B, n] float64, as ``Physics`` has them.
+
+        Returns:
+            [B, N, 3] float64 metres and [B, N, 4] float64 unit quaternions wxyz, world frame.
+        """
+        qpos = state[:, BANK + TIME : BANK + TIME + self.nq]
+        place = qpos.new_zeros(len(qpos), self.count, 3)
+        turn = qpos.new_zeros(len(qpos), self.count, 4)
+        turn[:, 0, 0] = 1.0
+        for level in self._levels:
+            above = turn[:, level.parents]
+            x = place[:, level.parents] + rotated(above, level.place)
+            q = product(above, level.turn)
+            for kind, rows, first, anchor, axis, rest in level.joints:
+                x[:, rows], q[:, rows] = _jointed(kind, qpos, x[:, rows], q[:, rows], first, anchor, axis, rest)
+            place[:, level.bodies], turn[:, level.bodies] = x, normalised(q)
+        return place[:, self.wanted], turn[:, self.wanted]
+
+    def poses(self, state: Tensor) -> Tensor:
+        """``body_to_world`` of the bodies that were asked for: [B, n] float64 -> [B, N, 4, 4] float32."""
+        place, turn = self(state)
+        return rigid(matrices(turn), place).float()
+
+
+def _jointed(
+    kind: str, qpos: Tensor, x: Tensor, q: Tensor, first: Tensor, anchor: Tensor, axis: Tensor, rest: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Places and orientations after a joint of one kind: [B, K, 3], [B, K, 4]."""
+    if kind == "free":
+        return torch.stack([qpos[:, first + i] for i in range(3)], -1), normalised(
+            torch.stack([qpos[:, first + 3 + i] for i in range(4)], -1)
+        )
+    if kind == "slide":
+        return x + rotated(q, axis) * (qpos[:, first] - rest).unsqueeze(-1), q
+    hinge_at = x + rotated(q, anchor)
+    if kind == "ball":
+        turn = normalised(torch.stack([qpos[:, first + i] for i in range(4)], -1))
+    else:
+        half = 0.5 * (qpos[:, first] - rest)
+        turn = torch.cat([half.cos().unsqueeze(-1), axis * half.sin().unsqueeze(-1)], -1)
+    q = product(q, turn)
+    return hinge_at - rotated(q, anchor), q
+
+
+def product(a: Tensor, b: Tensor) -> Tensor:
+    """Hamilton product of quaternions wxyz, [..., 4] each, broadcast: rotate by ``b`` first, then by ``a``."""
+    aw, ax, ay, az = a.unbind(-1)
+    bw, bx, by, bz = b.unbind(-1)
+    return torch.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        -1,
+    )
+
+
+def normalised(quats: Tensor) -> Tensor:
+    """Quaternions [..., 4] at unit length."""
+    w, x, y, z = quats.unbind(-1)
+    return quats / (w * w + x * x + y * y + z * z).sqrt().unsqueeze(-1)
+
+
+def rotated(quats: Tensor, vectors: Tensor) -> Tensor:
+    """Vectors [..., 3] turned by unit quaternions [..., 4], broadcast."""
+    w, x, y, z = quats.unbind(-1)
+    a, b, c = vectors.unbind(-1)
+    s, t, u = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
+    return torch.stack([a + w * s + y * u - z * t, b + w * t + z * s - x * u, c + w * u + x * t - y * s], -1)
+
+
+def matrices(quats: Tensor) -> Tensor:
+    """Rotation matrices of unit quaternions: [..., 4] -> [..., 3, 3]."""
+    eye = torch.eye(3, dtype=quats.dtype, device=quats.device)
+    return torch.stack([rotated(quats, eye[axis]) for axis in range(3)], -1)

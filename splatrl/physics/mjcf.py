@@ -1,0 +1,164 @@
+"""Reads MJCF, MuJoCo's format for robots and things, from files that may come from strangers.
+
+Everything that a file names is read here, from the file's own folder, and handed to MuJoCo as bytes, so that its own
+search for files finds nothing else. What can ask for unbounded memory in a few bytes is refused.
+"""
+
+import math
+import re
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from splatrl.physics.optional import needed
+
+MOST_TEXT = 4 * 2**20
+"""Bytes of a file's text."""
+MOST_ELEMENTS = 50_000
+MOST_ASSETS = 256 * 2**20
+"""Bytes of everything that a file names."""
+MOST_TEXELS = 2**24
+"""Of a texture or height field that a file describes in numbers."""
+MOST_FILES = 1000
+MULTIPLYING = {"replicate", "composite", "flexcomp", "plugin", "extension", "model", "attach"}
+"""Elements that make many of one, load code, or read further models."""
+FOLDERS = {"mesh": "meshdir", "skin": "meshdir", "texture": "texturedir", "hfield": "meshdir"}
+"""Which attribute of ``<compiler>`` says where the files of an element lie."""
+
+
+@dataclass
+class _Reading:
+    """What has been read of a file and those that it names."""
+
+    folder: Path
+    included: dict[str, bytes] = field(default_factory=dict)
+    assets: dict[str, bytes] = field(default_factory=dict)
+    elements: int = 0
+    size: int = 0
+
+
+def read_mjcf(path: Path | str) -> Any:
+    """Read a file of MJCF as an ``MjSpec``.
+
+    Args:
+        path: of the file. Meshes and textures lie in its folder or below.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ImportError: without the extra ``physics``.
+        ValueError: in one line that names the file and the element, for what is no MJCF, is too large, names files
+            outside its folder, or uses elements that make many of one or load code.
+    """
+    mujoco, path = needed(), Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: expected a file of MJCF, found none")
+    reading = _Reading(path.parent.resolve())
+    text = _small(path, MOST_TEXT)
+    trees = _checked(path, text, reading)
+    places = {key: value for tree in trees for node in tree.iter("compiler") for key, value in node.attrib.items()}
+    for tree in trees:
+        for node in tree.iter():
+            _read_files(path, node, places, reading)
+    try:
+        spec = mujoco.MjSpec.from_string(text.decode(), include=reading.included, assets=reading.assets)
+        spec.copy().compile()
+    except (ValueError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: expected MJCF, got {_one_line(error)}") from error
+    return spec
+
+
+def _checked(path: Path, text: bytes, reading: _Reading) -> list[ElementTree.Element]:
+    """The elements of a file and of those that it includes, without what is refused."""
+    if b"<!DOCTYPE" in text or b"<!ENTITY" in text:
+        raise ValueError(f"{path}: expected MJCF, got an XML document type")
+    try:
+        tree = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise ValueError(f"{path}: expected XML, got {error}") from error
+    found = [tree]
+    for node in tree.iter():
+        reading.elements += 1
+        if reading.elements > MOST_ELEMENTS:
+            raise ValueError(f"{path}: expected at most {MOST_ELEMENTS:,} elements, got more")
+        where = f"{path}: <{node.tag}>"
+        if node.tag in MULTIPLYING:
+            raise ValueError(f"{where}: expected a robot without it; write out what it stands for")
+        _check_sizes(where, node)
+        if node.tag == "include":
+            name = node.get("file", "")
+            if name not in reading.included:
+                inner = _inside(where, reading.folder, name)
+                reading.included[name] = _small(inner, MOST_TEXT)
+                found += _checked(inner, reading.included[name], reading)
+    return found
+
+
+def _check_sizes(where: str, node: ElementTree.Element) -> None:
+    """Refuse numbers by which a few bytes ask for much memory."""
+    if node.tag in ("texture", "hfield"):
+        sides = [_number(where, node, key) for key in ("width", "height", "nrow", "ncol") if key in node.attrib]
+        if math.prod(sides) > MOST_TEXELS:
+            raise ValueError(f"{where}: expected at most {MOST_TEXELS:,} texels, got {math.prod(sides):,.0f}")
+    if node.tag == "size":
+        for key in node.attrib:
+            if key != "memory" and _number(where, node, key) > MOST_ELEMENTS:
+                raise ValueError(f"{where}: {key}: expected at most {MOST_ELEMENTS:,}, got {node.get(key)}")
+        if re.search(r"[GTPE]", node.get("memory", ""), re.IGNORECASE) or len(node.get("memory", "")) > 9:
+            raise ValueError(f"{where}: memory: expected less than 1G, got {node.get('memory')}")
+
+
+def _number(where: str, node: ElementTree.Element, key: str) -> float:
+    try:
+        return float(node.attrib[key])
+    except ValueError as error:
+        raise ValueError(f"{where}: {key}: expected a number, got {node.attrib[key]!r:.80}") from error
+
+
+def _read_files(path: Path, node: ElementTree.Element, places: dict[str, str], reading: _Reading) -> None:
+    """Read the files that an element names, under the names that MuJoCo will ask for."""
+    if node.tag == "include":
+        return
+    for key, name in node.attrib.items():
+        if not key.startswith("file"):
+            continue
+        where = f"{path}: <{node.tag} {key}>"
+        if node.tag not in FOLDERS:
+            raise ValueError(f"{where}: expected a mesh, texture, skin or height field to have files, got {name!r:.80}")
+        if places.get("strippath", "false") == "true":
+            name = PurePosixPath(name).name
+        folder = places.get(FOLDERS[node.tag], places.get("assetdir", ""))
+        full = str(PurePosixPath(folder) / name)
+        if full in reading.assets:
+            continue
+        content = _small(_inside(where, reading.folder, full), MOST_ASSETS)
+        reading.size += len(content)
+        if reading.size > MOST_ASSETS or len(reading.assets) >= MOST_FILES:
+            raise ValueError(f"{where}: expected at most {MOST_FILES} files of {MOST_ASSETS:,} bytes together, got more")
+        reading.assets[full] = content
+
+
+def _inside(where: str, folder: Path, name: str) -> Path:
+    """The file of a name in a folder or below, and nowhere else."""
+    pure = PurePosixPath(name)
+    if not name or pure.is_absolute() or ".." in pure.parts or "\\" in name or "\0" in name:
+        raise ValueError(f"{where}: expected a path in the folder of the file, got {name!r:.80}")
+    found = (folder / name).resolve()
+    if not found.is_relative_to(folder):
+        raise ValueError(f"{where}: expected a path in the folder of the file, got a link out of it, {name!r:.80}")
+    if not found.is_file():
+        raise ValueError(f"{where}: expected a file {name!r:.80} beside the MJCF, found none")
+    return found
+
+
+def _small(path: Path, most: int) -> bytes:
+    """The bytes of a file that is not too large."""
+    with path.open("rb") as stream:
+        content = stream.read(most + 1)
+    if len(content) > most:
+        raise ValueError(f"{path}: expected at most {most:,} bytes, got more")
+    return content
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:300]

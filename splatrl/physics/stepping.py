@@ -1,0 +1,131 @@
+"""Physics as a pure function of the state."""
+
+import threading
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from splatrl.native.threads import threads_of
+from splatrl.physics.optional import needed
+from splatrl.values import require_number
+
+BANK = 1
+"""Columns of a state before MuJoCo's own: the number of its model."""
+
+
+class Stepped(NamedTuple):
+    """What became of B states.
+
+    Attributes:
+        state: [B, n] float64, states after the last substep.
+        sensed: [B, substeps, s] float64, what sensors said at the beginning of each substep.
+        sound: [B] bool, false where the physics lost its numbers; such a row is as it was before.
+    """
+
+    state: Tensor
+    sensed: Tensor
+    sound: Tensor
+
+
+class Physics:
+    """Steps batches of states, each by one of several models of the same kind.
+
+    A state is [n] float64: the number of its model in the bank, and MuJoCo's ``mjSTATE_FULLPHYSICS`` (time, positions,
+    velocities, activations). Solvers begin without the last step's solution, so a step is a function of the state and
+    the controls alone: it has the same bytes alone, in a batch, in any order and with any number of threads.
+
+    Args:
+        models: ``MjModel`` or several that differ only in their numbers, such as masses.
+        substeps: of a step, each of the model's own length.
+        threads: that step rows side by side; None takes all cores.
+
+    Raises:
+        ValueError: for no model, models of different sizes, or no substep.
+    """
+
+    def __init__(self, models: Any, substeps: int, threads: int | None = None):
+        mujoco, rollout = needed(), needed("mujoco.rollout")
+        self.models: list[Any] = list(models) if isinstance(models, Sequence) else [models]
+        require_number("substeps", substeps, 1, 10_000, whole=True)
+        if not self.models:
+            raise ValueError("models: expected at least one, got none")
+        self._spec = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        sizes = {(mujoco.mj_stateSize(model, self._spec), model.nu, model.nsensordata) for model in self.models}
+        if len(sizes) > 1:
+            raise ValueError(f"models: expected one size of state, controls and sensors, got {sorted(sizes)}")
+        self.substeps, self.threads = substeps, threads_of(threads)
+        for model in self.models:
+            model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a row that is lost stays lost
+        self._rollout = rollout.Rollout(nthread=self.threads if self.threads > 1 else 0)
+        self._data = [mujoco.MjData(self.models[0]) for _ in range(self.threads)]
+        self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.models, self.substeps, self.threads)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Physics":
+        return self
+
+    @property
+    def model(self) -> Any:
+        """The first model."""
+        return self.models[0]
+
+    @property
+    def size(self) -> int:
+        """Numbers of a state."""
+        return BANK + int(needed().mj_stateSize(self.model, self._spec))
+
+    def state_of(self, qpos: Any = None, key: int | None = None) -> Tensor:
+        """The state [n] float64 of the first model at rest: at ``qpos``, at a keyframe, or as the model stands."""
+        mujoco = needed()
+        data = mujoco.MjData(self.model)
+        if key is not None:
+            mujoco.mj_resetDataKeyframe(self.model, data, key)
+            data.time = 0.0
+        if qpos is not None:
+            data.qpos[:] = qpos
+        found = np.zeros(self.size)
+        mujoco.mj_getState(self.model, data, found[BANK:], self._spec)
+        return torch.from_numpy(found)
+
+    def step(self, state: Tensor, ctrl: Tensor) -> Stepped:
+        """Carry out one control over all substeps.
+
+        Args:
+            state: [B, n] float64.
+            ctrl: [B, nu], the model's controls.
+        """
+        device = state.device
+        before = np.ascontiguousarray(state.detach().cpu().numpy(), np.float64)
+        held = np.ascontiguousarray(ctrl.detach().cpu().numpy(), np.float64)[:, None]
+        count = len(before)
+        rows = np.clip(np.nan_to_num(before[:, 0]), 0, len(self.models) - 1).astype(np.int64)
+        models = [self.models[row] for row in rows] if len(self.models) > 1 else self.model
+        with self._lock:
+            states, sensed = self._rollout.rollout(
+                models,
+                self._data,
+                before[:, BANK:].copy(),
+                np.broadcast_to(held, (count, self.substeps, held.shape[2])).copy(),
+                nstep=self.substeps,
+                initial_warmstart=np.zeros((count, self.model.nv)),
+            )
+        after = np.concatenate([before[:, :BANK], states[:, -1]], 1)
+        short = before[:, 1] + (self.substeps - 0.5) * self.model.opt.timestep > after[:, 1]  # it stops at a warning
+        sound = np.isfinite(after).all(1) & np.isfinite(sensed).all((1, 2)) & ~short
+        after = np.where(sound[:, None], after, before)
+        sensed = np.where(sound[:, None, None], sensed, 0.0)
+        return Stepped(*(torch.from_numpy(np.ascontiguousarray(one)).to(device) for one in (after, sensed, sound)))
+
+    def sensor(self, name: str) -> slice | None:
+        """The columns of ``sensed`` of a sensor; None where the model has no such one."""
+        mujoco = needed()
+        number = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name)
+        if number < 0:
+            return None
+        first = int(self.model.sensor_adr[number])
+        return slice(first, first + int(self.model.sensor_dim[number]))

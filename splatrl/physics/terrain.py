@@ -1,0 +1,50 @@
+"""The scene as physics sees it: a ground plane and boxes."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+UPRIGHT = 0.5
+"""Smallest z of a ground's normal: what is steeper is a wall."""
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Ground and static obstacles of a scene, world frame, metres.
+
+    Attributes:
+        plane: [4] float64, the ground's unit normal, which points up, and its offset: normal · x = offset.
+        boxes: [N, 6] float64, centre and half sizes of boxes along the world's axes.
+
+    Raises:
+        ValueError: for another shape, a number that is not finite, a normal that is no unit vector or does not point
+            up, or a box without volume.
+    """
+
+    plane: Tensor
+    boxes: Tensor
+
+    def __post_init__(self) -> None:
+        for name, shape in (("plane", (4,)), ("boxes", (len(self.boxes), 6))):
+            value = getattr(self, name)
+            if value.shape != shape or value.dtype != torch.float64 or not value.isfinite().all():
+                raise ValueError(
+                    f"terrain.{name}: expected finite float64 {list(shape)}, got {value.dtype} {list(value.shape)}"
+                )
+        if abs(float(self.plane[:3].norm()) - 1.0) > 1e-6 or not self.plane[2] > UPRIGHT:
+            raise ValueError(f"terrain.plane: expected a unit normal that points up, got {self.plane[:3].tolist()}")
+        if not (self.boxes[:, 3:] > 0).all():
+            raise ValueError("terrain.boxes: expected half sizes above 0, got others")
+
+    def height(self, places: Tensor) -> Tensor:
+        """Height of the ground: [..., 2] float64 x and y -> [...] float64 z, metres."""
+        x, y, z, offset = self.plane.to(places)
+        return (offset - x * places[..., 0] - y * places[..., 1]) / z
+
+
+def level_ground(height: float = 0.0) -> Terrain:
+    """A level plane and nothing else."""
+    return Terrain(
+        torch.tensor([0.0, 0.0, 1.0, height], dtype=torch.float64), torch.zeros(0, 6, dtype=torch.float64)
+    )
