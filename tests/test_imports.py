@@ -37,6 +37,7 @@ ORDER = [
     {"scenes"},
     {"renderers"},
     {"collision"},
+    {"physics"},
     {"motions"},
     {"curriculum"},
     {"envs"},

@@ -7,6 +7,7 @@ from splatrl.motions.forward import ForwardMotion
 from splatrl.motions.lattice import LatticeMotion
 from splatrl.motions.navigate import NavigateMotion
 from splatrl.motions.orbit import OrbitMotion
+from splatrl.motions.physics import PhysicsMotion
 from splatrl.motions.planar import PlanarMotion, StoppingMotion
 from splatrl.motions.steps import StepMotion
 
@@ -19,6 +20,7 @@ __all__ = [
     "Move",
     "NavigateMotion",
     "OrbitMotion",
+    "PhysicsMotion",
     "PlanarMotion",
     "PlannedMotion",
     "StepMotion",

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from splatrl.geometry import rigid
+from splatrl.geometry import multiply_quats, rigid
 from splatrl.physics.optional import needed
 from splatrl.physics.stepping import BANK
 
@@ -124,7 +124,7 @@ class Kinematics(torch.nn.Module):
         for level in self._levels:
             above = turn[:, level.parents]
             x = place[:, level.parents] + rotated(above, level.place)
-            q = product(above, level.turn)
+            q = multiply_quats(above, level.turn)
             for kind, rows, first, anchor, axis, rest in level.joints:
                 x[:, rows], q[:, rows] = _jointed(kind, qpos, x[:, rows], q[:, rows], first, anchor, axis, rest)
             place[:, level.bodies], turn[:, level.bodies] = x, normalised(q)
@@ -132,7 +132,11 @@ class Kinematics(torch.nn.Module):
 
     def poses(self, state: Tensor) -> Tensor:
         """``body_to_world`` of the bodies that were asked for: [B, n] float64 -> [B, N, 4, 4] float32."""
-        place, turn = self(state)
+        return self.as_poses(*self(state))
+
+    @staticmethod
+    def as_poses(place: Tensor, turn: Tensor) -> Tensor:
+        """Places [..., 3] and unit quaternions [..., 4] as [..., 4, 4] float32."""
         return rigid(matrices(turn), place).float()
 
 
@@ -152,23 +156,8 @@ def _jointed(
     else:
         half = 0.5 * (qpos[:, first] - rest)
         turn = torch.cat([half.cos().unsqueeze(-1), axis * half.sin().unsqueeze(-1)], -1)
-    q = product(q, turn)
+    q = multiply_quats(q, turn)
     return hinge_at - rotated(q, anchor), q
-
-
-def product(a: Tensor, b: Tensor) -> Tensor:
-    """Hamilton product of quaternions wxyz, [..., 4] each, broadcast: rotate by ``b`` first, then by ``a``."""
-    aw, ax, ay, az = a.unbind(-1)
-    bw, bx, by, bz = b.unbind(-1)
-    return torch.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        -1,
-    )
 
 
 def normalised(quats: Tensor) -> Tensor:

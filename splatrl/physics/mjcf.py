@@ -134,7 +134,9 @@ def _read_files(path: Path, node: ElementTree.Element, places: dict[str, str], r
         content = _small(_inside(where, reading.folder, full), MOST_ASSETS)
         reading.size += len(content)
         if reading.size > MOST_ASSETS or len(reading.assets) >= MOST_FILES:
-            raise ValueError(f"{where}: expected at most {MOST_FILES} files of {MOST_ASSETS:,} bytes together, got more")
+            raise ValueError(
+                f"{where}: expected at most {MOST_FILES} files of {MOST_ASSETS:,} bytes together, got more"
+            )
         reading.assets[full] = content
 
 

@@ -45,6 +45,4 @@ class Terrain:
 
 def level_ground(height: float = 0.0) -> Terrain:
     """A level plane and nothing else."""
-    return Terrain(
-        torch.tensor([0.0, 0.0, 1.0, height], dtype=torch.float64), torch.zeros(0, 6, dtype=torch.float64)
-    )
+    return Terrain(torch.tensor([0.0, 0.0, 1.0, height], dtype=torch.float64), torch.zeros(0, 6, dtype=torch.float64))

@@ -1,0 +1,318 @@
+"""A robot with a body of its own, moved by MuJoCo."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torchrl.data import Bounded
+
+from splatrl.collision.base import Checker
+from splatrl.geometry import axis_rotations, multiply_quats
+from splatrl.motions.base import Move, Taps
+from splatrl.motions.drive import DriveMotion
+from splatrl.physics import Kinematics, Physics, Terrain, compose, gaussians_from_mjcf, level_ground, read_mjcf
+from splatrl.physics.bank import Variation, bank
+from splatrl.physics.compose import ROBOT, SCENE
+from splatrl.physics.kinematics import TIME, normalised
+from splatrl.physics.optional import needed
+from splatrl.physics.robots import mjcf_path
+from splatrl.physics.stepping import BANK
+from splatrl.renderers.parts import Parts
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.values import require_number
+
+FIRST = BANK + TIME
+"""Column of a state at which the positions begin; the robot's free joint comes first, three metres and a quaternion."""
+FORWARD, TURN = "forward", "turn"
+"""Actuators that take metres and radians per second, by which shortest paths are followed."""
+FAR = 1e9
+"""No number of a state is larger."""
+
+
+class PhysicsMotion(nn.Module):
+    """A robot of MJCF on the ground of a scene, among its boxes and with things that it may move.
+
+    A state is [n] float64, as ``Physics`` has it: it holds where the robot and all things are, how they move, and which
+    model of the bank they obey. An action is what the actuators are told, within their ``ctrlrange``, held for a time
+    step. Nothing is reverted: contacts push back. ``Move.free_fraction`` is the share of the substeps before the robot
+    first touches a box or a thing that it is not to push, as contact sensors at the beginning of each substep see it.
+
+    Shortest paths are those of a kinematic twin, a ``DriveMotion`` of the robot's speeds, so that starts and distances
+    work as for other motions. Where the robot has actuators called forward and turn, which take its velocities, the
+    twin's actions are its own.
+
+    ``settle`` puts the robot into a scene; before, it stands on level ground.
+
+    Args:
+        path: of the robot's MJCF, or the name of one of splatrl's own. It has one body at the top, with a free joint.
+        camera: name of the camera; the body that carries it is the one whose poses ``body_to_world`` gives.
+        things: MJCF of what stands or lies in the scene, by name; their places are columns of the state.
+        pushed: names of the things that the robot may touch.
+        time_step: duration of an action, seconds.
+        substep: of the physics, seconds; None takes the robot's own.
+        linear: lowest and highest speed of the twin, metres per second; None takes the limits of the actuator forward.
+        angular_deg: the twin's highest angular velocity, degrees per second; None takes that of the actuator turn.
+        lower, upper, spacing, headings: where robots go and start; see ``DriveMotion``.
+        variation: how the physics of episodes differs.
+        threads: that step robots side by side; None takes all cores.
+
+    Raises:
+        FileNotFoundError: for MJCF that is not there.
+        ImportError: without the extra ``physics``.
+        ValueError: for MJCF that is refused or has no free joint, camera or range of an actuator, or a number out of
+            range.
+    """
+
+    action_names: tuple[str, ...] = ()
+    limits: Tensor  # [2, nu] float32, lowest and highest control
+    home: Tensor  # [n] float64, the state at rest at the origin
+
+    def __init__(
+        self,
+        path: str | Path,
+        camera: str,
+        things: Mapping[str, str] | None = None,
+        pushed: Sequence[str] = (),
+        time_step: float = 0.1,
+        substep: float | None = None,
+        linear: Sequence[float] | None = None,
+        angular_deg: float | None = None,
+        lower: Sequence[float] = (-1.0, -1.0),
+        upper: Sequence[float] = (1.0, 1.0),
+        spacing: float = 0.1,
+        headings: int = 36,
+        variation: Variation | None = None,
+        threads: int | None = None,
+    ):
+        super().__init__()
+        self.path, self.camera, self.pushed = mjcf_path(str(path)), camera, tuple(pushed)
+        self.thing_paths = {str(name): mjcf_path(str(place)) for name, place in (things or {}).items()}
+        self.time_step, self.substep, self.threads = time_step, substep, threads
+        self.variation = variation or Variation()
+        self.models: list[Gaussians] = []
+        require_number("task.motion.time_step", time_step, 1e-4, 10.0)
+        if unknown := set(self.pushed) - set(self.thing_paths):
+            raise ValueError(f"task.motion.pushed: expected names of things, got {', '.join(sorted(unknown))}")
+        self.register_buffer("limits", torch.zeros(2, 0), persistent=False)
+        self.register_buffer("home", torch.zeros(0, dtype=torch.float64), persistent=False)
+        self.settle(level_ground())
+        forward, turn = self._range(FORWARD), self._range(TURN)
+        if linear is None:
+            linear = self._told(forward, FORWARD, "linear")
+        if angular_deg is None:
+            angular_deg = math.degrees(self._told(turn, TURN, "angular_deg")[1])
+        self.driven = forward is not None and turn is not None and len(self.limits[0]) == 2
+        height = float(self.home[FIRST + 2])
+        self.twin = DriveMotion(height, time_step, linear, angular_deg, lower, upper, spacing, headings)
+        self.step, self.angle_step, self.height = self.twin.step, self.twin.angle_step, None
+
+    def settle(self, terrain: Terrain) -> None:
+        """Put the robot and its things into a scene."""
+        mujoco = needed()
+        robot = read_mjcf(self.path)
+        if self.substep is not None:
+            robot.option.timestep = self.substep
+        alone = robot.copy().compile()
+        with_things = {name: read_mjcf(path) for name, path in self.thing_paths.items()}
+        try:
+            world = compose(robot, terrain, with_things)
+        except ValueError as error:
+            raise ValueError(f"{self.path}: {error}") from error
+        model = world.model
+        joint = int(model.body_jntadr[model.body(world.robot).id])
+        if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE or model.jnt_qposadr[joint] != 0:
+            raise ValueError(f"{self.path}: body {world.robot!r}: expected a <freejoint/>, by which it moves")
+        substeps = self.time_step / model.opt.timestep
+        if round(substeps) < 1 or abs(substeps - round(substeps)) > 1e-6:
+            raise ValueError(
+                f"task.motion.time_step: expected a multiple of the robot's {model.opt.timestep:g} s, "
+                f"got {self.time_step:g}"
+            )
+        self.physics = Physics(bank(model, self.variation), round(substeps), self.threads)
+        self.terrain, self.world = terrain, world
+        qpos = model.qpos0.copy()
+        qpos[: alone.nq] = alone.key_qpos[0] if alone.nkey else alone.qpos0
+        home = self.physics.state_of(qpos)
+        if alone.nkey and alone.na:
+            first = FIRST + model.nq + model.nv
+            home[first : first + alone.na] = torch.from_numpy(alone.key_act[0].copy())
+        device = self.home.device
+        self.home = home.to(device)
+        self.limits = self._control_limits(model).to(device)
+        if not self.models:  # what things look like does not depend on where they are
+            self._sample(model)
+        self.kinematics = Kinematics(model, [self._eye(model), *self._shown]).to(device)
+        hits = [self.physics.sensor(f"touch/{name}") for name in (SCENE, *self.thing_paths) if name not in self.pushed]
+        self.hits = [columns for columns in hits if columns is not None]
+
+    @property
+    def action_spec(self) -> Bounded:
+        """What each actuator can be told, [nu] float32; no batch."""
+        return Bounded(low=self.limits[0], high=self.limits[1], shape=(self.limits.shape[1],), dtype=torch.float32)
+
+    @property
+    def state_spec(self) -> Bounded:
+        """Finite numbers, [n] float64; no batch."""
+        return Bounded(low=-FAR, high=FAR, shape=(len(self.home),), dtype=torch.float64)
+
+    def move(self, state: Tensor, action: Tensor, checker: Checker) -> Move:
+        """Step the physics; see ``Motion``. A robot whose physics is lost stays where it was, outside the bounds."""
+        ctrl = action.clamp(self.limits[0], self.limits[1])
+        after, sensed, sound = self.physics.step(state, ctrl)
+        touched = torch.zeros(sensed.shape[:2], dtype=torch.bool, device=sensed.device)
+        for columns in self.hits:
+            touched |= (sensed[..., columns] > 0).any(2)
+        first = touched.int().argmax(1)  # of the substeps that touch
+        free = torch.where(touched.any(1), first / self.physics.substeps, 1.0).float()
+        return Move(after, self.body_to_world(after), free, self.inside(after) & sound)
+
+    def clear(self, state: Tensor) -> Tensor:
+        """Whether robots in some states touch nothing but ground and what they may push: [N, n] -> [N] bool."""
+        steps = Physics(self.physics.models, 1, self.threads)
+        _, sensed, sound = steps.step(state, torch.zeros(len(state), self.limits.shape[1]))
+        touched = torch.zeros(len(state), dtype=torch.bool)
+        for columns in self.hits:
+            touched |= (sensed[:, 0, columns] > 0).any(1).cpu()
+        return sound & ~touched.to(sound.device)
+
+    def planar(self, state: Tensor) -> Tensor:
+        """Position and heading of the robot's first body: [B, n] -> [B, 3] float64, metres, and radians in [0, τ)."""
+        x, y, _, qw, qx, qy, qz = state[:, FIRST : FIRST + 7].unbind(1)
+        yaw = torch.atan2(2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz)
+        return torch.stack([x, y, yaw % math.tau], 1)
+
+    def body_to_world(self, state: Tensor) -> Tensor:
+        """Poses of the body that carries the camera: [B, n] -> [B, 4, 4] float32."""
+        place, turn = self.kinematics(state)
+        return self.kinematics.as_poses(place[:, :1], turn[:, :1]).squeeze(1)
+
+    def placed(self, planar: Tensor) -> Tensor:
+        """States in which robots stand at rest on the ground, things where their files say.
+
+        Args:
+            planar: [N, 3] x and y in metres, yaw in radians.
+
+        Returns:
+            [N, n] float64.
+        """
+        x, y, yaw = planar.to(self.home).unbind(1)
+        normal, home = self.terrain.plane[:3].to(self.home), self.home[FIRST : FIRST + 7]
+        half, up = 0.5 * yaw, torch.sqrt(0.5 * (1.0 + normal[2]))
+        tilt = torch.stack([up, -normal[1] / (2 * up), normal[0] / (2 * up), torch.zeros_like(up)])
+        about = torch.stack([half.cos(), torch.zeros_like(half), torch.zeros_like(half), half.sin()], 1)
+        turn = normalised(multiply_quats(multiply_quats(tilt, about), home[3:]))
+        z = self.terrain.height(torch.stack([x, y], 1)) + home[2] / normal[2]
+        state = self.home.repeat(len(planar), 1)
+        state[:, FIRST : FIRST + 7] = torch.cat([torch.stack([x, y, z], 1), turn], 1)
+        return state
+
+    def varied(self, state: Tensor, generator: torch.Generator) -> Tensor:
+        """States that obey models of the bank, drawn evenly: [B, n] -> [B, n]."""
+        count = len(self.physics.models)
+        if count == 1:
+            return state
+        drawn = torch.randint(count, (len(state), 1), generator=generator, device=state.device)
+        return torch.cat([drawn.to(state), state[:, BANK:]], 1)
+
+    def thing(self, name: str) -> slice:
+        """The columns of a state that hold the place and orientation of a thing with a free joint, [7].
+
+        Raises:
+            ValueError: for an unknown thing, or one that cannot move freely.
+        """
+        mujoco, model = needed(), self.physics.model
+        body = model.body(self.world.things[name]).id if name in self.world.things else 0
+        joint = int(model.body_jntadr[body])
+        if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+            raise ValueError(f"task.motion.things: expected {name!r} with a free joint, got none")
+        first = FIRST + int(model.jnt_qposadr[joint])
+        return slice(first, first + 7)
+
+    def parts(self, state: Tensor, first: int = 1) -> Parts:
+        """The scene, and robots and things where they are: [B, n] -> [B, 1 + M] parts.
+
+        Args:
+            state: states.
+            first: number of the first of ``models`` among the renderer's.
+        """
+        place, turn = self.kinematics(state)
+        moving = self.kinematics.as_poses(place[:, 1:], turn[:, 1:])
+        scene = torch.eye(4, device=state.device).expand(len(state), 1, 4, 4)
+        numbers = torch.arange(first, first + moving.shape[1], device=state.device)
+        model = torch.cat([torch.zeros_like(numbers[:1]), numbers]).expand(len(state), -1)
+        return Parts(model, torch.cat([scene, moving], 1))
+
+    def states(self) -> Tensor:
+        """The starts of the twin, with the robot at rest: [S, n]."""
+        return self.placed(self.twin.states())
+
+    def actions(self) -> Tensor:
+        """The twin's actions: [A, 2] float32."""
+        return self.twin.actions()
+
+    def advance(self, state: Tensor, action: Tensor) -> Tensor:
+        """Where an unobstructed action leads the twin: [B, n], [B, 2] -> [B, n]."""
+        return self.placed(self.twin.advance(self.planar(state).float(), action))
+
+    def inside(self, state: Tensor) -> Tensor:
+        """Whether robots are within the bounds, which are inclusive: [B, n] -> [B] bool."""
+        return self.twin.inside(self.planar(state).float())
+
+    def nodes(self) -> Tensor:
+        """The twin's nodes, with the robot at rest: [C, n]."""
+        return self.placed(self.twin.nodes())
+
+    def taps(self, state: Tensor) -> Taps:
+        """The twin's nodes around robots."""
+        return self.twin.taps(self.planar(state).float())
+
+    def nearest(self, planar: Tensor) -> Tensor:
+        """Robots at rest at positions and headings: [N, 3] -> [N, n]."""
+        return self.placed(planar)
+
+    def joined(self, modules: Sequence[nn.Module]) -> nn.Module:
+        """Refuse several scenes; see ``splatrl.several``."""
+        raise ValueError(f"scene: expected one scene for a robot with physics, got {len(modules)}")
+
+    def _sample(self, model: Any) -> None:
+        """Make Gaussians of the bodies of the robot and the things."""
+        prefixes = (ROBOT, *(f"{name}/" for name in self.thing_paths))
+        found = [body for prefix in prefixes for body in gaussians_from_mjcf(model, prefix)]
+        self.models, self._shown = [body.gaussians for body in found], [body.body for body in found]
+
+    def _eye(self, model: Any) -> str:
+        """The name of the body that carries the camera."""
+        mujoco = needed()
+        number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, f"{ROBOT}{self.camera}")
+        if number < 0:
+            known = [model.camera(each).name.removeprefix(ROBOT) for each in range(model.ncam)]
+            raise ValueError(
+                f"{self.path}: camera: expected one called {self.camera!r}, got {', '.join(known) or 'none'}"
+            )
+        return str(model.body(int(model.cam_bodyid[number])).name)
+
+    def _control_limits(self, model: Any) -> Tensor:
+        """[2, nu] float32."""
+        for number in range(model.nu):
+            if not model.actuator_ctrllimited[number]:
+                name = model.actuator(number).name or number
+                raise ValueError(f"{self.path}: actuator {name!r}: expected a ctrlrange, got none")
+        if not model.nu:
+            raise ValueError(f"{self.path}: <actuator>: expected at least one, got none")
+        return torch.from_numpy(model.actuator_ctrlrange.T.copy()).float()
+
+    def _range(self, name: str) -> list[float] | None:
+        """Limits of one of the robot's actuators; None where there is no such one."""
+        mujoco = needed()
+        number = mujoco.mj_name2id(self.physics.model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{ROBOT}{name}")
+        return None if number < 0 else [float(value) for value in self.physics.model.actuator_ctrlrange[number]]
+
+    def _told(self, found: list[float] | None, actuator: str, key: str) -> list[float]:
+        if found is None:
+            raise ValueError(
+                f"task.motion.{key}: expected a value for {self.path}, which has no actuator called {actuator!r}"
+            )
+        return found

@@ -1,0 +1,66 @@
+"""Models of one world that differ in their numbers, from which each episode takes one."""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from splatrl.physics.optional import needed
+from splatrl.values import require_number
+
+
+@dataclass(frozen=True)
+class Variation:
+    """How much the physics of episodes differs: factors, drawn evenly on a logarithmic scale.
+
+    Attributes:
+        models: number of models, the first of which is as the files say.
+        friction: smallest and largest factor of all friction.
+        mass: of the masses and inertias of each body that moves.
+        motor: of the strength of each actuator.
+        seed: of what is drawn.
+
+    Raises:
+        ValueError: for a number out of range.
+    """
+
+    models: int = 1
+    friction: Sequence[float] = (1.0, 1.0)
+    mass: Sequence[float] = (1.0, 1.0)
+    motor: Sequence[float] = (1.0, 1.0)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        require_number("models", self.models, 1, 4096, whole=True)
+        require_number("seed", self.seed, 0, 2**63 - 1, whole=True)
+        for field in fields(self)[1:4]:
+            pair = getattr(self, field.name)
+            if len(pair) != 2 or not 0.0 < pair[0] <= pair[1] <= 100.0:
+                raise ValueError(f"{field.name}: expected two factors, 0 < lowest ≤ highest ≤ 100, got {list(pair)}")
+
+
+def bank(model: Any, variation: Variation) -> list[Any]:
+    """The model, and as many varied copies of it as asked."""
+    rng = np.random.default_rng(variation.seed)
+    return [model, *(_varied(model, variation, rng) for _ in range(variation.models - 1))]
+
+
+def _varied(model: Any, variation: Variation, rng: np.random.Generator) -> Any:
+    mujoco, own = needed(), copy.copy(model)
+    friction, mass, motor = (
+        np.exp(rng.uniform(*np.log(pair), size))
+        for pair, size in (
+            (variation.friction, 1),
+            (variation.mass, model.nbody),
+            (variation.motor, model.nu),
+        )
+    )
+    own.geom_friction[:] *= friction
+    own.body_mass[:] *= mass
+    own.body_inertia[:] *= mass[:, None]
+    for table in (own.actuator_gainprm, own.actuator_biasprm, own.actuator_forcerange):
+        table[:] *= motor[:, None]
+    mujoco.mj_setConst(own, mujoco.MjData(own))
+    return own
