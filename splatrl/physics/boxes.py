@@ -1,0 +1,94 @@
+"""What is solid above the ground as few boxes: the voxels that bodies can meet, merged greedily."""
+
+from collections.abc import Sequence
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splatrl.collision.voxels import Voxels
+from splatrl.physics.ground import Ground
+
+TURF = 0.1
+"""Metres: what stands on the ground and is no higher than this, a voxel's rounding included, is ground: grass, gravel,
+and the voxels of the floor itself, whose edges would stop a wheel."""
+_ORDERS = tuple(permutations(range(3)))
+
+
+def solid_above(
+    voxels: Voxels, ground: Ground, lower: Sequence[float], upper: Sequence[float], top: float, turf: float = TURF
+) -> Voxels:
+    """The voxels that bodies on the ground can meet.
+
+    Left out are voxels that lie below the plane, from ``top`` above it, beside the bounds, and those no higher than
+    ``turf`` above the plane on which nothing solid stands.
+
+    Args:
+        voxels: what is solid in the scene.
+        ground: its plane.
+        lower: smallest x and y that a body can touch, metres.
+        upper: largest x and y, metres.
+        top: height above the plane that bodies stay below, metres.
+        turf: see above, metres.
+
+    Raises:
+        ValueError: for a ``top`` that is not above ``turf``.
+    """
+    if not top > turf >= 0.0:
+        raise ValueError(f"top: expected metres above turf, {turf:g}, got {top}")
+    edge, occupied = voxels.resolution, voxels.occupied
+    x, y, bottom = (
+        (np.arange(count) + key) * edge for count, key in zip(occupied.shape, voxels.origin_key, strict=True)
+    )
+    middle = np.stack(np.meshgrid(x + 0.5 * edge, y + 0.5 * edge, indexing="ij"), -1)
+    above = bottom - ground.height(middle)[:, :, None]  # [X, Y, Z], of the voxels' lower faces
+    slack = 1e-6 * edge
+    beside_x = (x + edge <= lower[0] + slack) | (x >= upper[0] - slack)
+    beside_y = (y + edge <= lower[1] + slack) | (y >= upper[1] - slack)
+    kept = occupied & (above + edge > slack) & (above < top - slack)
+    kept &= ~(beside_x[:, None, None] | beside_y[None, :, None])
+    low = above + edge <= turf + slack
+    carries = np.zeros(occupied.shape[:2], bool)  # whether the voxel above is kept and stands higher than turf
+    for layer in reversed(range(occupied.shape[2])):
+        kept[:, :, layer] &= ~low[:, :, layer] | carries
+        carries = kept[:, :, layer]
+    return Voxels(kept, voxels.origin_key, edge)
+
+
+def merged_boxes(voxels: Voxels) -> NDArray[np.float64]:
+    """Boxes whose union is exactly what is solid; they may overlap.
+
+    From each voxel that no box holds yet, boxes are grown as far as everything in them is solid, in all six orders of
+    the axes; the one that holds the most new voxels is taken.
+
+    Returns:
+        [N, 6] float64: centres and half sizes, world, metres.
+    """
+    solid, left = voxels.occupied, voxels.occupied.copy()
+    boxes = []
+    for start in np.argwhere(solid):
+        if left[tuple(start)]:
+            grown = [_grown(solid, start.tolist(), order) for order in _ORDERS]
+            best = max(grown, key=lambda box: int(np.count_nonzero(left[box])))
+            left[best] = False
+            boxes.append([[span.start for span in best], [span.stop for span in best]])
+    corners = (np.array(boxes, np.float64).reshape(-1, 2, 3) + voxels.origin_key) * voxels.resolution
+    return np.concatenate([corners.mean(1), 0.5 * (corners[:, 1] - corners[:, 0])], 1)
+
+
+def _grown(solid: NDArray[np.bool_], start: list[int], order: tuple[int, ...]) -> tuple[slice, slice, slice]:
+    """The box around a voxel that is grown along one axis after the other, both ways, while all of it is solid."""
+    low, high = list(start), [at + 1 for at in start]
+
+    def layer(axis: int, at: int) -> bool:
+        spans = [slice(a, b) for a, b in zip(low, high, strict=True)]
+        spans[axis] = slice(at, at + 1)
+        return bool(solid[tuple(spans)].all())
+
+    for axis in order:
+        while high[axis] < solid.shape[axis] and layer(axis, high[axis]):
+            high[axis] += 1
+        while low[axis] > 0 and layer(axis, low[axis] - 1):
+            low[axis] -= 1
+    x, y, z = (slice(a, b) for a, b in zip(low, high, strict=True))
+    return x, y, z

@@ -1,0 +1,234 @@
+"""The plane that bodies stand on, fitted to the depth that is rendered of a scene's floor."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.collision.voxels import Voxels
+from splatrl.physics.places import CLEARANCE, standing_heights, widest_part
+from splatrl.renderers.base import Renderer
+
+Floats = NDArray[np.float64]
+
+SPACING = 0.2
+"""Metres between places that are looked at, unless there would be more than ``MOST_PLACES``."""
+MOST_PLACES = 400
+FEWEST_PLACES = 6
+"""Without as many there is nothing to fit."""
+SIDE = 16
+"""Pixels of a look down."""
+OPAQUE = 0.5
+"""Share of a pixel that must be covered for its depth to count."""
+THICKNESS = 0.03
+"""Metres: what is farther from the plane is not on it. Grass and worn floors lie within."""
+LARGEST_TILT = math.radians(15.0)
+DRAWS = 2000
+LEVEL = 0.005
+"""Metres: a plane that differs from a level one by less than this, root mean square over the places, is made level.
+Rendered depth is not better than that, and bodies should not roll on its errors."""
+ONE_PLANE = 0.8
+"""Share of the places that lie on the plane, at least, for it to be one: plants and low things lie on it too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A plane, and how well the ground agrees with it.
+
+    Attributes:
+        plane: [4] float64, unit normal n (upwards) and offset d, metres: n · p = d on the plane.
+        spread: root mean square distance from the plane of the seen points within ``THICKNESS`` of it, metres.
+        places: how many places were looked at.
+        on: share of them that lie within ``THICKNESS`` of the plane.
+        range: distance from the plane of the lowest and of the highest hundredth of the places, metres.
+        sunk: share of all places to stand that lie below the plane by more than ``THICKNESS`` and a voxel: bodies
+            would float above them.
+    """
+
+    plane: Floats
+    spread: float
+    places: int
+    on: float
+    range: tuple[float, float]
+    sunk: float
+
+    @property
+    def tilt(self) -> float:
+        """Angle between the plane's normal and up, radians."""
+        return math.acos(min(1.0, float(self.plane[2])))
+
+    @property
+    def is_plane(self) -> bool:
+        """Whether nearly all places lie on the plane, and hardly any below it."""
+        return self.on >= ONE_PLANE and self.sunk <= 1.0 - ONE_PLANE
+
+    def height(self, xy: Floats) -> Floats:
+        """z of the plane at places: [..., 2] -> [...], metres."""
+        normal, offset = self.plane[:3], self.plane[3]
+        return (offset - xy @ normal[:2]) / normal[2]
+
+    @property
+    def trouble(self) -> str | None:
+        """What a person should know before bodies move on it, in one line; None where the ground is a plane."""
+        if self.is_plane:
+            return None
+        below = f", and {self.sunk:.0%} of where one could stand is below it" if self.sunk > 1.0 - ONE_PLANE else ""
+        low, high = self.range
+        return (
+            f"the ground is not one plane: {1 - self.on:.0%} of {self.places} places lie more than {THICKNESS:g} m off "
+            f"the best one, from {low:+.2f} to {high:+.2f} m{below}; bodies would float or sink there"
+        )
+
+    def __str__(self) -> str:
+        seen = f"{self.spread * 1000:.1f} mm rms, {self.on:.0%} of {self.places} places within {THICKNESS:g} m"
+        where = f"z = {float(self.height(np.zeros(2))) + 0.0:.4f} m at the origin"
+        tilt = f"tilted by {math.degrees(self.tilt):.2f}°"
+        trouble = f"\n            {self.trouble}" if self.trouble else ""
+        return f"ground      {where}, {tilt}\n            {seen}{trouble}"
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays to keep in a cache."""
+        numbers = [self.spread, self.places, self.on, *self.range, self.sunk]
+        return {"plane": self.plane, "numbers": np.array(numbers, np.float64)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "Ground":
+        """Undo ``to_arrays``."""
+        spread, places, on, low, high, sunk = arrays["numbers"].tolist()
+        return cls(arrays["plane"], spread, int(places), on, (low, high), sunk)
+
+
+def fit_ground(renderer: Renderer, voxels: Voxels, lower: Sequence[float], upper: Sequence[float]) -> Ground:
+    """Fit a plane to the floor between bounds.
+
+    Places to stand are found in the voxels, whose tops are up to two voxels off; from 0.3 m above a grid of those that
+    hang together a camera looks straight down, and the plane is fitted to what it sees: by random triples of places
+    first, then by reweighted least squares (Tukey's biweight) over all pixels, which leaves out grass and what lies
+    around. Where a level plane is as good within ``LEVEL``, it is taken.
+
+    Args:
+        renderer: of the scene; draws depth.
+        voxels: what is solid in it, the ground included.
+        lower: smallest x and y of where bodies can be, metres.
+        upper: largest x and y, metres.
+
+    Raises:
+        ValueError: for bounds without area, or where too few places are free to see a ground.
+    """
+    if not all(low < high for low, high in zip(lower, upper, strict=True)):
+        raise ValueError(f"ground: expected lower < upper in x and y, got {list(lower)} and {list(upper)}")
+    centers, heights = standing_heights(voxels, lower, upper)
+    floor = widest_part(heights)
+    spacing = max(SPACING, math.sqrt((upper[0] - lower[0]) * (upper[1] - lower[1]) / MOST_PLACES))
+    eyes = _eyes(centers, np.where(floor, heights, np.nan), spacing)
+    points, place = _looked_down(renderer, eyes, spacing)
+    medians = np.array([np.median(points[place == one], 0) for one in np.unique(place)]).reshape(-1, 3)
+    if len(medians) < FEWEST_PLACES:
+        raise ValueError(
+            f"ground: expected at least {FEWEST_PLACES} places with a floor below {CLEARANCE:g} m of free space from "
+            f"{list(lower)} to {list(upper)}, got {len(medians)}; bodies need a ground to stand on"
+        )
+    plane = _levelled(points, medians, _refined(points, _rough(medians)))
+    off, seen = medians @ plane[:3] - plane[3], points @ plane[:3] - plane[3]
+    near = seen[np.abs(seen) <= THICKNESS]
+    stands = ~np.isnan(heights)
+    above = np.append(centers[stands], heights[stands, None], 1) @ plane[:3] - plane[3]
+    low, high = np.quantile(off, [0.01, 0.99]).tolist()
+    return Ground(
+        plane=plane,
+        spread=float(np.sqrt((near**2).mean())) if len(near) else float("inf"),
+        places=len(medians),
+        on=float((np.abs(off) <= THICKNESS).mean()),
+        range=(low, high),
+        sunk=float((above < -THICKNESS - voxels.resolution).mean()),
+    )
+
+
+def _eyes(centers: Floats, heights: Floats, spacing: float) -> Floats:
+    """A place above the floor for each cell of a grid, the one nearest to the cell's middle: [E, 3]."""
+    known = ~np.isnan(heights)
+    xy, z = centers[known], heights[known]
+    cell = np.floor(xy / spacing)
+    away = np.linalg.norm(xy - (cell + 0.5) * spacing, axis=1)
+    order = np.lexsort((away, cell[:, 1], cell[:, 0]))
+    cell = cell[order]
+    first = np.ones(len(cell), bool)
+    first[1:] = (cell[1:] != cell[:-1]).any(1)
+    chosen = order[first]
+    return np.append(xy[chosen], z[chosen, None] + CLEARANCE, 1)
+
+
+def _looked_down(renderer: Renderer, eyes: Floats, spacing: float) -> tuple[Floats, NDArray[np.int64]]:
+    """What cameras see that look straight down: points [P, 3], and which eye [P] saw each."""
+    if len(eyes) == 0:
+        return np.zeros((0, 3)), np.zeros(0, np.int64)
+    position = torch.from_numpy(eyes).float()
+    camera_to_world = look_at(position, position - torch.tensor([0.0, 0.0, 1.0]))
+    K = intrinsics(2 * math.atan(0.5 * spacing / CLEARANCE), SIDE, SIDE)
+    _, depth, alpha = renderer.render(Cameras(camera_to_world, K, SIDE, SIDE))
+    pixel = torch.arange(SIDE, dtype=torch.float64) + 0.5
+    right, down = ((pixel - K[axis, 2].double()) / K[axis, axis].double() for axis in range(2))
+    rays = torch.stack([right.expand(SIDE, SIDE), down[:, None].expand(SIDE, SIDE), torch.ones(SIDE, SIDE)], -1)
+    local = rays.double() * depth.double().unsqueeze(-1)
+    turned = torch.einsum("bij,bhwj->bhwi", camera_to_world[:, :3, :3].double(), local)
+    points = turned + torch.from_numpy(eyes)[:, None, None]
+    seen = (alpha >= OPAQUE) & (depth > 0)
+    return points[seen].numpy(), seen.nonzero()[:, 0].numpy()
+
+
+def _rough(places: Floats) -> Floats:
+    """The plane through three of the places that is near to the most of them: [4]."""
+    generator = np.random.default_rng(0)
+    a, b, c = places[generator.integers(len(places), size=(3, DRAWS))]
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1)
+    kept = lengths > 1e-9
+    normals = normals[kept] / lengths[kept, None]
+    normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0)
+    upright = normals[:, 2] >= math.cos(LARGEST_TILT)
+    level = np.array([[0.0, 0.0, 1.0]])  # always a candidate, through each of some places
+    count = min(len(places), 50)
+    normals = np.concatenate([normals[upright], np.repeat(level, count, 0)])
+    through = np.concatenate([a[kept][upright], places[np.linspace(0, len(places) - 1, count).astype(int)]])
+    offsets = (normals * through).sum(1)
+    away = np.abs(normals @ places.T - offsets[:, None])
+    near = (1.0 - np.minimum(away / THICKNESS, 1.0) ** 2).sum(1)
+    best = int(near.argmax())
+    return np.append(normals[best], offsets[best])
+
+
+def _levelled(points: Floats, places: Floats, plane: Floats) -> Floats:
+    """The level plane [4] among the points, if a plane hardly differs from it over the places; else that plane."""
+    z = (plane[3] - places[:, :2] @ plane[:2]) / plane[2]
+    height = float(np.median(z))
+    for _ in range(12):
+        weight = _biweight(points[:, 2] - height, THICKNESS)
+        height = float(weight @ points[:, 2] / weight.sum()) if weight.any() else height
+    level = np.sqrt(((z - height) ** 2).mean()) <= LEVEL
+    return np.array([0.0, 0.0, 1.0, height]) if level else plane
+
+
+def _biweight(distance: Floats, width: float) -> Floats:
+    """Tukey's weights: 1 at no distance, 0 from ``width`` on."""
+    return np.where(np.abs(distance) < width, (1.0 - (distance / width) ** 2) ** 2, 0.0)
+
+
+def _refined(points: Floats, plane: Floats) -> Floats:
+    """The plane that reweighted least squares finds from a rough one: [4]."""
+    for width in (*[2 * THICKNESS] * 3, *[THICKNESS] * 12):
+        weight = _biweight(points @ plane[:3] - plane[3], width)
+        if (weight > 0).sum() < 3:
+            return plane
+        center = weight @ points / weight.sum()
+        moved = points - center
+        normal = np.linalg.eigh((moved * weight[:, None]).T @ moved)[1][:, 0]
+        normal = normal if normal[2] >= 0 else -normal
+        if normal[2] < math.cos(LARGEST_TILT):
+            return plane
+        plane = np.append(normal, center @ normal)
+    return plane

@@ -1,0 +1,76 @@
+"""Where bodies could stand: the heights of the floor that is free above, and what hangs together of it."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from splatrl.collision.voxels import Voxels
+
+CLEARANCE = 0.3
+"""Metres of free space above a place to stand, at least."""
+STEP = 0.12
+"""Metres: places beside each other belong together unless one is higher than the other by more than this."""
+
+
+def standing_heights(
+    voxels: Voxels, lower: Sequence[float], upper: Sequence[float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The lowest solid top in each column that has free space above it.
+
+    Args:
+        voxels: what is solid, the ground included.
+        lower: smallest x and y of the columns' centres, metres.
+        upper: largest x and y, metres.
+
+    Returns:
+        Centres of the columns [X, Y, 2] and heights [X, Y], metres; NaN where nothing is solid.
+    """
+    edge, shape = voxels.resolution, voxels.occupied.shape
+    spans = []
+    for axis in range(2):
+        centers = (np.arange(shape[axis]) + voxels.origin_key[axis] + 0.5) * edge
+        inside = np.flatnonzero((centers >= lower[axis]) & (centers <= upper[axis]))
+        spans.append(slice(int(inside[0]), int(inside[-1]) + 1) if len(inside) else slice(0, 0))
+    solid = voxels.occupied[spans[0], spans[1]]
+    gap = max(1, math.ceil(CLEARANCE / edge - 1e-6))
+    above = np.pad(solid, ((0, 0), (0, 0), (0, gap)))  # what is above the grid is free
+    stands = solid.copy()
+    for layer in range(1, gap + 1):
+        stands &= ~above[:, :, layer : layer + shape[2]]
+    first = stands.argmax(2) if shape[2] else np.zeros(solid.shape[:2], np.int64)
+    heights = np.where(stands.any(2), (first + voxels.origin_key[2] + 1) * edge, np.nan)
+    x, y = (
+        (np.arange(span.start, span.stop) + voxels.origin_key[axis] + 0.5) * edge for axis, span in enumerate(spans)
+    )
+    return np.stack(np.meshgrid(x, y, indexing="ij"), -1), heights
+
+
+def widest_part(heights: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """The largest set of columns between which one could walk, without steps above ``STEP``.
+
+    Args:
+        heights: [X, Y] metres, NaN for columns where nothing stands.
+
+    Returns:
+        [X, Y] bool; all false where nothing stands anywhere.
+    """
+    known = ~np.isnan(heights)
+    if not known.any():
+        return known
+    index = np.arange(heights.size).reshape(heights.shape)
+    first, second = [], []
+    for a, b in ((np.s_[:-1, :], np.s_[1:, :]), (np.s_[:, :-1], np.s_[:, 1:])):
+        beside = known[a] & known[b]
+        beside[beside] = np.abs(heights[a][beside] - heights[b][beside]) <= STEP + 1e-9
+        first.append(index[a][beside])
+        second.append(index[b][beside])
+    rows, columns = np.concatenate(first), np.concatenate(second)
+    graph = coo_array((np.ones(len(rows), bool), (rows, columns)), shape=(heights.size, heights.size))
+    label = connected_components(graph, directed=False)[1].reshape(heights.shape)
+    largest = np.bincount(label[known]).argmax()
+    result: NDArray[np.bool_] = known & (label == largest)
+    return result

@@ -1,0 +1,79 @@
+"""From a scene to what physics sees of it: the ground's plane and boxes, found once and kept in the scene's cache."""
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+
+from splatrl.collision.occupancy import Occupancy
+from splatrl.files import digest_of
+from splatrl.physics.boxes import merged_boxes, solid_above
+from splatrl.physics.ground import Ground, fit_ground
+from splatrl.physics.terrain import Terrain
+from splatrl.renderers.native import NativeRenderer
+from splatrl.scenes.scene import Scene
+
+CODE = [Path(__file__).with_name(f"{name}.py") for name in ("survey", "ground", "places", "boxes")]
+"""What a cached terrain was computed by."""
+
+
+class Surveyed(NamedTuple):
+    """A scene as physics sees it.
+
+    Attributes:
+        ground: its plane, and how well that fits.
+        terrain: the same plane, and boxes around what is solid above it.
+    """
+
+    ground: Ground
+    terrain: Terrain
+
+
+def survey_terrain(
+    scene: Scene,
+    occupancy: Occupancy,
+    lower: Sequence[float],
+    upper: Sequence[float],
+    reach: float,
+    top: float,
+    antialiased: bool = True,
+) -> Surveyed:
+    """Find the ground and the boxes of the part of a scene that bodies can be in.
+
+    A ground that is not one plane is told by a warning.
+
+    Args:
+        scene: in the world frame.
+        occupancy: what is solid in it, the ground included.
+        lower: smallest x and y to which robots go, metres.
+        upper: largest x and y, metres.
+        reach: how far bodies reach beyond these, metres: what is farther out is left out.
+        top: height above the ground that no body gets to, metres: what is higher is left out.
+        antialiased: how the scene is drawn.
+
+    Raises:
+        ValueError: for bounds without area, a negative reach, too few places to stand, or too many boxes.
+    """
+    if not reach >= 0.0:
+        raise ValueError(f"reach: expected metres from 0, got {reach}")
+
+    def build() -> dict[str, Any]:
+        ground = fit_ground(NativeRenderer(scene.gaussians, antialiased), occupancy, lower, upper)
+        low, high = [value - reach for value in lower], [value + reach for value in upper]
+        return {**ground.to_arrays(), "boxes": merged_boxes(solid_above(occupancy, ground, low, high, top))}
+
+    settings = {
+        "occupancy": occupancy.digest,
+        "bounds": [list(map(float, lower)), list(map(float, upper))],
+        "reach": float(reach),
+        "top": float(top),
+        "antialiased": antialiased,
+        "code": digest_of(CODE),
+    }
+    arrays = scene.cached("terrain", settings, build)
+    ground = Ground.from_arrays(arrays)
+    if ground.trouble:
+        warnings.warn(f"{scene.name}: {ground.trouble}", stacklevel=2)
+    return Surveyed(ground, Terrain(torch.from_numpy(ground.plane), torch.from_numpy(arrays["boxes"])))
