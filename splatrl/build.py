@@ -29,18 +29,23 @@ from splatrl.envs.drawing import Drawing
 from splatrl.envs.robot import Robot
 from splatrl.envs.sensors import Sensor
 from splatrl.envs.stateful_env import StatefulEnv
-from splatrl.envs.tasks import NavigationTask, Task
+from splatrl.envs.tasks import NavigationTask, Push, Task
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.rollouts import run_episodes, spread_starts
 from splatrl.made_with import made_with
 from splatrl.misfits import check_goal, check_height, check_sprite
+from splatrl.motions import PhysicsMotion
 from splatrl.native.threads import threads_of
+from splatrl.physics.survey import survey_terrain
 from splatrl.remembered import remembering
 from splatrl.renderers.one_scene import OneScene
 from splatrl.scenes.scene import Bounds, Scene
 from splatrl.several import stacked
 from splatrl.training import PPO, Cloner, Trainer, inputs_of, make_tracker, memory_transforms
 from splatrl.values import require_number
+
+BEYOND = 1.0
+"""Metres around where robots go in which physics knows what is solid: things roll."""
 
 
 class _Place(NamedTuple):
@@ -81,7 +86,8 @@ def build_world(cfg: DictConfig) -> World | Worlds:
     configs = place_configs(cfg)
     places = _build_places(configs, device)
     scenes = [place.scene for place in places]
-    renderer = _constructor(configs[0], "renderer", device)(scenes[0] if len(scenes) == 1 else scenes)
+    drawn = [*scenes, *places[0].task.models]
+    renderer = _constructor(configs[0], "renderer", device)(drawn[0] if len(drawn) == 1 else drawn)
     if cfg.renderer.cache is not None and device.type == "cpu":
         renderer = instantiate(cfg.renderer.cache)(renderer)
     transforms = partial(_make_transforms, cfg.transforms, cfg.network.get("memory", 0))
@@ -146,8 +152,37 @@ def _build_place(cfg: DictConfig, device: torch.device) -> _Place:
         with _key("task"):
             task.settle(planner, fits)
         fits = partial(_connected, task, fits)
+    if isinstance(task.motion, PhysicsMotion):
+        _settle(task, scene, occupancy, robot.body, bool(cfg.renderer.get("antialiased", True)))
+        fits = partial(_stands, task, fits)
     paths = plan(task.motion, planner, task.reached, cfg.starts.farthest, fits, remembering(cfg, occupancy))
     return _Place(scene, occupancy, checker, robot, task, paths)
+
+
+def _settle(task: Task, scene: Scene, occupancy: Occupancy, body: Body, antialiased: bool) -> None:
+    """Put a robot with physics, and what its task places, on the ground of a scene."""
+    motion = task.motion
+    assert isinstance(motion, PhysicsMotion)
+    lower, upper = motion.twin.lower.tolist(), motion.twin.upper.tolist()
+    with _key("task.motion"):
+        terrain = survey_terrain(scene, occupancy, lower, upper, body.radius + BEYOND, motion.top, antialiased).terrain
+        motion.settle(terrain)
+    if isinstance(task, Push):
+        with _key("task"):
+            task.settle()
+
+
+def _stands(task: Task, fits: Callable[[Tensor], Tensor], body_to_world: Tensor) -> Tensor:
+    """Whether robots with physics could begin at poses: [S, 4, 4] -> [S] bool."""
+    motion, free = task.motion, fits(body_to_world)
+    assert isinstance(motion, PhysicsMotion)
+    rows = free.nonzero().squeeze(1)
+    x_axis, place = body_to_world[rows, :2, 0], body_to_world[rows, :2, 3]
+    planar = torch.cat([place, torch.atan2(x_axis[:, 1:], x_axis[:, :1])], 1).double()
+    free[rows] = motion.clear(motion.nearest(planar))
+    if isinstance(task, Push):
+        free[rows] &= task.connected(planar)
+    return free
 
 
 def check_place(cfg: DictConfig, bounds: Bounds) -> None:

@@ -18,7 +18,7 @@ from splatrl.files import digest_of
 from splatrl.motions.base import PlannedMotion
 from splatrl.scenes.cache import cached_arrays
 
-DEPENDS_ON = ("collision", "curriculum", "envs/tasks", "motions", "native")
+DEPENDS_ON = ("collision", "curriculum", "envs/tasks", "motions", "native", "physics")
 """Rooms whose code costs depend on."""
 
 

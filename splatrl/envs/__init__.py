@@ -1,8 +1,9 @@
 """Environments: the robot, what it sees, what it is rewarded for."""
 
 from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
+from splatrl.envs.mjcf_robot import mjcf_robot
 from splatrl.envs.robot import Robot
 from splatrl.envs.splat_env import SplatEnv
 from splatrl.envs.world import World
 
-__all__ = ["GymnasiumEnv", "GymnasiumVectorEnv", "Robot", "SplatEnv", "World"]
+__all__ = ["GymnasiumEnv", "GymnasiumVectorEnv", "Robot", "SplatEnv", "World", "mjcf_robot"]

@@ -14,7 +14,7 @@ from splatrl.values import require_number
 
 @dataclass(frozen=True)
 class Robot:
-    """A body with a camera at its centre, looking along the body's +x.
+    """A body with a camera at its centre, looking along the body's +x, or mounted elsewhere on it.
 
     Attributes:
         body: collision shape, in the body frame.
@@ -23,6 +23,7 @@ class Robot:
         fov_deg: horizontal field of view, degrees in (0, 180).
         image_width: width of the image, pixels.
         image_height: height of the image, pixels.
+        mount: rows of ``camera_to_body``, [4][4], of a camera that is not at the centre; None puts it there, pitched.
     """
 
     body: Body
@@ -31,6 +32,7 @@ class Robot:
     fov_deg: float = 90.0
     image_width: int = 64
     image_height: int = 64
+    mount: tuple[tuple[float, ...], ...] | None = None
     camera_to_body: Tensor = field(init=False, repr=False, compare=False)  # [4, 4]
     K: Tensor = field(init=False, repr=False, compare=False)  # [3, 3]
     _placed: dict[torch.device, tuple[Tensor, Tensor]] = field(
@@ -44,7 +46,8 @@ class Robot:
         for name in ("image_width", "image_height"):
             require_number(f"robot.{name}", getattr(self, name), 1, MOST_PIXELS, whole=True)
         down = axis_rotations(1, torch.tensor(math.radians(self.pitch_deg)))
-        object.__setattr__(self, "camera_to_body", rigid(down, torch.zeros(3)) @ CAMERA_TO_BODY)
+        centred = rigid(down, torch.zeros(3)) @ CAMERA_TO_BODY
+        object.__setattr__(self, "camera_to_body", centred if self.mount is None else torch.tensor(self.mount))
         K = intrinsics(math.radians(self.fov_deg), self.image_width, self.image_height)
         object.__setattr__(self, "K", K)
 

@@ -20,6 +20,7 @@ from splatrl.envs.sensors.base import Moment, Sensor
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks.base import Anywhere, Outcome, Step, Task
 from splatrl.faults import Faulty
+from splatrl.motions.physics import PhysicsMotion
 from splatrl.renderers.parts import in_scenes
 
 RESERVED = {"pixels", "state", "step_count", "episode_return", "level", "outcome", "free_fraction", "camera_offset"}
@@ -120,6 +121,8 @@ class SplatEnv(EnvBase):
     def capturable(self) -> bool:
         """Whether a step can be captured in a CUDA graph: parts that note faults on the device never synchronise."""
         checkers = self.checker.checkers if isinstance(self.checker, SeveralCheckers) else [self.checker]
+        if isinstance(self.task.motion, PhysicsMotion):  # it steps on the host
+            return False
         return isinstance(self.drawing.renderer, Faulty) and all(isinstance(c, (Faulty, NoChecker)) for c in checkers)
 
     def to(self, device: torch.device | str) -> "SplatEnv":
@@ -204,6 +207,8 @@ class SplatEnv(EnvBase):
             scene, state = self._starts(seeds)
             level = self.curriculum.level.expand(self.numel(), 1).clone()
         task, checker = self._at(scene)
+        if not set_state:
+            state = task.start(state, self._chance(scene))
         memory = {**task.begin(state, self._chance(scene))}
         if set_state:
             memory |= {key: given[key].clone() for key in memory if given.get(key, None) is not None}

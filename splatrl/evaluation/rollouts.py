@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -15,6 +15,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from splatrl.envs.nesting import layers
 from splatrl.envs.tasks import NavigationTask, Outcome
+from splatrl.envs.tasks.base import ChoosingTask
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.episode_sets import places_of, read_episodes
 
@@ -163,8 +164,7 @@ def _drawn_episodes(world: World | Worlds, most: int) -> Chosen:
     count = max(1, most // len(world.worlds))
     drawn: list[dict[str, Tensor]] = []
     for number, one in enumerate(world.worlds):
-        task = one.task
-        assert isinstance(task, NavigationTask), "other tasks do not choose episodes"
+        task = cast(ChoosingTask, one.task)
         drawn.append(task.episodes(one.plan.starts.cpu(), count, EPISODES_SEED + number))
         if len(world.worlds) > 1:  # rows of goals are those of all scenes together
             assert isinstance(world.task, NavigationTask)

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torchrl.data import Bounded
 
 from splatrl.collision.base import Checker
-from splatrl.geometry import axis_rotations, multiply_quats
+from splatrl.geometry import multiply_quats
 from splatrl.motions.base import Move, Taps
 from splatrl.motions.drive import DriveMotion
 from splatrl.physics import Kinematics, Physics, Terrain, compose, gaussians_from_mjcf, level_ground, read_mjcf
@@ -19,6 +19,7 @@ from splatrl.physics.compose import ROBOT, SCENE
 from splatrl.physics.kinematics import TIME, normalised
 from splatrl.physics.optional import needed
 from splatrl.physics.robots import mjcf_path
+from splatrl.physics.standing import top_of
 from splatrl.physics.stepping import BANK
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
@@ -117,6 +118,7 @@ class PhysicsMotion(nn.Module):
             robot.option.timestep = self.substep
         alone = robot.copy().compile()
         with_things = {name: read_mjcf(path) for name, path in self.thing_paths.items()}
+        self.top = max(top_of(each) for each in (alone, *(thing.copy().compile() for thing in with_things.values())))
         try:
             world = compose(robot, terrain, with_things)
         except ValueError as error:

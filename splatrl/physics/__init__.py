@@ -1,5 +1,6 @@
 """Physics from MuJoCo: robots and things with bodies in a scene."""
 
+from splatrl.physics.bank import Variation, bank
 from splatrl.physics.compose import Composed, compose
 from splatrl.physics.gaussians import BodyGaussians, gaussians_from_mjcf
 from splatrl.physics.kinematics import Kinematics
@@ -14,6 +15,8 @@ __all__ = [
     "Physics",
     "Stepped",
     "Terrain",
+    "Variation",
+    "bank",
     "compose",
     "gaussians_from_mjcf",
     "level_ground",

@@ -8,6 +8,7 @@ from splatrl.envs.tasks.grid import Grid
 from splatrl.envs.tasks.navigation import ImageNav, NavigationRewards, NavigationTask, PointNav
 from splatrl.envs.tasks.orbit import Orbit
 from splatrl.envs.tasks.poster import Poster
+from splatrl.envs.tasks.push import Push, PushRewards
 from splatrl.envs.tasks.rewards import OutcomeTask, Rewards
 from splatrl.envs.tasks.sim2real import Sim2Real
 from splatrl.envs.tasks.snake import Snake
@@ -27,6 +28,8 @@ __all__ = [
     "OutcomeTask",
     "PointNav",
     "Poster",
+    "Push",
+    "PushRewards",
     "Rewards",
     "Sim2Real",
     "Snake",

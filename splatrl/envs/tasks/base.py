@@ -1,6 +1,6 @@
 """The interface that every task implements."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Protocol, TypeVar
@@ -10,7 +10,9 @@ from torch import Tensor
 from torchrl.data import TensorSpec
 
 from splatrl.motions.base import Move, PlannedMotion
+from splatrl.motions.physics import PhysicsMotion
 from splatrl.renderers.parts import Parts
+from splatrl.scenes.gaussians import Gaussians
 from splatrl.several import rows_of
 from splatrl.values import require_number
 
@@ -108,13 +110,22 @@ class Task(Protocol):
         max_steps: an episode is truncated after this many steps.
         goals_for_success: None for a task whose episodes end at their goal, and so succeed; a number for one whose
             episodes go on, and succeed with at least so many goals. Curricula and tests go by it.
-        chooses_episodes: whether starts belong to goals of their own, so that tests take ``NavigationTask.episodes``.
+        chooses_episodes: whether starts belong to goals of their own, so that tests take those of ``ChoosingTask``.
     """
 
     motion: PlannedMotion
     max_steps: int
     goals_for_success: int | None
     chooses_episodes: bool
+
+    @property
+    def models(self) -> Sequence[Gaussians]:
+        """What the renderer must be able to draw besides the scene, in the order that ``parts`` counts them, from 1."""
+        ...
+
+    def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
+        """States [B, ...] in which episodes begin, with what the task places in the states that were drawn."""
+        ...
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:
@@ -168,8 +179,27 @@ class Task(Protocol):
         ...
 
 
+class ChoosingTask(Protocol):
+    """A task that ``chooses_episodes``."""
+
+    def episodes(self, starts: Tensor, count: int, seed: int) -> dict[str, Tensor]:
+        """Episodes for tests in one scene, drawn by a seed.
+
+        Args:
+            starts: [S, ...] states in which episodes may begin.
+            count: number of episodes.
+            seed: of what is drawn.
+
+        Returns:
+            ``state`` [N, ...], and what the task remembers where each begins, by key.
+        """
+        ...
+
+
 class TaskModule(torch.nn.Module):
     """A task that by default remembers nothing, places nothing and has no goal states; subclasses override that.
+
+    A robot with physics is drawn with its things, and begins with physics of its episode's own.
 
     Args:
         motion: how the robots move; if it is a module, it moves to a device with the task.
@@ -193,6 +223,15 @@ class TaskModule(torch.nn.Module):
         return rows_of(self, scene)
 
     @property
+    def models(self) -> Sequence[Gaussians]:
+        """The robot's links and things, if it has physics; otherwise nothing."""
+        return self.motion.models if isinstance(self.motion, PhysicsMotion) else []
+
+    def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
+        """The states that were drawn; a robot with physics obeys one of its models."""
+        return self.motion.varied(state, anywhere.generator) if isinstance(self.motion, PhysicsMotion) else state
+
+    @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:
         """Nothing is remembered."""
         return {}
@@ -206,8 +245,8 @@ class TaskModule(torch.nn.Module):
         return None
 
     def parts(self, state: Tensor, memory: Memory) -> Parts | None:
-        """The scene alone."""
-        return None
+        """The scene alone, or with the links and things of a robot with physics."""
+        return self.motion.parts(state) if isinstance(self.motion, PhysicsMotion) else None
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
         """Nothing to show."""

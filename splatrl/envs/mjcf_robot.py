@@ -1,0 +1,62 @@
+"""Robots whose camera is that of their MJCF."""
+
+import math
+from pathlib import Path
+
+import torch
+
+from splatrl.bodies import Body
+from splatrl.envs.robot import Robot
+from splatrl.geometry import quats_to_rotations, rigid
+from splatrl.physics import read_mjcf
+from splatrl.physics.robots import mjcf_path
+from splatrl.physics.standing import at_home
+
+TO_OPENCV = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
+"""MuJoCo's cameras look along −z, with y up."""
+
+
+def mjcf_robot(
+    path: str | Path,
+    camera: str,
+    body: Body,
+    image_width: int = 64,
+    image_height: int = 64,
+    height: float | None = None,
+) -> Robot:
+    """The body and camera of a robot of MJCF.
+
+    Field of view and mount are the camera's, and the height is that of the body that carries it where the robot stands.
+
+    Args:
+        path: of the MJCF, or the name of one of splatrl's own robots.
+        camera: name of the camera.
+        body: what must be free where an episode begins, centred at the origin of the body that carries the camera.
+        image_width: width of the image, pixels.
+        image_height: height of the image, pixels.
+        height: that of robots without legs or wheels, which scenes propose; it is not used.
+
+    Raises:
+        FileNotFoundError: for MJCF that is not there.
+        ImportError: without the extra ``physics``.
+        ValueError: for MJCF that is refused, or has no such camera.
+    """
+    place = mjcf_path(str(path))
+    model = read_mjcf(place).compile()
+    names = [model.camera(number).name for number in range(model.ncam)]
+    if camera not in names:
+        raise ValueError(
+            f"{place}: robot.camera: expected {' or '.join(names) or 'a file with a camera'}, got {camera}"
+        )
+    number = names.index(camera)
+    turn = quats_to_rotations(torch.from_numpy(model.cam_quat[number].copy())) @ TO_OPENCV
+    mount = rigid(turn, torch.from_numpy(model.cam_pos[number].copy()))
+    wide = math.tan(0.5 * math.radians(float(model.cam_fovy[number]))) * image_width / image_height
+    return Robot(
+        body=body,
+        height=float(at_home(model).xpos[int(model.cam_bodyid[number]), 2]),
+        fov_deg=2.0 * math.degrees(math.atan(wide)),
+        image_width=image_width,
+        image_height=image_height,
+        mount=tuple(tuple(row) for row in mount.tolist()),
+    )
