@@ -16,13 +16,13 @@ from splatrl.motions.drive import DriveMotion
 from splatrl.physics import Kinematics, Physics, Terrain, compose, gaussians_from_mjcf, level_ground, read_mjcf
 from splatrl.physics.bank import Variation, bank
 from splatrl.physics.compose import ROBOT, SCENE
+from splatrl.physics.gaussians import Models
 from splatrl.physics.kinematics import TIME, normalised
 from splatrl.physics.optional import needed
 from splatrl.physics.robots import mjcf_path
 from splatrl.physics.standing import top_of
 from splatrl.physics.stepping import BANK
 from splatrl.renderers.parts import Parts
-from splatrl.scenes.gaussians import Gaussians
 from splatrl.values import require_number
 
 FIRST = BANK + TIME
@@ -93,7 +93,7 @@ class PhysicsMotion(nn.Module):
         self.thing_paths = {str(name): mjcf_path(str(place)) for name, place in (things or {}).items()}
         self.time_step, self.substep, self.threads = time_step, substep, threads
         self.variation = variation or Variation()
-        self.models: list[Gaussians] = []
+        self.models = Models()
         require_number("task.motion.time_step", time_step, 1e-4, 10.0)
         if unknown := set(self.pushed) - set(self.thing_paths):
             raise ValueError(f"task.motion.pushed: expected names of things, got {', '.join(sorted(unknown))}")
@@ -146,7 +146,7 @@ class PhysicsMotion(nn.Module):
         self.limits = self._control_limits(model).to(device)
         if not self.models:  # what things look like does not depend on where they are
             self._sample(model)
-        self.kinematics = Kinematics(model, [self._eye(model), *self._shown]).to(device)
+        self.kinematics = Kinematics(model, [self._eye(model), *self._shown])
         hits = [self.physics.sensor(f"touch/{name}") for name in (SCENE, *self.thing_paths) if name not in self.pushed]
         self.hits = [columns for columns in hits if columns is not None]
 
@@ -283,7 +283,7 @@ class PhysicsMotion(nn.Module):
         """Make Gaussians of the bodies of the robot and the things."""
         prefixes = (ROBOT, *(f"{name}/" for name in self.thing_paths))
         found = [body for prefix in prefixes for body in gaussians_from_mjcf(model, prefix)]
-        self.models, self._shown = [body.gaussians for body in found], [body.body for body in found]
+        self.models, self._shown = Models(body.gaussians for body in found), [body.body for body in found]
 
     def _eye(self, model: Any) -> str:
         """The name of the body that carries the camera."""

@@ -1,6 +1,7 @@
 """Models of one world that differ in their numbers, from which each episode takes one."""
 
 import copy
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -50,7 +51,7 @@ def bank(model: Any, variation: Variation) -> list[Any]:
 def _varied(model: Any, variation: Variation, rng: np.random.Generator) -> Any:
     mujoco, own = needed(), copy.copy(model)
     friction, mass, motor = (
-        np.exp(rng.uniform(*np.log(pair), size))
+        np.exp(rng.uniform(math.log(pair[0]), math.log(pair[1]), size))
         for pair, size in (
             (variation.friction, 1),
             (variation.mass, model.nbody),

@@ -42,6 +42,13 @@ class BodyGaussians(NamedTuple):
     gaussians: Gaussians
 
 
+class Models(tuple[Gaussians, ...]):
+    """Gaussians that renderers draw and nobody changes, so that copies of what holds them share them."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Models":
+        return self
+
+
 class _Surface(NamedTuple):
     """Triangles: corners [F, 3, 3] in metres, and coordinates in a texture [F, 3, 2] where there are any."""
 
@@ -68,19 +75,20 @@ def gaussians_from_mjcf(model: Any, prefix: str = "", count: int = 800) -> list[
     mujoco = needed()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    found = {}
+    found: dict[int, list[Any]] = {}
     for number in range(1, model.nbody):
         if not model.body(number).name.startswith(prefix):
             continue
         root = int(model.body_weldid[number]) or number
-        geoms = range(int(model.body_geomadr[number]), int(model.body_geomadr[number] + model.body_geomnum[number]))
+        first, many = int(model.body_geomadr[number]), int(model.body_geomnum[number])
+        geoms = range(first, first + many)
         shown = [geom for geom in geoms if model.geom_group[geom] < SHOWN_GROUPS and _rgba(model, geom)[3] > 0]
         found.setdefault(root, []).extend(shown)
     result = []
-    for root, geoms in found.items():
+    for root, chosen in found.items():
         rotation, place = data.xmat[root].reshape(3, 3), data.xpos[root]
         surfaces = []
-        for geom in geoms:
+        for geom in chosen:
             surface = _surface(mujoco, model, geom)
             if surface is not None:
                 turn = rotation.T @ data.geom_xmat[geom].reshape(3, 3)

@@ -20,6 +20,21 @@ TIME = 1
 """Columns of MuJoCo's state before the positions."""
 
 
+class _Joints(NamedTuple):
+    """Joints of one kind, each on another body of a level."""
+
+    kind: str
+    rows: Tensor  # [J] int64, of the level's bodies
+    first: Tensor  # [J] int64, of the positions
+    anchor: Tensor  # [J, 3], in the body's frame
+    axis: Tensor  # [J, 3]
+    rest: Tensor  # [J], the position at which the body is where its file says
+
+    def to(self, device: torch.device) -> "_Joints":
+        """The same on a device."""
+        return _Joints(self.kind, *(part.to(device) for part in self[1:]))
+
+
 class _Level(NamedTuple):
     """Bodies at one depth of the tree, whose poses follow from those above."""
 
@@ -27,10 +42,15 @@ class _Level(NamedTuple):
     parents: Tensor  # [K] int64
     place: Tensor  # [K, 3], in the parent's frame
     turn: Tensor  # [K, 4]
-    joints: list[tuple[str, Tensor, Tensor, Tensor, Tensor, Tensor]]  # in order; see Kinematics._joints
+    joints: list[_Joints]  # in the order in which they turn and move a body
+
+    def to(self, device: torch.device) -> "_Level":
+        """The same on a device."""
+        moved = [part.to(device) for part in (self.bodies, self.parents, self.place, self.turn)]
+        return _Level(moved[0], moved[1], moved[2], moved[3], [joints.to(device) for joints in self.joints])
 
 
-class Kinematics(torch.nn.Module):
+class Kinematics:
     """Poses of the bodies of a model, from its states.
 
     Args:
@@ -42,9 +62,8 @@ class Kinematics(torch.nn.Module):
     """
 
     def __init__(self, model: Any, bodies: Sequence[str]):
-        super().__init__()
         mujoco = needed()
-        wanted = []
+        wanted: list[int] = []
         for name in bodies:
             number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
             if number < 0:
@@ -52,8 +71,7 @@ class Kinematics(torch.nn.Module):
                 raise ValueError(f"body: expected one of {', '.join(known)}, got {name!r}")
             wanted.append(number)
         self.nq, self.count = int(model.nq), int(model.nbody)
-        self.register_buffer("wanted", torch.tensor(wanted, dtype=torch.int64), persistent=False)
-        self._names: list[list[str]] = []
+        self._wanted = torch.tensor(wanted, dtype=torch.int64)
         depth, needed_bodies = {0: 0}, {0}
         for number in wanted:
             while number not in needed_bodies:
@@ -61,10 +79,11 @@ class Kinematics(torch.nn.Module):
                 number = int(model.body_parentid[number])
         for number in range(1, model.nbody):
             depth[number] = depth[int(model.body_parentid[number])] + 1
-        self._levels = []
+        levels = []
         for level in range(1, max((depth[number] for number in needed_bodies), default=0) + 1):
             numbers = [number for number in range(1, model.nbody) if depth[number] == level and number in needed_bodies]
-            self._levels.append(self._level(mujoco, model, numbers))
+            levels.append(self._level(mujoco, model, numbers))
+        self._copies = {torch.device("cpu"): levels}
 
     @staticmethod
     def _level(mujoco: Any, model: Any, numbers: list[int]) -> _Level:
@@ -89,26 +108,19 @@ class Kinematics(torch.nn.Module):
                     anchor = torch.from_numpy(model.jnt_pos.copy())[which]
                     axis = torch.from_numpy(model.jnt_axis.copy())[which]
                     rest = torch.from_numpy(model.qpos0.copy())[first]
-                    joints.append((kind, rows, first, anchor, axis, rest))
+                    joints.append(_Joints(kind, rows, first, anchor, axis, rest))
         bodies = torch.tensor(numbers, dtype=torch.int64)
         parents = torch.from_numpy(np.asarray(model.body_parentid, np.int64))[bodies]
         place, turn = torch.from_numpy(model.body_pos.copy())[bodies], torch.from_numpy(model.body_quat.copy())[bodies]
         return _Level(bodies, parents, place, turn, joints)
 
-    def _apply(self, fn: Any, recurse: bool = True) -> "Kinematics":
-        """Move the levels with the module, without a change of type."""
-        super()._apply(fn, recurse)
-        device = self.wanted.device
-        self._levels = [
-            _Level(
-                *(part.to(device) for part in level[:4]),
-                [(joint[0], *(part.to(device) for part in joint[1:])) for joint in level.joints],
-            )
-            for level in self._levels
-        ]
-        return self
+    def _levels(self, device: torch.device) -> list[_Level]:
+        """The levels on a device, copied there once."""
+        if device not in self._copies:
+            self._copies[device] = [level.to(device) for level in self._copies[torch.device("cpu")]]
+        return self._copies[device]
 
-    def forward(self, state: Tensor) -> tuple[Tensor, Tensor]:
+    def __call__(self, state: Tensor) -> tuple[Tensor, Tensor]:
         """Places and orientations of the bodies that were asked for.
 
         Args:
@@ -121,14 +133,15 @@ class Kinematics(torch.nn.Module):
         place = qpos.new_zeros(len(qpos), self.count, 3)
         turn = qpos.new_zeros(len(qpos), self.count, 4)
         turn[:, 0, 0] = 1.0
-        for level in self._levels:
+        for level in self._levels(state.device):
             above = turn[:, level.parents]
             x = place[:, level.parents] + rotated(above, level.place)
             q = multiply_quats(above, level.turn)
-            for kind, rows, first, anchor, axis, rest in level.joints:
-                x[:, rows], q[:, rows] = _jointed(kind, qpos, x[:, rows], q[:, rows], first, anchor, axis, rest)
+            for joints in level.joints:
+                x[:, joints.rows], q[:, joints.rows] = _jointed(joints, qpos, x[:, joints.rows], q[:, joints.rows])
             place[:, level.bodies], turn[:, level.bodies] = x, normalised(q)
-        return place[:, self.wanted], turn[:, self.wanted]
+        wanted = self._wanted.to(state.device)
+        return place[:, wanted], turn[:, wanted]
 
     def poses(self, state: Tensor) -> Tensor:
         """``body_to_world`` of the bodies that were asked for: [B, n] float64 -> [B, N, 4, 4] float32."""
@@ -140,14 +153,12 @@ class Kinematics(torch.nn.Module):
         return rigid(matrices(turn), place).float()
 
 
-def _jointed(
-    kind: str, qpos: Tensor, x: Tensor, q: Tensor, first: Tensor, anchor: Tensor, axis: Tensor, rest: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Places and orientations after a joint of one kind: [B, K, 3], [B, K, 4]."""
+def _jointed(joints: _Joints, qpos: Tensor, x: Tensor, q: Tensor) -> tuple[Tensor, Tensor]:
+    """Places and orientations after some joints: [B, J, 3], [B, J, 4]."""
+    kind, _, first, anchor, axis, rest = joints
     if kind == "free":
-        return torch.stack([qpos[:, first + i] for i in range(3)], -1), normalised(
-            torch.stack([qpos[:, first + 3 + i] for i in range(4)], -1)
-        )
+        place = torch.stack([qpos[:, first + i] for i in range(3)], -1)
+        return place, normalised(torch.stack([qpos[:, first + 3 + i] for i in range(4)], -1))
     if kind == "slide":
         return x + rotated(q, axis) * (qpos[:, first] - rest).unsqueeze(-1), q
     hinge_at = x + rotated(q, anchor)

@@ -8,7 +8,7 @@ import torch
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
 
-OPACITY, SPREAD, THICKNESS = 0.97, 0.5, 0.001
+OPACITY, SPREAD, THICKNESS = 0.97, 0.6, 0.001
 """Of each Gaussian: standard deviation along the disc, as a share of the distance between two; across, metres."""
 GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
 

@@ -13,6 +13,7 @@ from torchrl.data import TensorSpec, Unbounded
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, TaskModule, Verdict
 from splatrl.geometry import rigid
 from splatrl.motions.physics import PhysicsMotion
+from splatrl.physics.gaussians import Models
 from splatrl.physics.kinematics import matrices
 from splatrl.physics.marks import disc
 from splatrl.renderers.parts import Parts
@@ -21,7 +22,7 @@ from splatrl.values import require_number
 
 CELL = 0.05
 """Distance between the places where a ball or a mark can be, metres."""
-TRIES = 32
+TRIES = 64
 """Places drawn for each ball and mark, of which the first that fits is taken."""
 NEAR = 0.35
 """Distance to the ball within which coming nearer is not rewarded: there is room to go round it, metres."""
@@ -29,7 +30,7 @@ AROUND = 0.25
 """What half a way round the ball is worth, as metres of approach."""
 WIDTH = 0.25
 """Distance from what is solid at which robots can pass, metres."""
-SIGHT = 16
+SIGHT = 12
 """Points of a line that are looked up to see whether anything stands in the way."""
 CHUNK = 1024
 """Robots whose places are compared at a time."""
@@ -72,8 +73,8 @@ class Push(TaskModule):
     Action: the motion's: of ``wheels`` linear and angular velocity, [B, 2] float32, metres and radians per second.
     Reward: [B, 1] float32, see ``PushRewards``. The approach is measured by the distance to the ball, where it is more
         than 0.35 m, and by how far the robot is from the side away from the mark.
-    Termination: where the ball's centre is within ``success_distance`` of the mark's, which is a success; or where robot
-        or ball leave the bounds by more than ``leeway``. A robot that touches something goes on.
+    Termination: where the ball's centre is within ``success_distance`` of the mark's, which is a success; or where
+        robot or ball leave the bounds by more than ``leeway``. A robot that touches something goes on.
     Truncation: after ``max_steps`` steps.
     State: [B, n] float64, the physics' (``PhysicsMotion``). Memory: ``mark`` [B, 3] float32, world, metres; ``ball``
         [B, 3] float32, where the ball is, for sensors and for those who train a critic on it.
@@ -143,7 +144,7 @@ class Push(TaskModule):
         self.ball, self.rewards = motion.thing(ball), rewards or PushRewards()
         self.success_distance, self.nearest, self.farthest = success_distance, nearest, farthest
         self.apart, self.ahead, self.clearance = apart, math.radians(ahead_deg), clearance
-        self.leeway, self.mark = leeway, disc(mark_radius, mark_rgb)
+        self.leeway, self.drawn = leeway, Models([disc(mark_radius, mark_rgb)])
         self.rest = float(motion.home[self.ball][2])  # of the ball's centre above the ground
         self.register_buffer("places", torch.zeros(0, 2, dtype=torch.float64), persistent=False)
         self.register_buffer("way", torch.zeros(0, 0, dtype=torch.bool), persistent=False)
@@ -156,9 +157,8 @@ class Push(TaskModule):
             ValueError: where there are not two places as far from each other as asked.
         """
         lower, upper = self.motion.twin.lower.double(), self.motion.twin.upper.double()
-        axes = [
-            torch.arange(float(low), float(high) + 1e-9, CELL, dtype=torch.float64) for low, high in zip(lower, upper)
-        ]
+        corners = zip(lower.tolist(), upper.tolist(), strict=True)
+        axes = [torch.arange(low, high + 1e-9, CELL, dtype=torch.float64) for low, high in corners]
         grid = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
         away = self._away(grid.reshape(-1, 2)).reshape(grid.shape[:2])
         ways, _ = ndimage.label((away >= WIDTH).numpy())
@@ -170,15 +170,21 @@ class Push(TaskModule):
         spread = (places.amax(0) - places.amin(0)).norm() if len(places) else 0.0
         if not spread >= self.nearest:
             raise ValueError(
-                f"places for ball and mark: expected some {self.nearest:g} m apart and {self.clearance:g} m from what is "
-                f"solid, found {len(places)}; type wider task.motion.lower and upper"
+                f"places for ball and mark: expected some {self.nearest:g} m apart and {self.clearance:g} m from what "
+                f"is solid, found {len(places)}; type wider task.motion.lower and upper"
             )
         self.places = places.to(self.places.device)
 
     def connected(self, planar: Tensor) -> Tensor:
-        """Whether robots can go round balls and marks from where they stand, and one can lie ahead: [N, 3] -> [N] bool."""
-        ahead = [self._ahead(self.places.expand(len(some), -1, -1), some).any(1) for some in planar.split(CHUNK)]
-        return self._free(planar[:, :2]) & torch.cat(ahead)
+        """Whether robots can go round balls from where they stand, and one can lie ahead: [N, 3] -> [N] bool."""
+        some = self.places[:: 1 + len(self.places) // TRIES]
+        found = [
+            (self._ahead(some.expand(len(rows), -1, -1), rows) & self._open(some.expand(len(rows), -1, -1), rows)).any(
+                1
+            )
+            for rows in planar.split(CHUNK)
+        ]
+        return self._free(planar[:, :2]) & torch.cat(found)
 
     def _free(self, places: Tensor) -> Tensor:
         """Whether robots can be at places: [..., 2] float64 -> [...] bool."""
@@ -187,9 +193,9 @@ class Push(TaskModule):
         return self.way[cell[..., 0], cell[..., 1]]
 
     def _open(self, places: Tensor, origin: Tensor) -> Tensor:
-        """Whether nothing stands between places [B, K, 2] and origins [B, 2]: [B, K] bool."""
+        """Whether nothing stands between places [B, K, 2] and origins [B, 2 or more]: [B, K] bool."""
         share = torch.linspace(0.0, 1.0, SIGHT, dtype=torch.float64, device=places.device)[:, None]
-        start = origin[:, None, None]
+        start = origin[:, None, None, :2]
         return self._free(start + share * (places.unsqueeze(2) - start)).all(2)
 
     def _ahead(self, places: Tensor, planar: Tensor) -> Tensor:
@@ -202,7 +208,7 @@ class Push(TaskModule):
     @property
     def models(self) -> list[Gaussians]:
         """The robot's links, the ball and the mark."""
-        return [*self.motion.models, self.mark]
+        return [*self.motion.models, *self.drawn]
 
     def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
         """Place the ball; see ``Task.start``."""
@@ -221,7 +227,7 @@ class Push(TaskModule):
         far = (drawn - ball[:, None, :2]).norm(dim=2)
         place = _first(
             drawn,
-            self._open(drawn, ball[:, :2]) & (far >= self.nearest) & (far <= self.farthest),
+            self._open(drawn, ball) & (far >= self.nearest) & (far <= self.farthest),
             -(far - self.nearest).abs(),
         )
         return {"mark": self._on_ground(place, LIFT).float(), "ball": ball.float()}
@@ -287,7 +293,7 @@ class Push(TaskModule):
         robot = self.motion.planar(state)
         drawn = self._drawn(len(state), generator)
         apart = (drawn - robot[:, None, :2]).norm(dim=2)
-        fits = self._ahead(drawn, robot) & self._open(drawn, robot[:, :2])
+        fits = self._ahead(drawn, robot) & self._open(drawn, robot)
         place = _first(drawn, fits, apart.clamp_max(self.apart))
         state = state.clone()
         state[:, self.ball.start : self.ball.start + 3] = self._on_ground(place, self.rest)

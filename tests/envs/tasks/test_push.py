@@ -1,0 +1,186 @@
+"""The push task."""
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import pytest
+import torch
+
+from splatrl.collision.nothing import NoChecker
+from splatrl.envs.tasks import Outcome, Push, PushRewards, Step, Verdict
+from splatrl.envs.tasks.base import Anywhere
+from splatrl.motions import DriveMotion, Move, PhysicsMotion
+from splatrl.physics import Terrain
+from tests.envs.contract import base_env
+from tests.envs.test_configured_tasks import ConfiguredContract
+
+MARK = (0.5, 0.5)
+
+
+def push(**settings: Any) -> Push:
+    """The task on level ground."""
+    motion = PhysicsMotion("wheels", "eye", {"ball": "ball"}, ["ball"], threads=1)
+    return Push(motion, **settings)
+
+
+def states(task: Push, robot: tuple[float, float, float], ball: tuple[float, float]) -> torch.Tensor:
+    """One state with robot and ball at places."""
+    state = task.motion.placed(torch.tensor([robot]))
+    state[:, task.ball.start : task.ball.start + 2] = torch.tensor([ball], dtype=torch.float64)
+    return state
+
+
+def judged(task: Push, before: torch.Tensor, after: torch.Tensor, free: float = 1.0) -> Verdict:
+    """The verdict on robots and balls that went from somewhere to somewhere."""
+    move = Move(after, task.motion.body_to_world(after), torch.full((len(after),), free), task.motion.inside(after))
+    memory = {"mark": torch.tensor([[*MARK, 0.02]]).expand(len(after), 3), "ball": before[:, task.ball][:, :3].float()}
+    return task.judge(Step(before, torch.zeros(len(after), 2), move, memory, torch.zeros(0)), None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("ball", "outcome"),
+    [
+        ((0.5, 0.36), Outcome.GOAL),
+        ((0.4, 0.4), Outcome.GOAL),
+        ((0.5, 0.34), Outcome.RUNNING),
+        ((0.39, 0.39), Outcome.RUNNING),
+        ((0.0, 1.31), Outcome.OUT_OF_BOUNDS),
+        ((0.0, 1.29), Outcome.RUNNING),
+    ],
+)
+def test_the_ball_decides(ball: tuple[float, float], outcome: Outcome) -> None:
+    task = push()
+    here = states(task, (0.0, 0.0, 0.0), ball)
+    verdict = judged(task, here, here)
+    assert verdict.outcome.item() == outcome
+    assert verdict.terminated.item() == (outcome != Outcome.RUNNING)
+    assert verdict.memory["ball"][0, :2].tolist() == pytest.approx(ball)
+
+
+def test_a_robot_that_leaves_is_lost_and_one_that_touches_goes_on() -> None:
+    task = push()
+    away, here = states(task, (1.31, 0.0, 0.0), (0.0, 0.0)), states(task, (-0.5, -0.5, 0.0), (0.0, 0.0))
+    assert judged(task, away, away).outcome.item() == Outcome.OUT_OF_BOUNDS
+    touching = judged(task, here, here, free=0.5)
+    assert touching.outcome.item() == Outcome.RUNNING and not touching.terminated.item()
+    assert touching.reward.item() == pytest.approx(-0.03)
+
+
+def test_rewards_add_up() -> None:
+    task = push(rewards=PushRewards(progress=2.0, approach=0.0, touch=0.0, slack=-0.01, success=3.0, lost=-1.0))
+    robot = (-0.5, 0.5, 0.0)
+    nearer = judged(task, states(task, robot, (0.0, 0.5)), states(task, robot, (0.1, 0.5)))
+    assert nearer.reward.item() == pytest.approx(2.0 * 0.1 - 0.01)
+    there = judged(task, states(task, robot, (0.3, 0.5)), states(task, robot, (0.4, 0.5)))
+    assert there.reward.item() == pytest.approx(2.0 * 0.1 - 0.01 + 3.0)
+    lost = judged(task, states(task, robot, (-0.5, 0.5)), states(task, robot, (-1.4, 0.5)))
+    assert lost.reward.item() == pytest.approx(2.0 * -0.9 - 0.01 - 1.0)
+
+
+def test_going_round_to_the_far_side_is_an_approach() -> None:
+    task = push(rewards=PushRewards(progress=0.0, approach=1.0, touch=0.0, slack=0.0))
+    ball, angles = (0.0, 0.5), torch.linspace(0.0, math.pi, 5).tolist()
+    ring = [states(task, (0.3 * math.cos(a), 0.5 + 0.3 * math.sin(a), 0.0), ball) for a in angles]
+    rewards = [judged(task, here, there).reward.item() for here, there in pairwise(ring)]
+    assert min(rewards) > 0 and sum(rewards) == pytest.approx(0.5)
+    back = [judged(task, there, here).reward.item() for here, there in pairwise(ring)]
+    assert sum(rewards) + sum(back) == pytest.approx(0.0, abs=1e-6), "there is nothing to gain by going to and fro"
+    far, near = states(task, (-0.9, 0.5, 0.0), ball), states(task, (-0.6, 0.5, 0.0), ball)
+    assert judged(task, far, near).reward.item() == pytest.approx(0.3)
+
+
+def test_balls_and_marks_begin_where_they_are_asked_to() -> None:
+    task = push(nearest=0.5, farthest=0.9, apart=0.4, ahead_deg=40.0)
+    wall = torch.tensor([[0.0, 0.0, 0.2, 0.05, 0.3, 0.2]], dtype=torch.float64)
+    task.motion.settle(Terrain(torch.tensor([0.0, 0.0, 1.0, -0.03], dtype=torch.float64), wall))
+    task.settle()
+    planar = task.motion.planar(task.motion.states())
+    robots = task.motion.states()[task.connected(planar)]
+    episodes = task.episodes(robots, 300, 0)
+    state, mark = episodes["state"], episodes["mark"].double()
+    ball, robot = state[:, task.ball], task.motion.planar(state)
+    away = ball[:, :2] - robot[:, :2]
+    off = (torch.atan2(away[:, 1], away[:, 0]) - robot[:, 2] + math.pi) % math.tau - math.pi
+    fits = (away.norm(dim=1) >= 0.399) & (off.abs() <= math.radians(40.1))
+    far = (mark[:, :2] - ball[:, :2]).norm(dim=1)
+    assert fits.float().mean() > 0.95, "a few have no such place among those drawn"
+    assert ((far >= 0.499) & (far <= 0.901)).float().mean() > 0.95
+    torch.testing.assert_close(ball[:, 2], torch.full((300,), 0.06, dtype=torch.float64))
+    torch.testing.assert_close(mark[:, 2], torch.full((300,), -0.01, dtype=torch.float64))
+    beside = ((ball[:, :2].abs() - wall[0, 3:5]).clamp_min(0)).norm(dim=1)
+    assert beside.min() >= 0.399 and (ball[:, :2].abs() <= 0.601).all()
+    between = 0.5 * (ball[:, :2] + robot[:, :2])[fits]
+    assert ((between.abs() - wall[0, 3:5]).clamp_min(0)).norm(dim=1).min() > 0.2, "nothing stands between"
+    again = task.episodes(robots, 300, 0)
+    assert all(torch.equal(again[key], value) for key, value in episodes.items())
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"nearest": 0.1}, "task.nearest: expected success_distance < nearest < farthest"),
+        ({"ahead_deg": 200.0}, "task.ahead_deg: expected a number from 0.0 to 180.0"),
+        ({"ball": "egg"}, "task.motion.things: expected 'egg' with a free joint"),
+        ({"clearance": 0.9}, "places for ball and mark: expected some 0.5 m apart"),
+        ({"mark_rgb": (1.0, 0.0)}, "task.mark_rgb: expected red, green and blue"),
+    ],
+)
+def test_what_does_not_fit_is_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        push(**settings)
+
+
+def test_a_motion_without_physics_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"task\.motion: expected one with physics, got DriveMotion"):
+        Push(DriveMotion(0.3))  # type: ignore[arg-type]
+
+
+def test_a_robot_that_drives_at_the_ball_pushes_it_to_the_mark() -> None:
+    task = push()
+    state = states(task, (-0.4, 0.5, 0.0), (0.0, 0.5))
+    memory = {"mark": torch.tensor([[*MARK, 0.02]]), "ball": state[:, task.ball][:, :3].float()}
+    nothing: Any = NoChecker.__new__(NoChecker)
+    anywhere: Any = Anywhere
+    steps = 0
+    while steps < 40:
+        move = task.motion.move(state, torch.tensor([[0.5, 0.0]]), nothing)
+        verdict = task.judge(Step(state, torch.zeros(1, 2), move, memory, torch.zeros(0)), anywhere)
+        state, memory, steps = move.state, dict(verdict.memory), steps + 1
+        if verdict.terminated.item():
+            break
+    assert verdict.outcome.item() == Outcome.GOAL and 10 < steps < 40
+
+
+class TestPush(ConfiguredContract):
+    @classmethod
+    def overrides(cls) -> tuple[str, ...]:
+        coarse = ("task.motion.spacing=0.5", "task.motion.headings=4", "task.motion.threads=1")
+        return ("push", *coarse, "task.clearance=0.3", "robot.body.size=[0.3,0.3,0.2]", "task.nearest=0.3")
+
+    def test_an_episode_can_begin_at_a_given_state(self) -> None:
+        env = self.make((3,))
+        given = env.rollout(3, break_when_any_done=False)[:, -1].select("state", "pixels", "mark", "ball")
+        seen = env.reset(given.clone(), set_state=True)
+        assert all(torch.equal(seen[key], given[key]) for key in ("state", "pixels", "mark", "ball"))
+        assert (seen["level"] == -1).all() and not seen["done"].any()
+
+    def test_a_robot_does_not_depend_on_the_others(self) -> None:
+        batch, alone = self.make((5,)).rollout(1, break_when_any_done=False), self.make((1,))
+        for row in range(5):
+            start = alone.reset(batch[row : row + 1, 0].select("state", "mark"), set_state=True)
+            step = alone.step(start.set("action", batch["action"][row : row + 1, 0]))["next"]
+            for key in ("pixels", "state", "reward", "done", "outcome", "free_fraction", "ball"):
+                assert torch.equal(step[key], batch["next", key][row : row + 1, 0]), key
+
+    def test_robot_ball_and_mark_are_drawn(self) -> None:
+        env = base_env(self.make((8,)))
+        td = env.reset()
+        memory = {key: td[key] for key in ("mark", "ball")}
+        parts = env.task.parts(td["state"], memory)
+        assert parts.model[0].tolist() == [0, 1, 2, 3, 4, 5] and len(env.task.models) == 5
+        torch.testing.assert_close(parts.model_to_world[:, 5, :3, 3], td["mark"])
+        cameras = env.robot.cameras(env.task.motion.body_to_world(td["state"]))
+        bare = env.drawing.draw(cameras).pixels
+        assert (bare != td["pixels"]).flatten(1).any(1).all(), "the robot sees its own bumper"
+        assert not env.capturable

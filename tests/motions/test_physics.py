@@ -1,0 +1,189 @@
+"""A robot with physics as a motion."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from splatrl.collision.nothing import NoChecker
+from splatrl.motions import DriveMotion, PhysicsMotion
+from splatrl.physics import Terrain, Variation
+from splatrl.physics.robots import FOLDER, mjcf_path
+from splatrl.several import stacked
+
+WALL = torch.tensor([[0.6, 0.0, 0.2, 0.1, 1.0, 0.2]], dtype=torch.float64)
+LEVEL = torch.tensor([0.0, 0.0, 1.0, 0.02], dtype=torch.float64)
+NOTHING: Any = NoChecker.__new__(NoChecker)
+
+
+def wheels(**settings: Any) -> PhysicsMotion:
+    """A robot on wheels with a ball that it may push."""
+    return PhysicsMotion("wheels", "eye", **{"things": {"ball": "ball"}, "pushed": ["ball"], "threads": 1, **settings})
+
+
+def driven(motion: PhysicsMotion, state: torch.Tensor, action: tuple[float, float], steps: int) -> torch.Tensor:
+    """States after an action was repeated."""
+    for _ in range(steps):
+        state = motion.move(state, torch.tensor([action]).expand(len(state), 2), NOTHING).state
+    return state
+
+
+@pytest.mark.parametrize("action", [(0.4, 0.0), (0.3, 0.8), (-0.2, 0.0), (0.0, 1.2)])
+def test_wheels_go_as_they_are_told(action: tuple[float, float]) -> None:
+    motion = wheels(things=None, pushed=())
+    state = driven(motion, motion.placed(torch.tensor([[0.2, -0.1, 0.5]])), action, 5)
+    before = motion.planar(state)
+    after = motion.planar(driven(motion, state, action, 5))
+    ideal = DriveMotion(0.0, 0.5, (-0.25, 0.5), 90.0).advance(before.float(), torch.tensor([action]))
+    assert (after - ideal)[0, :2].norm() < 0.02
+    assert abs((after - ideal)[0, 2].sin()) < 0.06
+
+
+def test_a_placed_robot_stands_still_on_the_ground_also_on_a_slope() -> None:
+    normal = torch.tensor([math.sin(0.05), 0.0, math.cos(0.05)], dtype=torch.float64)
+    for plane in (LEVEL, torch.cat([normal, torch.tensor([0.1], dtype=torch.float64)])):
+        motion = wheels(things=None, pushed=())
+        motion.settle(Terrain(plane, WALL[:0]))
+        planar = torch.tensor([[0.0, 0.0, 0.0], [0.4, -0.3, 2.0], [-0.5, 0.2, 5.0]], dtype=torch.float64)
+        state = motion.placed(planar)
+        torch.testing.assert_close(motion.planar(state), planar, atol=2e-3, rtol=0)
+        after = driven(motion, state, (0.0, 0.0), 5)
+        moved = motion.body_to_world(after)[:, :3, 3] - motion.body_to_world(state)[:, :3, 3]
+        assert moved.norm(dim=1).max() < 0.02
+        up = motion.body_to_world(state)[:, :3, 2]
+        torch.testing.assert_close(up, plane[:3].float().expand(3, 3), atol=1e-6, rtol=0)
+
+
+def test_the_free_share_ends_where_a_wall_is_first_touched() -> None:
+    motion = wheels()
+    motion.settle(Terrain(LEVEL, WALL))
+    start = motion.placed(torch.tensor([[0.2, 0.5, 0.0], [-0.5, 0.5, 0.0], [0.28, -0.6, 0.0]]))
+    start[:, motion.thing("ball")][:, 1] = 5.0
+    state, fractions = start, []
+    for _ in range(4):
+        move = motion.move(state, torch.tensor([[0.5, 0.0]]).expand(3, 2), NOTHING)
+        state = move.state
+        fractions.append(move.free_fraction)
+    found = torch.stack(fractions)
+    assert (found[:, 1] == 1).all(), "far from the wall"
+    touching = found[:, 0] < 1
+    assert touching.any() and not touching[0]
+    assert found[touching.int().argmax(), 0] > 0, "it touched within the action"
+    assert (motion.planar(state)[[0, 2], 0] < 0.5).all(), "the wall holds it"
+    assert motion.clear(start).tolist() == [True, True, True]
+    inside = motion.placed(torch.tensor([[0.5, 0.5, 0.0]]))
+    assert motion.clear(inside).tolist() == [False]
+
+
+def test_what_may_be_pushed_is_no_obstacle_and_other_things_are() -> None:
+    for pushed, free in ((["ball"], True), ([], False)):
+        motion = wheels(pushed=pushed)
+        state = motion.placed(torch.tensor([[0.0, 0.0, 0.0]]))
+        ball = motion.thing("ball")
+        state[:, ball][:, 0] = 0.35
+        fractions = []
+        for _ in range(6):
+            move = motion.move(state, torch.tensor([[0.5, 0.0]]), NOTHING)
+            state = move.state
+            fractions.append(float(move.free_fraction))
+        assert float(state[0, ball][0]) > 0.45, "it rolls"
+        assert (min(fractions) == 1.0) is free
+
+
+def test_a_batch_moves_as_its_rows_do() -> None:
+    motion = wheels()
+    state = motion.placed(torch.rand(5, 3, generator=torch.Generator().manual_seed(0)))
+    action = torch.rand(5, 2, generator=torch.Generator().manual_seed(1))
+    together = motion.move(state, action, NOTHING)
+    for row in range(5):
+        alone = motion.move(state[row : row + 1], action[row : row + 1], NOTHING)
+        for one, all_rows in zip(alone, together, strict=True):
+            assert torch.equal(one[0], all_rows[row])
+
+
+def test_actions_are_clamped_to_what_the_actuators_take() -> None:
+    motion = wheels()
+    state = motion.placed(torch.zeros(1, 3))
+    assert motion.action_spec.space.high.tolist() == pytest.approx([0.5, 1.5708])
+    wild, most = (motion.move(state, torch.tensor([[v, 0.0]]), NOTHING).state for v in (50.0, 0.5))
+    assert torch.equal(wild, most)
+
+
+def test_paths_are_those_of_a_twin_with_the_robots_speeds() -> None:
+    motion = wheels(spacing=0.5, headings=4, time_step=0.2)
+    twin = DriveMotion(0.27, 0.2, (-0.25, 0.5), math.degrees(1.5708), spacing=0.5, headings=4)
+    states = motion.states()
+    torch.testing.assert_close(motion.planar(states).float(), twin.states())
+    action = motion.actions()[0].expand(len(states), 2)
+    ahead = twin.advance(twin.states(), action)
+    torch.testing.assert_close(motion.planar(motion.advance(states, action)).float(), ahead, atol=1e-5, rtol=0)
+    torch.testing.assert_close(motion.taps(states).node, twin.taps(twin.states()).node)
+    assert motion.inside(states).all() and motion.step == pytest.approx(0.1)
+
+
+def test_an_episode_obeys_one_of_the_models() -> None:
+    motion = wheels(variation=Variation(4, friction=(0.5, 2.0)))
+    state = motion.placed(torch.zeros(64, 3))
+    drawn = motion.varied(state, torch.Generator().manual_seed(0))
+    assert drawn[:, 0].unique().tolist() == [0, 1, 2, 3]
+    assert torch.equal(drawn[:, 1:], state[:, 1:])
+    assert motion.state_spec.is_in(drawn[0]) and not motion.state_spec.is_in(drawn[0] * math.nan)
+
+
+def test_links_and_things_are_parts_where_the_state_has_them() -> None:
+    motion = wheels()
+    state = motion.placed(torch.tensor([[0.3, 0.2, 0.0], [0.0, 0.0, 1.0]]))
+    parts = motion.parts(state)
+    assert parts.model.tolist() == [[0, 1, 2, 3, 4]] * 2 and len(motion.models) == 4
+    assert torch.equal(parts.model_to_world[:, 0], torch.eye(4).expand(2, 4, 4))
+    assert torch.equal(parts.model_to_world[:, 1], motion.body_to_world(state))
+    assert torch.equal(parts.model_to_world[:, 4, :3, 3], state[:, motion.thing("ball")][:, :3].float())
+
+
+def test_several_scenes_are_refused() -> None:
+    motion = wheels()
+    with pytest.raises(ValueError, match="scene: expected one scene for a robot with physics, got 2"):
+        stacked([motion, motion])
+
+
+BODY = '<freejoint/><geom size="0.1"/><camera name="eye"/>'
+MOTOR = '<actuator><general site="s" ctrlrange="-1 1" name="push"/></actuator>'
+
+
+@pytest.mark.parametrize(
+    ("body", "rest", "settings", "message"),
+    [
+        ('<geom size="0.1"/><camera name="eye"/>', "", {}, "body 'robot/b': expected a <freejoint/>"),
+        ('<freejoint/><geom size="0.1"/>', MOTOR, {}, "camera: expected one called 'eye', got none"),
+        (BODY, "", {}, "<actuator>: expected at least one, got none"),
+        (
+            BODY,
+            '<actuator><general site="s" name="push"/></actuator>',
+            {},
+            "actuator 'robot/push': expected a ctrlrange",
+        ),
+        (BODY, MOTOR, {}, "task.motion.linear: expected a value for .* no actuator called 'forward'"),
+        (BODY, MOTOR, {"time_step": 0.003}, "time_step: expected a multiple of the robot's 0.002 s, got 0.003"),
+        (BODY, MOTOR, {"pushed": ["egg"]}, "pushed: expected names of things, got egg"),
+    ],
+)
+def test_what_a_robot_lacks_is_said_in_one_line(
+    tmp_path: Path, body: str, rest: str, settings: dict[str, Any], message: str
+) -> None:
+    path = tmp_path / "robot.xml"
+    path.write_text(f'<mujoco><worldbody><body name="b"><site name="s"/>{body}</body></worldbody>{rest}</mujoco>')
+    with pytest.raises(ValueError, match=message) as caught:
+        PhysicsMotion(path, "eye", **settings)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_robot_of_ones_own_moves_by_its_actuators(tmp_path: Path) -> None:
+    path = tmp_path / "robot.xml"
+    path.write_text(f'<mujoco><worldbody><body pos="0 0 0.1"><site name="s"/>{BODY}</body></worldbody>{MOTOR}</mujoco>')
+    motion = PhysicsMotion(path, "eye", linear=(-0.2, 0.4), angular_deg=45.0, threads=1)
+    state = motion.placed(torch.zeros(1, 3))
+    assert motion.action_spec.shape == (1,) and float(motion.body_to_world(state)[0, 2, 3]) == pytest.approx(0.1)
+    assert motion.move(state, torch.tensor([[1.0]]), NOTHING).inside.all()
+    assert mjcf_path(str(path)) == path and mjcf_path("ball").parent == FOLDER

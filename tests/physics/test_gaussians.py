@@ -1,0 +1,127 @@
+"""Gaussians look like the geoms that they are made of."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.physics import gaussians_from_mjcf
+from splatrl.physics.marks import disc
+from splatrl.renderers import NativeRenderer
+from splatrl.scenes.gaussians import Gaussians
+from splatrl.spherical_harmonics import C0
+
+SIDE, AWAY = 96, 1.0
+EYE = (0.6, -0.5, 0.62)
+
+
+def body(geoms: str, head: str = "") -> mujoco.MjModel:
+    """A model of one body with some geoms."""
+    text = f'<mujoco>{head}<worldbody><body name="b"><freejoint/>{geoms}</body></worldbody></mujoco>'
+    return mujoco.MjModel.from_xml_string(text)
+
+
+def seen(gaussians: Gaussians) -> tuple[torch.Tensor, torch.Tensor]:
+    """Alpha [SIDE, SIDE] and colour of a body at the origin, from above and beside."""
+    camera = look_at(list(EYE), [0.0, 0.0, 0.0])
+    cameras = Cameras(camera[None], intrinsics(math.radians(40), SIDE, SIDE), SIDE, SIDE)
+    rgb, _, alpha = NativeRenderer(gaussians, tolerance=0.0).render(cameras)
+    return alpha[0], rgb[0]
+
+
+def silhouette(model: mujoco.MjModel) -> torch.Tensor:
+    """Which rays from the eye meet a geom, by MuJoCo's own ray casting: [SIDE, SIDE] bool."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    camera, K = look_at(list(EYE), [0.0, 0.0, 0.0]).double(), intrinsics(math.radians(40), SIDE, SIDE).double()
+    hit, number = torch.zeros(SIDE, SIDE, dtype=torch.bool), np.zeros(1, np.int32)
+    for row in range(SIDE):
+        for column in range(SIDE):
+            ray = torch.tensor([(column + 0.5 - K[0, 2]) / K[0, 0], (row + 0.5 - K[1, 2]) / K[1, 1], 1.0]).double()
+            way = (camera[:3, :3] @ ray).numpy()
+            hit[row, column] = mujoco.mj_ray(model, data, camera[:3, 3].numpy(), way, None, 1, -1, number) >= 0
+    return hit
+
+
+@pytest.mark.parametrize(
+    "geom",
+    [
+        '<geom type="sphere" size="0.15"/>',
+        '<geom type="box" size="0.1 0.15 0.07" euler="20 30 0"/>',
+        '<geom type="capsule" size="0.06 0.12" euler="50 0 0"/>',
+        '<geom type="cylinder" size="0.12 0.08" euler="50 20 0"/>',
+        '<geom type="ellipsoid" size="0.2 0.1 0.08"/>',
+        '<geom type="sphere" size="0.08" pos="0.1 0.05 0"/><geom type="box" size="0.05 0.05 0.1" pos="-0.1 0 0"/>',
+    ],
+)
+def test_the_silhouette_of_a_geom_is_that_of_its_rays(geom: str) -> None:
+    model = body(geom)
+    ((name, gaussians),) = gaussians_from_mjcf(model)
+    assert name == "b"
+    alpha, truth = seen(gaussians)[0] > 0.5, silhouette(model)
+    shared = (alpha & truth).sum() / (alpha | truth).sum()
+    assert shared > 0.9
+    inner = -torch.nn.functional.max_pool2d(-truth[None].float(), 7, 1, 3)[0]
+    assert seen(gaussians)[0][inner > 0].min() > 0.8, "there are no holes"
+
+
+def test_a_mesh_is_sampled_where_it_is() -> None:
+    points = "0 0 0  0.2 0 0  0 0.2 0  0 0 0.2"
+    head = f'<asset><mesh name="m" vertex="{points}"/></asset>'
+    model = body('<geom type="mesh" mesh="m" rgba="0 0 1 1"/>', head)
+    ((_, gaussians),) = gaussians_from_mjcf(model, count=300)
+    means = gaussians.means
+    faces = torch.stack([means[:, 0].abs(), means[:, 1].abs(), means[:, 2].abs(), (means.sum(1) - 0.2).abs()])
+    assert faces.amin(0).max() < 1e-6
+    assert (seen(gaussians)[0] > 0.5).eq(silhouette(model)).float().mean() > 0.98
+
+
+def test_colours_are_those_of_geom_material_and_texture() -> None:
+    assets = (
+        '<asset><material name="red" rgba="1 0 0 1"/>'
+        '<texture name="t" type="cube" builtin="flat" rgb1="0 1 0" rgb2="0 0 1" width="8" height="48"/>'
+        '<material name="green" texture="t"/></asset>'
+    )
+    geoms = (
+        '<geom size="0.1" rgba="0.2 0.4 0.6 1"/><geom size="0.1" pos="1 0 0" material="red"/>'
+        '<geom size="0.1" pos="2 0 0" material="green"/><geom size="0.3" group="3"/><geom size="0.3" rgba="1 1 1 0"/>'
+    )
+    ((_, gaussians),) = gaussians_from_mjcf(body(geoms, assets), count=600)
+    rgb, x = gaussians.sh[:, 0] * C0 + 0.5, gaussians.means[:, 0]
+    torch.testing.assert_close(rgb[x < 0.5], torch.tensor([0.2, 0.4, 0.6]).expand(int((x < 0.5).sum()), 3))
+    assert (rgb[(x > 0.5) & (x < 1.5)] - torch.tensor([1.0, 0.0, 0.0])).abs().max() < 1e-6
+    assert rgb[x > 1.5].mean(0)[1] > 0.7
+    assert (gaussians.means.abs() <= torch.tensor([2.11, 0.11, 0.11])).all(), "what is hidden is left out"
+
+
+def test_links_without_joints_belong_to_what_carries_them_and_prefixes_choose() -> None:
+    text = (
+        '<mujoco><worldbody><body name="a/top"><freejoint/><geom size="0.1"/>'
+        '<body name="a/head" pos="0 0 0.5"><geom size="0.1"/></body>'
+        '<body name="a/arm" pos="0 0.5 0"><joint/><geom size="0.1"/></body></body>'
+        '<body name="c/thing" pos="3 0 0"><geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    found = dict(gaussians_from_mjcf(model, "a/", 100))
+    assert list(found) == ["a/top", "a/arm"]
+    assert found["a/top"].means[:, 2].max() > 0.55 and found["a/arm"].means.abs().max() < 0.11
+    ((name, thing),) = gaussians_from_mjcf(model, "c/", 100)
+    assert name == "c/thing" and thing.means.abs().max() < 0.11
+
+
+def test_the_same_model_gives_the_same_bytes() -> None:
+    first, second = (gaussians_from_mjcf(body('<geom size="0.1"/>'))[0].gaussians for _ in range(2))
+    assert all(torch.equal(getattr(first, name), getattr(second, name)) for name in ("means", "quats", "scales", "sh"))
+
+
+def test_a_disc_is_flat_round_and_whole() -> None:
+    mark = disc(0.2, (1.0, 0.0, 0.0))
+    assert (mark.means[:, 2] == 0).all() and mark.means.norm(dim=1).max() < 0.2
+    alpha, rgb = seen(mark)
+    middle = SIDE // 2, SIDE // 2
+    assert alpha[middle] > 0.95 and rgb[middle].tolist() == pytest.approx([1, 0, 0], abs=0.05)
+    with pytest.raises(ValueError, match="expected red, green and blue"):
+        disc(0.2, (2.0, 0.0, 0.0))

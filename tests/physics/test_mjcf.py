@@ -1,0 +1,125 @@
+"""MJCF from strangers: read as data, refused in one line."""
+
+import struct
+from pathlib import Path
+
+import mujoco
+import pytest
+import torch
+
+from splatrl.physics import Terrain, compose, level_ground, read_mjcf
+from splatrl.physics import mjcf as reading
+from splatrl.physics.robots import FOLDER, mjcf_path
+
+BALL = '<body name="ball"><freejoint/><geom size="0.1"/></body>'
+TRIANGLES = [((0, 0, 0), (0, 1, 0), (1, 0, 0)), ((0, 0, 0), (1, 0, 0), (0, 0, 1)), ((0, 0, 0), (0, 0, 1), (0, 1, 0))]
+TRIANGLES.append(((1, 0, 0), (0, 1, 0), (0, 0, 1)))
+
+
+def written(folder: Path, body: str = BALL, head: str = "") -> Path:
+    """A file of MJCF in a folder of its own."""
+    path = folder / "robot" / "robot.xml"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f"<mujoco>{head}<worldbody>{body}</worldbody></mujoco>")
+    return path
+
+
+def write_mesh(path: Path) -> None:
+    """A tetrahedron as binary STL."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    numbers = [[number for corner in each for number in corner] for each in TRIANGLES]
+    rows = [struct.pack("<12fH", 0, 0, 0, *row, 0) for row in numbers]
+    path.write_bytes(bytes(80) + struct.pack("<I", len(rows)) + b"".join(rows))
+
+
+def test_our_own_robots_are_read() -> None:
+    for path in sorted(FOLDER.glob("*.xml")):
+        assert read_mjcf(path).compile().nbody > 1, path
+    assert mjcf_path("wheels") == FOLDER / "wheels.xml"
+    with pytest.raises(FileNotFoundError, match=r"nothing: expected a file of MJCF, or one of ball, .*wheels"):
+        mjcf_path("nothing")
+
+
+def test_meshes_and_included_files_of_its_folder_are_found(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "robot" / "meshes" / "shell.stl")
+    (tmp_path / "robot" / "assets.xml").write_text('<mujoco><asset><mesh name="m" file="shell.stl"/></asset></mujoco>')
+    head = '<compiler meshdir="meshes"/><include file="assets.xml"/>'
+    path = written(tmp_path, '<body><freejoint/><geom type="mesh" mesh="m"/></body>', head)
+    composed = compose(read_mjcf(path), level_ground())
+    assert composed.model.nmeshvert == 4 and composed.robot == "robot/body"
+
+
+OUTSIDE = "expected a path in the folder of the file"
+
+
+@pytest.mark.parametrize(
+    ("head", "body", "message"),
+    [
+        ("", "<body><freejoint/></body", r"robot.xml: expected XML, got"),
+        ("", '<body><joint type="spiral"/></body>', r"robot.xml: expected MJCF, got .*spiral"),
+        ("", "<body><freejoint/></body>", r"robot.xml: expected MJCF, got .*mass"),
+        ('<asset><mesh file="../secret.stl"/></asset>', BALL, rf"<mesh file>: {OUTSIDE}, got '../secret.stl'"),
+        ('<asset><mesh file="/etc/passwd"/></asset>', BALL, rf"<mesh file>: {OUTSIDE}, got '/etc/passwd'"),
+        ('<compiler meshdir="/etc"/><asset><mesh file="passwd"/></asset>', BALL, OUTSIDE),
+        ('<compiler meshdir=".."/><asset><mesh file="secret.stl"/></asset>', BALL, OUTSIDE),
+        ('<asset><mesh file="link.stl"/></asset>', BALL, r"got a link out of it, 'link.stl'"),
+        ('<asset><mesh file="none.stl"/></asset>', BALL, r"expected a file 'none.stl' beside the MJCF, found none"),
+        ('<asset><texture type="2d" file="none.png"/></asset>', BALL, r"<texture file>: expected a file 'none.png'"),
+        ('<include file="/etc/hosts"/>', BALL, rf"<include>: {OUTSIDE}, got '/etc/hosts'"),
+        ('<extension><plugin plugin="any"/></extension>', BALL, r"<extension>: expected a robot without it"),
+        ("", '<replicate count="1000000">' + BALL + "</replicate>", r"<replicate>: expected a robot without it"),
+        ("", '<body><flexcomp name="f" type="grid" count="999 999 999"/></body>', r"<flexcomp>: expected a robot"),
+        ('<asset><texture type="2d" builtin="flat" width="99999" height="99999"/></asset>', BALL, "texels"),
+        (
+            '<asset><texture type="2d" builtin="flat" width="wide" height="9"/></asset>',
+            BALL,
+            "width: expected a number",
+        ),
+        ('<size memory="900G"/>', BALL, r"memory: expected less than 1G, got 900G"),
+        ('<size nuserdata="900000000"/>', BALL, r"nuserdata: expected at most"),
+    ],
+)
+def test_what_is_wrong_or_dangerous_is_refused_in_one_line(tmp_path: Path, head: str, body: str, message: str) -> None:
+    write_mesh(tmp_path / "secret.stl")
+    path = written(tmp_path, body, head)
+    (path.parent / "link.stl").symlink_to(tmp_path / "secret.stl")
+    with pytest.raises(ValueError, match=message) as caught:
+        read_mjcf(path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_entities_and_large_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = written(tmp_path)
+    path.write_text('<!DOCTYPE a [<!ENTITY b "c">]>' + path.read_text())
+    with pytest.raises(ValueError, match="got an XML document type"):
+        read_mjcf(path)
+    monkeypatch.setattr(reading, "MOST_TEXT", 50)
+    with pytest.raises(ValueError, match="expected at most 50 bytes"):
+        read_mjcf(written(tmp_path))
+    with pytest.raises(FileNotFoundError, match="expected a file of MJCF, found none"):
+        read_mjcf(tmp_path / "none.xml")
+
+
+def test_a_robot_without_mujoco_is_refused_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
+    with pytest.raises(ImportError, match=r"mujoco is missing: pip install 'splatrl\[physics\]'"):
+        read_mjcf(FOLDER / "ball.xml")
+
+
+def test_a_robot_has_one_body_at_the_top_and_brings_no_ground(tmp_path: Path) -> None:
+    floor = '<geom name="floor" type="plane" size="1 1 1"/>'
+    with pytest.raises(ValueError, match="geom 'floor': expected one in a body; the ground comes from the scene"):
+        compose(read_mjcf(written(tmp_path, BALL + floor)), level_ground())
+    with pytest.raises(ValueError, match=r"expected one body in <worldbody>, got 2"):
+        compose(read_mjcf(written(tmp_path, BALL + BALL.replace("ball", "other"))), level_ground())
+
+
+def test_options_are_the_robots_and_the_ground_is_where_the_terrain_says(tmp_path: Path) -> None:
+    plane = torch.tensor([0.6, 0.0, 0.8, 0.5], dtype=torch.float64)
+    path = written(tmp_path, BALL, '<option timestep="0.004" gravity="0 0 -3"/>')
+    model = compose(read_mjcf(path), Terrain(plane, torch.zeros(0, 6, dtype=torch.float64))).model
+    assert model.opt.timestep == 0.004 and model.opt.gravity[2] == -3
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    normal = data.geom_xmat[0].reshape(3, 3)[:, 2]
+    assert normal == pytest.approx([0.6, 0.0, 0.8]) and data.geom_xpos[0] @ normal == pytest.approx(0.5)

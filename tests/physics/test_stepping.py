@@ -1,0 +1,104 @@
+"""A step is a function of the state and the controls alone."""
+
+import copy
+import pickle
+
+import mujoco
+import pytest
+import torch
+
+from splatrl.physics import Physics, Terrain, Variation, bank, compose, read_mjcf
+from splatrl.physics.robots import mjcf_path
+from splatrl.physics.stepping import BANK
+
+BOXES = torch.tensor([[0.6, 0.1, 0.1, 0.1, 0.2, 0.1]], dtype=torch.float64)
+
+
+def model() -> mujoco.MjModel:
+    """A robot on wheels in front of a ball and a box."""
+    terrain = Terrain(torch.tensor([0.0, 0.0, 1.0, 0.0], dtype=torch.float64), BOXES)
+    return compose(read_mjcf(mjcf_path("wheels")), terrain, {"ball": read_mjcf(mjcf_path("ball"))}).model
+
+
+def scattered(physics: Physics, count: int) -> torch.Tensor:
+    """States in which the ball lies at different distances ahead."""
+    state = physics.state_of().repeat(count, 1)
+    state[:, BANK + 1 + 9] = torch.linspace(0.28, 0.4, count)
+    return state
+
+
+def run(physics: Physics, state: torch.Tensor, steps: int = 8) -> torch.Tensor:
+    """States after driving ahead."""
+    for _ in range(steps):
+        state, _, sound = physics.step(state, torch.tensor([[0.5, 0.3]]).expand(len(state), 2))
+        assert sound.all()
+    return state
+
+
+def test_a_row_has_the_same_bytes_alone_in_any_order_with_any_threads_and_in_parts() -> None:
+    physics = Physics(model(), 10, 1)
+    start = scattered(physics, 7)
+    together = run(physics, start)
+    assert together.unique(dim=0).shape[0] == 7, "the rows differ"
+    order = torch.tensor([3, 0, 6, 1, 5, 2, 4])
+    assert torch.equal(run(physics, start[order]), together[order])
+    assert torch.equal(torch.cat([run(physics, row[None]) for row in start]), together)
+    assert torch.equal(run(Physics(model(), 10, 2), start), together)
+    assert torch.equal(run(physics, run(physics, start, 3), 5), together)
+
+
+def test_halving_the_substeps_of_a_step_changes_only_where_solvers_begin() -> None:
+    whole, half = Physics(model(), 10, 1), Physics(model(), 5, 1)
+    start = scattered(whole, 3)
+    torch.testing.assert_close(run(half, start, 4), run(whole, start, 2), atol=1e-4, rtol=0)
+
+
+def test_it_can_be_copied_and_pickled() -> None:
+    physics = Physics(model(), 10, 1)
+    start = scattered(physics, 2)
+    for other in (copy.deepcopy(physics), pickle.loads(pickle.dumps(physics))):
+        assert torch.equal(run(other, start, 2), run(physics, start, 2))
+
+
+def test_each_row_obeys_its_own_model() -> None:
+    variation = Variation(3, friction=(0.5, 2.0), mass=(0.5, 2.0), motor=(0.5, 2.0), seed=1)
+    physics = Physics(bank(model(), variation), 10, 1)
+    start = scattered(physics, 1).repeat(4, 1)
+    start[:, 0] = torch.tensor([0.0, 1.0, 2.0, 0.0])
+    after = run(physics, start)
+    assert torch.equal(after[:, 0], start[:, 0])
+    assert torch.equal(after[0], after[3])
+    assert after[:, BANK:].unique(dim=0).shape[0] == 3
+    assert torch.equal(after[0], run(Physics(model(), 10, 1), start[:1])[0]), "the first is as the files say"
+    again = Physics(bank(model(), variation), 10, 1)
+    assert torch.equal(run(again, start), after), "the same seed draws the same models"
+
+
+def test_a_row_that_loses_its_numbers_stays_and_says_so() -> None:
+    physics = Physics(model(), 10, 1)
+    start = scattered(physics, 3)
+    start[1, BANK + 1 + physics.model.nq] = 1e12  # metres per second
+    after, sensed, sound = physics.step(start, torch.zeros(3, 2))
+    assert sound.tolist() == [True, False, True]
+    assert torch.equal(after[1], start[1]) and sensed.isfinite().all()
+    alone = physics.step(start[:1], torch.zeros(1, 2))
+    assert torch.equal(alone.state[0], after[0])
+
+
+def test_models_of_different_sizes_are_refused() -> None:
+    other = compose(read_mjcf(mjcf_path("wheels")), Terrain(torch.tensor([0.0, 0, 1, 0]).double(), BOXES)).model
+    with pytest.raises(ValueError, match="models: expected one size"):
+        Physics([model(), other], 1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"models": 0}, "models: expected a whole number from 1"),
+        ({"friction": (2.0, 1.0)}, "friction: expected two factors"),
+        ({"mass": (0.0, 1.0)}, "mass: expected two factors"),
+    ],
+)
+def test_a_variation_out_of_range_is_refused(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Variation(**settings)  # type: ignore[arg-type]
