@@ -18,7 +18,9 @@ from splatrl.capture.walkable import walkable_area
 from splatrl.collision.occupancy import Occupancy
 from splatrl.commands.options import Parser, is_numbers, joined, split
 from splatrl.evaluation.scene_pictures import draw_scene, survey_occupancy
+from splatrl.evaluation.terrain_pictures import draw_terrain
 from splatrl.files import replacing
+from splatrl.physics.survey import find_terrain
 from splatrl.scenes.blocks import BLOCKS_FILE
 from splatrl.scenes.description import (
     SCENE_FILE,
@@ -44,6 +46,10 @@ from splatrl.scenes.upright import GIVEN, UNKNOWN, Guess, Upright, guess_upright
 
 WORDS = {"--axes": 3, "--translation": 3, "--matrix": 16, "--distance": 7}
 """Options that take several words, some of which may begin with a minus, and their number of words."""
+REACH = 0.3
+"""Metres that a robot with physics reaches beyond its place and above its camera, at most, where boxes are drawn."""
+FILL = 0.2
+"""Metres: openings that count as closed, as in training."""
 FRAME_OPTIONS = ("up", "axes", "scale", "translation", "matrix", "nerfstudio", "distance")
 
 
@@ -163,6 +169,7 @@ def propose(
         print(f"drew        {out / GOALS}")
     for number, goal in enumerate(found.goals, 1):
         print(f"goal {number}      {list(goal)}" + (", which scene.yaml says" if number == 1 else ""))
+    show_terrain(scene, area.occupancy, area.walk, options.height, out, antialiased)
     (left, bottom), (right, top) = area.walk
     print(f"walk        x {left:g} to {right:g}, y {bottom:g} to {top:g} m, steps of {area.step or GRID:g} m")
     return area.bounds, place_proposals(area, found)
@@ -192,7 +199,9 @@ def look_again(options: argparse.Namespace, folder: Path, out: Path, small: bool
     scene, proposed = read_scene(folder), read_description(folder)
     drawn = proposed.get("antialiased", antialiased_beside(folder / proposed["splat"]))
     print_stated(scene.gaussians, proposed.get("metric", True))
-    draw(scene, 0.0, options, out, drawn)
+    occupancy = draw(scene, 0.0, options, out, drawn)
+    lower, upper = proposed.get("walk", [corner[:2] for corner in scene.bounds])
+    show_terrain(scene, occupancy, (lower, upper), options.height, out, drawn is not False)
     proposals = {key: proposed[key] for key in PROPOSALS if key in proposed}
     if options.split is not None:
         told = {key: value for key, value in proposals.items() if key != "free"}
@@ -297,6 +306,31 @@ def draw(scene: Scene, floor: float, options: argparse.Namespace, out: Path, ant
     for picture in draw_scene(scene, occupancy, floor, options.height, out, antialiased is not False):
         print(f"drew        {picture}")
     return occupancy
+
+
+def show_terrain(
+    scene: Scene,
+    occupancy: Occupancy,
+    walk: tuple[Sequence[float], Sequence[float]],
+    height: float,
+    out: Path,
+    antialiased: bool,
+) -> None:
+    """Print the ground and the boxes that a robot with physics would meet, and draw them."""
+    (left, front), (right, back) = walk
+    bottom, top = scene.bounds[0][2], scene.bounds[1][2]
+    around = (left - REACH, front - REACH, bottom), (right + REACH, back + REACH, max(top, bottom + 2 * height))
+    filled = occupancy.solid(FILL, around=around)
+    try:
+        found = find_terrain(scene, filled, *walk, REACH, height + REACH, antialiased)
+    except ValueError as error:
+        print(f"ground      none: {str(error).removeprefix('ground: ')}")
+        return
+    print(found.ground)
+    print(f"boxes       {len(found.terrain.boxes)}, up to {height + REACH:g} m above it")
+    picture = out / f"{scene.name}-ground.png"
+    draw_terrain(scene.gaussians, found, *walk, picture, antialiased)
+    print(f"drew        {picture}")
 
 
 def stated_frame(options: argparse.Namespace) -> StatedFrame:

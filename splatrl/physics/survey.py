@@ -5,7 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from splatrl.collision.occupancy import Occupancy
 from splatrl.files import digest_of
@@ -31,7 +33,7 @@ class Surveyed(NamedTuple):
     terrain: Terrain
 
 
-def survey_terrain(
+def find_terrain(
     scene: Scene,
     occupancy: Occupancy,
     lower: Sequence[float],
@@ -41,8 +43,6 @@ def survey_terrain(
     antialiased: bool = True,
 ) -> Surveyed:
     """Find the ground and the boxes of the part of a scene that bodies can be in.
-
-    A ground that is not one plane is told by a warning.
 
     Args:
         scene: in the world frame.
@@ -54,16 +54,25 @@ def survey_terrain(
         antialiased: how the scene is drawn.
 
     Raises:
-        ValueError: for bounds without area, a negative reach, too few places to stand, or too many boxes.
+        ValueError: for bounds without area, a negative reach, a ``top`` near the ground, or too few places to stand.
     """
     if not reach >= 0.0:
         raise ValueError(f"reach: expected metres from 0, got {reach}")
+    ground = fit_ground(NativeRenderer(scene.gaussians, antialiased), occupancy, lower, upper)
+    low, high = [value - reach for value in lower], [value + reach for value in upper]
+    return _surveyed(ground, merged_boxes(solid_above(occupancy, ground, low, high, top)))
 
-    def build() -> dict[str, Any]:
-        ground = fit_ground(NativeRenderer(scene.gaussians, antialiased), occupancy, lower, upper)
-        low, high = [value - reach for value in lower], [value + reach for value in upper]
-        return {**ground.to_arrays(), "boxes": merged_boxes(solid_above(occupancy, ground, low, high, top))}
 
+def survey_terrain(
+    scene: Scene,
+    occupancy: Occupancy,
+    lower: Sequence[float],
+    upper: Sequence[float],
+    reach: float,
+    top: float,
+    antialiased: bool = True,
+) -> Surveyed:
+    """``find_terrain``, kept in the scene's cache; a ground that is not one plane is told by a warning."""
     settings = {
         "occupancy": occupancy.digest,
         "bounds": [list(map(float, lower)), list(map(float, upper))],
@@ -72,8 +81,17 @@ def survey_terrain(
         "antialiased": antialiased,
         "code": digest_of(CODE),
     }
+
+    def build() -> dict[str, Any]:
+        found = find_terrain(scene, occupancy, lower, upper, reach, top, antialiased)
+        return {**found.ground.to_arrays(), "boxes": found.terrain.boxes.numpy()}
+
     arrays = scene.cached("terrain", settings, build)
-    ground = Ground.from_arrays(arrays)
-    if ground.trouble:
-        warnings.warn(f"{scene.name}: {ground.trouble}", stacklevel=2)
-    return Surveyed(ground, Terrain(torch.from_numpy(ground.plane), torch.from_numpy(arrays["boxes"])))
+    found = _surveyed(Ground.from_arrays(arrays), arrays["boxes"])
+    if found.ground.trouble:
+        warnings.warn(f"{scene.name}: {found.ground.trouble}", stacklevel=2)
+    return found
+
+
+def _surveyed(ground: Ground, boxes: NDArray[np.float64]) -> Surveyed:
+    return Surveyed(ground, Terrain(torch.from_numpy(ground.plane), torch.from_numpy(boxes)))

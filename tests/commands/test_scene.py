@@ -53,7 +53,8 @@ def test_a_capture_becomes_a_scene_folder_with_pictures_without_a_word_said(
     assert "cannot be known" in printed
     assert "occupied  " in printed
     assert heights(splat.parent) == pytest.approx((0.0, 1.2), abs=0.02)
-    pictures = [splat.with_name(f"yard-{kind}.png") for kind in ("free", "occupancy", "view")]
+    assert "ground      z = " in printed and "boxes       " in printed
+    pictures = [splat.with_name(f"yard-{kind}.png") for kind in ("free", "occupancy", "view", "ground")]
     for picture in pictures:
         assert str(picture) in printed
         assert len(np.unique(np.asarray(Image.open(picture)).reshape(-1, 3 if "view" in picture.name else 1))) > 1
@@ -92,7 +93,7 @@ def test_out_is_a_scene_that_says_all_and_the_files_own_folder_stays(
 ) -> None:
     out = tmp_path / "new" / "look"
     main([str(splat), "--out", str(out)])
-    pictures = ["goals.png", "yard-free.png", "yard-occupancy.png", "yard-view.png"]
+    pictures = ["goals.png", "yard-free.png", "yard-ground.png", "yard-occupancy.png", "yard-view.png"]
     assert sorted(path.name for path in out.iterdir()) == sorted(["scene.yaml", "yard.ply", *pictures])
     assert [path.name for path in splat.parent.iterdir()] == ["yard.ply"]
     assert (out / "yard.ply").read_bytes() == splat.read_bytes()
