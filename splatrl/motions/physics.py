@@ -57,6 +57,8 @@ class PhysicsMotion(nn.Module):
         linear: lowest and highest speed of the twin, metres per second; None takes the limits of the actuator forward.
         angular_deg: the twin's highest angular velocity, degrees per second; None takes that of the actuator turn.
         lower, upper, spacing, headings: where robots go and start; see ``DriveMotion``.
+        ceiling: height above the ground up to which robots meet what is solid, metres, for those that fly; None takes
+            the robot's own where it stands.
         variation: how the physics of episodes differs.
         threads: that step robots side by side; None takes all cores.
 
@@ -85,6 +87,7 @@ class PhysicsMotion(nn.Module):
         upper: Sequence[float] = (1.0, 1.0),
         spacing: float = 0.1,
         headings: int = 36,
+        ceiling: float | None = None,
         variation: Variation | None = None,
         threads: int | None = None,
     ):
@@ -92,9 +95,11 @@ class PhysicsMotion(nn.Module):
         self.path, self.camera, self.pushed = mjcf_path(str(path)), camera, tuple(pushed)
         self.thing_paths = {str(name): mjcf_path(str(place)) for name, place in (things or {}).items()}
         self.time_step, self.substep, self.threads = time_step, substep, threads
-        self.variation = variation or Variation()
+        self.variation, self.ceiling = variation or Variation(), ceiling
         self.models = Models()
         require_number("task.motion.time_step", time_step, 1e-4, 10.0)
+        if ceiling is not None:
+            require_number("task.motion.ceiling", ceiling, 0.2, 1e3)
         if unknown := set(self.pushed) - set(self.thing_paths):
             raise ValueError(f"task.motion.pushed: expected names of things, got {', '.join(sorted(unknown))}")
         self.register_buffer("limits", torch.zeros(2, 0), persistent=False)
@@ -119,6 +124,7 @@ class PhysicsMotion(nn.Module):
         alone = robot.copy().compile()
         with_things = {name: read_mjcf(path) for name, path in self.thing_paths.items()}
         self.top = max(top_of(each) for each in (alone, *(thing.copy().compile() for thing in with_things.values())))
+        self.top = self.top if self.ceiling is None else self.ceiling
         try:
             world = compose(robot, terrain, with_things)
         except ValueError as error:

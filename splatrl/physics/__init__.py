@@ -7,6 +7,7 @@ from splatrl.physics.kinematics import Kinematics
 from splatrl.physics.mjcf import read_mjcf
 from splatrl.physics.stepping import Physics, Stepped
 from splatrl.physics.terrain import Terrain, level_ground
+from splatrl.physics.tracks import TrackSettings, draw_tracks
 
 __all__ = [
     "BodyGaussians",
@@ -15,9 +16,11 @@ __all__ = [
     "Physics",
     "Stepped",
     "Terrain",
+    "TrackSettings",
     "Variation",
     "bank",
     "compose",
+    "draw_tracks",
     "gaussians_from_mjcf",
     "level_ground",
     "read_mjcf",

@@ -4,6 +4,7 @@ from splatrl.envs.tasks.apple import Apple
 from splatrl.envs.tasks.base import Mark, Memory, Outcome, Step, Task, TaskModule, Verdict
 from splatrl.envs.tasks.drive import Drive
 from splatrl.envs.tasks.fps import Fps
+from splatrl.envs.tasks.gates import Gates, GatesRewards
 from splatrl.envs.tasks.grid import Grid
 from splatrl.envs.tasks.navigation import ImageNav, NavigationRewards, NavigationTask, PointNav
 from splatrl.envs.tasks.orbit import Orbit
@@ -17,6 +18,8 @@ __all__ = [
     "Apple",
     "Drive",
     "Fps",
+    "Gates",
+    "GatesRewards",
     "Grid",
     "ImageNav",
     "Mark",

@@ -1,0 +1,79 @@
+"""A scripted pilot of a quadrotor that knows the state: it flies through gates, and so shows that it can be done."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from splatrl.geometry import quats_to_rotations
+
+GRAVITY = 9.81
+SPEED = 1.5
+"""Metres per second, at most."""
+CARROT = 0.6
+"""Metres along the gate's axis by which the point that is flown to is ahead."""
+APPROACH = 0.7
+"""Metres before a gate at which a quadrotor that is off its axis waits until it is on it."""
+FUNNEL = (0.1, 0.5)
+"""How far off the axis it may go on towards the gate: metres at the gate, and for each metre before it."""
+ACCELERATION = 6.0
+"""Metres per second squared, at most."""
+GAINS = {"place": 2.5, "velocity": 3.5, "tilt": 9.0, "yaw": 4.0}
+"""Per second: speed for a distance, acceleration for a speed, rate for a tilt, rate for a heading."""
+
+
+class Flying(NamedTuple):
+    """Where B quadrotors are and how they move.
+
+    Attributes:
+        place: [B, 3] world, metres.
+        turn: [B, 4] unit quaternion wxyz, body to world.
+        velocity: [B, 3] world, metres per second.
+    """
+
+    place: Tensor
+    turn: Tensor
+    velocity: Tensor
+
+
+def fly_through(flying: Flying, gate: Tensor, limits: Tensor) -> Tensor:
+    """The thrust and body rates by which quadrotors fly through a gate, looking at it.
+
+    A point on the gate's axis is flown to, ahead of the quadrotor; the acceleration towards it asks for a thrust and a
+    direction of the rotors, as in geometric tracking control (Lee, Leok and McClamroch 2010).
+
+    Args:
+        flying: the quadrotors.
+        gate: [B, 4] centre and yaw of the gate of each, which is passed along its yaw; world, metres and radians.
+        limits: [2, 4] lowest and highest actions.
+
+    Returns:
+        [B, 4]: thrust in weights of the quadrotor, and rates about its own x, y and z, radians per second.
+    """
+    place, turn, velocity = (part.double() for part in flying)
+    gate = gate.double()
+    level = torch.zeros_like(gate[:, 3])
+    axis = torch.stack([gate[:, 3].cos(), gate[:, 3].sin(), level], 1)
+    offset = place - gate[:, :3]
+    along = (offset * axis).sum(1, keepdim=True)
+    aside = (offset - along * axis).norm(dim=1, keepdim=True)
+    on_axis = aside <= FUNNEL[0] + FUNNEL[1] * (-along).clamp_min(0.0)
+    carrot = gate[:, :3] + torch.where(on_axis, along + CARROT, -torch.full_like(along, APPROACH)) * axis
+    way = carrot - place
+    far = way.norm(dim=1, keepdim=True).clamp_min(1e-6)
+    wanted = way / far * (GAINS["place"] * far).clamp_max(SPEED)
+    force = GAINS["velocity"] * (wanted - velocity)
+    force = force * (ACCELERATION / force.norm(dim=1, keepdim=True).clamp_min(1e-6)).clamp_max(1.0)
+    force = force + torch.tensor([0.0, 0.0, GRAVITY], dtype=force.dtype, device=force.device)
+    body_to_world = quats_to_rotations(turn)
+    up = body_to_world[:, :, 2]
+    thrust = (force * up).sum(1) / GRAVITY
+    tilt = torch.linalg.cross(up, force / force.norm(dim=1, keepdim=True))
+    rates = GAINS["tilt"] * (body_to_world * tilt.unsqueeze(2)).sum(1)  # in the body's own axes
+    look = gate[:, :3] + 0.5 * axis - place
+    nose = body_to_world[:, :, 0]
+    off = torch.atan2(look[:, 1], look[:, 0]) - torch.atan2(nose[:, 1], nose[:, 0])
+    off = torch.atan2(off.sin(), off.cos())
+    action = torch.cat([thrust.unsqueeze(1), rates[:, :2], (GAINS["yaw"] * off).unsqueeze(1)], 1)
+    low, high = limits.to(action)
+    return action.clamp(low, high).float()
