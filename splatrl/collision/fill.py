@@ -9,6 +9,8 @@ from scipy import ndimage
 from torch import Tensor
 
 from splatrl.collision.voxel_grid import MAX_VOXELS, Bounds, checked_box, checked_points, grid_shape
+from splatrl.native import _core
+from splatrl.native.threads import threads_of
 
 Region = tuple[NDArray[np.bool_], tuple[int, int, int]]
 """Voxels [X, Y, Z] bool and the key of the first."""
@@ -54,13 +56,13 @@ def unreached_voxels(
     places = None if seeds is None else checked_points("seeds", seeds)
     padded, origin = _widened(occupied, np.array(origin_key, np.int64), resolution, around)
     wide = round(opening / resolution)
-    clear = ndimage.distance_transform_edt(padded)  # in voxels, from each free centre to the nearest solid one
+    clear = _distances(~padded)  # from each free centre to the nearest solid one
     touch = 0.5 * (wide + 1) + 1e-6  # a gap of `wide` voxels has its middle at most this far from its walls
     regions, count = ndimage.label(clear > touch)
     region = _flooded(regions, count, places, origin, resolution, touch + wide)
     if region is None:
         return None
-    reached = ndimage.distance_transform_edt(regions != region) <= touch
+    reached = _distances(regions == region) <= touch
     if wide:
         reached = ndimage.binary_dilation(reached, np.ones((3, 3, 3)), iterations=wide, mask=padded)
     unreached = (padded & ~reached)[1:-1, 1:-1, 1:-1]
@@ -81,6 +83,13 @@ def _widened(
     inner = tuple(slice(int(a), int(a) + n) for a, n in zip(origin - first, occupied.shape, strict=True))
     free[inner] = ~occupied
     return np.pad(free, 1), first - 1
+
+
+def _distances(solid: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """From each voxel's centre to the nearest solid one's, in voxels: [X, Y, Z]."""
+    found = np.empty(solid.shape, np.float32)
+    _core.find_distances(np.ascontiguousarray(solid), 1.0, found, threads_of(None))
+    return found
 
 
 def _flooded(

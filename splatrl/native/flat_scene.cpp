@@ -14,6 +14,7 @@
 #include "half.h"
 #include "levels_binding.h"
 #include "scene.h"
+#include "threads.h"
 
 namespace nb = nanobind;
 
@@ -37,7 +38,10 @@ struct FlatScene {
     FlatScene(const SceneView& view, size_t capacity, size_t gaussians, bool antialiased, uint32_t first_slot)
         : antialiased(antialiased), first_slot(first_slot), spheres(capacity * SPHERE), shapes(capacity * SHAPE),
           colors(capacity * color_stride(view.degree)), indices(capacity), slots(gaussians) {
-        for (size_t slot = 0; slot < capacity; ++slot) add(view, slot);
+        for (size_t slot = 0; slot < capacity; ++slot) {
+            if (slot % 4096 == 0) poll();
+            add(view, slot);
+        }
     }
 
 private:

@@ -5,7 +5,11 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "threads.h"
+
 namespace splatrl {
+
+constexpr uint32_t POLLED = 1u << 16;  // comparisons between two polls
 
 // Halve [first, last) along its longest axis, at a multiple of `leaf`, and return the middle. `mean` gives the three
 // coordinates of an item.
@@ -24,7 +28,9 @@ uint32_t* halve(uint32_t* first, uint32_t* last, size_t leaf, const Mean& mean) 
         if (high[axis] - low[axis] > high[longest] - low[longest]) longest = axis;
     const size_t leaves = (size_t(last - first) + leaf - 1) / leaf;
     uint32_t* middle = first + (leaves + 1) / 2 * leaf;
+    uint32_t compared = 0;
     std::nth_element(first, middle, last, [&](uint32_t a, uint32_t b) {
+        if (++compared % POLLED == 0) poll();
         const float left = mean(a)[longest], right = mean(b)[longest];
         return left < right || (left == right && a < b);
     });

@@ -7,6 +7,7 @@
 #include "kernel.h"
 #include "levels.h"
 #include "levels_binding.h"
+#include "threads.h"
 
 namespace nb = nanobind;
 
@@ -20,6 +21,7 @@ std::vector<T> values_of(const nb::dict& arrays, const char* name, size_t count)
     if (array.shape(0) != count)
         throw std::invalid_argument(std::string("levels.") + name + ": expected " + std::to_string(count) +
                                     " values, got " + std::to_string(array.shape(0)));
+    poll();
     return std::vector<T>(array.data(), array.data() + count);
 }
 
@@ -29,6 +31,7 @@ void check(const Levels& levels, size_t count) {
     bool right = true;
     for (uint32_t item : levels.order) right = right && item < count;
     for (size_t i = 0; i < nodes && right; ++i) {
+        if (i % 4096 == 0) poll();
         const Node& node = levels.nodes[i];
         const size_t held = node.leaf ? levels.order.size() : levels.opacities.size();
         right = node.count <= CLUSTER && size_t(node.first) + node.count <= held && node.skip > i && node.skip <= nodes;

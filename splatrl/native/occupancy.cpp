@@ -44,6 +44,7 @@ using Triple = std::array<int64_t, 3>;
 void splat(const Ellipsoid& g, double opacity, double extent, const Triple& first, const Triple& end,
            const Triple& shape, float* density) {
     for (int64_t x = first[0]; x < end[0]; ++x) {
+        poll();
         for (int64_t y = first[1]; y < end[1]; ++y) {
             const double dx = double(x) + 0.5 - g.mean[0], dy = double(y) + 0.5 - g.mean[1];
             std::array<double, 3> at_zero;  // along the axes, at the column's height z + 1/2 = mean
@@ -85,7 +86,6 @@ void add_density(Tensor<const double, -1, 3> means, Tensor<const double, -1, 3, 
         throw nb::value_error("expected as many axes, scales, opacities and voxel ranges as means");
     const Release release;
     for (size_t n = 0; n < count; ++n) {
-        poll();
         Triple low, high;
         for (size_t i = 0; i < 3; ++i) {
             low[i] = std::max<int64_t>(first.data()[3 * n + i], 0);

@@ -26,7 +26,11 @@ void add_model(Renderer& renderer, Tensor<const float, -1, 3> means, Tensor<cons
                Tensor<const float, -1> opacities, Tensor<const float, -1, -1, 3> sh, int degree,
                std::optional<nb::dict> levels) {
     const GaussianArrays gaussians{means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0), degree};
-    renderer.add(gaussians, levels ? levels_of(*levels, gaussians) : build_levels(gaussians, CLUSTER, GROUP, false));
+    Levels tree;
+    if (levels) tree = levels_of(*levels, gaussians);
+    const Release release;
+    if (!levels) tree = build_levels(gaussians, CLUSTER, GROUP, false);
+    renderer.add(gaussians, tree);
 }
 
 void render(Renderer& renderer, const Models& models, const Poses& camera_to_models, const Lenses& K, int width,

@@ -7,6 +7,7 @@
 #include <numeric>
 
 #include "half.h"
+#include "threads.h"
 
 namespace splatrl {
 
@@ -121,6 +122,7 @@ Scene::Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<f
         if (levels.nodes[i].leaf) pack(gaussians, gaussians.opacities, levels.order.data(), levels.nodes[i], i);
     first_merged_ = groups_;
     std::vector<float> most(levels.opacities);
+    poll();
     for (size_t i = 0; i < most.size(); ++i) most[i] = most_opacity(levels.opacities[i], levels.sums[i], antialiased);
     for (size_t i = 0; i < levels.nodes.size(); ++i) {
         const Node& node = levels.nodes[i];
@@ -152,6 +154,7 @@ Scene::Scene(const SceneView& view, size_t groups)
 // Append the Gaussians of a node, in whole groups.
 void Scene::pack(const GaussianArrays& gaussians, const float* opacities, const uint32_t* order, const Node& node,
                  size_t index) {
+    poll();
     Cluster& cluster = clusters_[index];
     cluster = {{}, node.error, uint32_t(groups_), uint32_t(groups_of(node)), node.skip};
     const uint32_t *first = order + node.first, *last = first + node.count;

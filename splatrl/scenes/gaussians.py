@@ -11,6 +11,8 @@ from splatrl.spherical_harmonics import rotate_sh, sh_degree
 
 INVISIBLE = 1.0 / 255.0
 """A Gaussian of lower opacity cannot change an image: renderers skip every alpha below it."""
+BLOCK = 1 << 18
+"""Rows that are looked at together: Ctrl-C is answered between them, and memory stays small."""
 
 
 class Gaussians(TensorClass):
@@ -92,7 +94,7 @@ def checked_gaussians(
     if sh.ndim != 3 or sh.shape[0] != count or sh.shape[1] not in (1, 4, 9, 16) or sh.shape[2] != 3:
         raise ValueError(f"{source}: sh: expected shape [{count}, 1 or 4 or 9 or 16, 3], got {list(sh.shape)}")
     means, quats, scales, opacities, sh = (v.float() for v in (means, quats, scales, opacities, sh))
-    finite = torch.cat([means, quats, scales, opacities[:, None], sh.flatten(1)], 1).isfinite().all(1)
+    finite = torch.stack([_finite(v.reshape(count, -1)) for v in (means, quats, scales, opacities, sh)]).all(0)
     norms = quats.double().norm(dim=1, keepdim=True)  # float64: squares neither underflow nor overflow
     finite &= (norms[:, 0] > 0) & (scales > 0).all(1)
     visible = opacities >= INVISIBLE
@@ -105,7 +107,10 @@ def checked_gaussians(
             f"{int((finite & ~visible).sum())} fully transparent of {count} Gaussians",
             stacklevel=3,
         )
-        means, quats, norms, scales, opacities, sh = (v[keep] for v in (means, quats, norms, scales, opacities, sh))
+        means, quats, norms, scales, opacities, sh = (
+            torch.cat([block[kept] for block, kept in zip(v.split(BLOCK), keep.split(BLOCK), strict=True)])
+            for v in (means, quats, norms, scales, opacities, sh)
+        )
     return Gaussians(
         means=means,
         quats=(quats / norms).float(),
@@ -114,3 +119,8 @@ def checked_gaussians(
         sh=sh,
         batch_size=[means.shape[0]],
     )
+
+
+def _finite(values: Tensor) -> Tensor:
+    """Which rows hold finite numbers only: [N, D] -> [N] bool."""
+    return torch.cat([block.isfinite().all(1) for block in values.split(BLOCK)])

@@ -52,6 +52,52 @@ def test_ctrl_c_ends_a_long_call() -> None:
     assert process.returncode == -signal.SIGINT
 
 
+STOPPED = """
+import signal
+from functools import partial
+import numpy as np
+from splatrl.native import _core
+from splatrl.renderers.lod import gaussian_arrays
+from tests.renderers.cases import random_gaussians
+class Stop(Exception): pass
+def stop(number, frame): raise Stop
+signal.signal(signal.SIGALRM, stop)
+arrays = gaussian_arrays(random_gaussians(0, 500_000))
+means = arrays.pop("means")
+levels = _core.build_levels(means, **arrays, degree=0)
+flat = partial(
+    _core.flat_scene, **arrays, degree=0, background=(0.0, 0.0, 0.0), antialiased=True, tolerance=0.0, first_slot=0,
+    first_cluster=0,
+)
+add = partial(_core.Renderer(True, (0.0, 0.0, 0.0), 0.0).add_model, **arrays, degree=0)
+all_of_it = dict(first=np.zeros((1, 3), int), end=np.full((1, 3), 400), extent=3.0)  # of a grid, by one Gaussian
+fill = partial(
+    _core.add_density, axes=np.eye(3)[None], scales=np.full((1, 3), 150.0), opacities=np.ones(1), **all_of_it,
+    density=np.zeros((400, 400, 400), np.float32),
+)
+calls = {
+    "add_model": (partial(add, levels=None), means), "add_model with levels": (partial(add, levels=levels), means),
+    "flat_scene": (partial(flat, levels=None), means), "flat_scene with levels": (partial(flat, levels=levels), means),
+    "build_levels": (partial(_core.build_levels, **arrays, degree=0), means),
+    "add_density": (fill, np.full((1, 3), 200.0)),
+}
+for name, (call, argument) in calls.items():
+    done = []
+    signal.setitimer(signal.ITIMER_REAL, 0.02)
+    try:
+        done.extend(map(call, [argument]))  # all in C: what returns is kept before Python answers a signal that waited
+        print(name, "was never stopped")
+    except Stop:
+        print(name, "went on to its end" if done else "stopped")
+"""
+
+
+def test_long_calls_answer_signals_while_they_work() -> None:
+    found = subprocess.run([sys.executable, "-c", STOPPED], capture_output=True, text=True, timeout=300, check=True)
+    names = "add_model", "add_model with levels", "flat_scene", "flat_scene with levels", "build_levels", "add_density"
+    assert found.stdout.splitlines() == [f"{name} stopped" for name in names]
+
+
 def test_daemon_threads_in_the_core_end_with_the_interpreter() -> None:
     text = """
 from splatrl.native.threads import usable_cores

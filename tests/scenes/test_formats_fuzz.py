@@ -12,7 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatrl.scenes.formats import read_gaussians
+from splatrl.scenes import gaussians as gaussians_module
+from splatrl.scenes.formats import ply_rows, read_gaussians
+from splatrl.scenes.formats import spz as spz_module
 from tests.scenes.samples import (
     assert_valid,
     compressed_ply_bytes,
@@ -168,3 +170,29 @@ def test_a_sog_file_with_any_json_in_place_of_a_field_is_refused_or_valid(
     meta = json.loads(entries["meta.json"])
     (meta if len(keys) == 1 else meta[keys[0]])[keys[-1]] = value
     check(folder / "a.sog", zip_bytes({**entries, "meta.json": json.dumps(meta).encode()}))
+
+
+@pytest.mark.parametrize("degree", [0, 2])
+def test_a_file_is_the_same_however_many_rows_are_read_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, degree: int
+) -> None:
+    gaussians = sample_gaussians(11, degree)
+    gaussians.opacities[[2, 7]] = 0.0  # rows that are dropped
+    spz, count = random_spz(3, degree)
+    contents = {
+        "a.ply": ply_bytes(ply_fields(gaussians), "binary_little_endian"),
+        "b.ply": ply_bytes(ply_fields(gaussians), "ascii"),
+        "c.spz": spz_bytes(spz, count, 3, degree),
+    }
+    for name, content in contents.items():
+        (tmp_path / name).write_bytes(content)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            whole = read_gaussians(tmp_path / name)
+            with monkeypatch.context() as patched:
+                for module in (ply_rows, spz_module, gaussians_module):
+                    patched.setattr(module, "BLOCK", 3)
+                patched.setattr(spz_module, "PIECE", 7)
+                found = read_gaussians(tmp_path / name)
+        for field in ("means", "quats", "scales", "opacities", "sh"):
+            assert getattr(found, field).equal(getattr(whole, field)), (name, field)

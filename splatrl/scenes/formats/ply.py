@@ -28,13 +28,10 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
     header = read_ply_header(path)
     if is_compressed(header):
         return read_compressed_ply(path, header)
-    rest = _checked_fields(path, header)
-    groups = (MEANS, QUATS, SCALES, ("opacity",), SH0, rest)
-    columns = vertex_columns(path, header, [name for names in groups for name in names], np.float32)
-    ends = np.cumsum([len(names) for names in groups])
-    means, quats, log_scales, opacity_logits, sh0, sh_rest = np.split(columns, ends[:-1], 1)
-    sh_rest = sh_rest.reshape(len(columns), 3, -1).transpose(0, 2, 1)  # the file keeps channels together
-    return activated(path, means, quats, log_scales, opacity_logits[:, 0], np.concatenate([sh0[:, None], sh_rest], 1))
+    rest = np.array(_checked_fields(path, header), object).reshape(3, -1).T  # the file keeps channels together
+    groups = (MEANS, QUATS, SCALES, ("opacity",), (*SH0, *rest.ravel()))
+    means, quats, log_scales, logits, sh = vertex_columns(path, header, groups, np.float32)
+    return activated(path, means, quats, log_scales, logits[:, 0], sh.reshape(len(sh), -1, 3))
 
 
 def write_ply(path: Path, gaussians: Gaussians) -> None:

@@ -16,7 +16,12 @@ TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "
 TYPES |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
 
 
-def vertex_columns(path: Path, header: PlyHeader, names: Sequence[str], dtype: DTypeLike) -> NDArray[Any]:
+BLOCK = 1 << 14
+"""Rows that are read at once, so that a file is never held whole beside what it becomes."""
+Names = Sequence[Sequence[str]]
+
+
+def vertex_columns(path: Path, header: PlyHeader, groups: Names, dtype: DTypeLike) -> list[NDArray[Any]]:
     """Some properties of a file's vertices.
 
     Lists, whose lengths are only in the rows, are refused in the vertices and before them, and not read after them.
@@ -24,11 +29,11 @@ def vertex_columns(path: Path, header: PlyHeader, names: Sequence[str], dtype: D
     Args:
         path: of the file.
         header: of the file; it has an element vertex with these properties.
-        names: of the properties, in the order of the result.
+        groups: names of the properties, of each array of the result, in order.
         dtype: of the result; a double that is too large for it becomes infinite.
 
     Returns:
-        [N, len(names)].
+        Of each group [N, len(names)], contiguous.
 
     Raises:
         ValueError: for a file that does not hold the rows that its header promises.
@@ -40,7 +45,7 @@ def vertex_columns(path: Path, header: PlyHeader, names: Sequence[str], dtype: D
     read = _ascii if header.format == "ascii" else _binary
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            return read(path, header, names, np.dtype(dtype))
+            return read(path, header, groups, np.dtype(dtype))
     except (ValueError, OverflowError, IndexError) as error:
         raise ValueError(f"{path}: expected the rows that the header describes, got a damaged file: {error}") from error
 
@@ -49,22 +54,26 @@ def _before_vertices(header: PlyHeader) -> list[PlyElement]:
     return [header.elements[name] for name in itertools.takewhile(lambda name: name != "vertex", header.elements)]
 
 
-def _ascii(path: Path, header: PlyHeader, names: Sequence[str], dtype: np.dtype[Any]) -> NDArray[Any]:
-    vertex = header.elements["vertex"]
-    places = [list(vertex.properties).index(name) for name in names]
+def _ascii(path: Path, header: PlyHeader, groups: Names, dtype: np.dtype[Any]) -> list[NDArray[Any]]:
+    vertex, found = header.elements["vertex"], _empty(header, groups, dtype)
+    places = {name: place for place, name in enumerate(vertex.properties)}
+    chosen = [places[name] for names in groups for name in names]
+    ends = np.cumsum([len(names) for names in groups])[:-1]
     with path.open("rb") as stream:
         stream.seek(header.size)
         lines = io.TextIOWrapper(stream, "ascii", "replace")
         rows = itertools.islice(lines, sum(element.count for element in _before_vertices(header)), None)
-        if vertex.count == 0:
-            return np.zeros((0, len(names)), dtype)
-        values = np.loadtxt(rows, np.float64, comments=None, usecols=places, max_rows=vertex.count, ndmin=2)
-    if len(values) != vertex.count:
-        raise ValueError(f"expected {vertex.count} rows, got {len(values)}")
-    return values.astype(dtype)
+        for first in range(0, vertex.count, BLOCK):
+            most = min(BLOCK, vertex.count - first)
+            values = np.loadtxt(rows, np.float64, comments=None, usecols=chosen, max_rows=most, ndmin=2)
+            if len(values) != most:
+                raise ValueError(f"expected {vertex.count} rows, got {first + len(values)}")
+            for columns, part in zip(found, np.split(values, ends, 1), strict=True):
+                columns[first : first + most] = part
+    return found
 
 
-def _binary(path: Path, header: PlyHeader, names: Sequence[str], dtype: np.dtype[Any]) -> NDArray[Any]:
+def _binary(path: Path, header: PlyHeader, groups: Names, dtype: np.dtype[Any]) -> list[NDArray[Any]]:
     vertex = header.elements["vertex"]
     sizes = [element.size for element in _before_vertices(header)]
     if None in sizes:
@@ -74,8 +83,16 @@ def _binary(path: Path, header: PlyHeader, names: Sequence[str], dtype: np.dtype
     row = np.dtype([(name, order + TYPES[kind]) for name, kind in vertex.properties.items()])
     if header.file_size - start < vertex.count * row.itemsize:
         raise ValueError(f"expected {vertex.count * row.itemsize} bytes of vertices, got {header.file_size - start}")
-    rows: NDArray[np.void] = np.fromfile(path, row, vertex.count, offset=start)
-    columns = np.empty((len(rows), len(names)), dtype)
-    for i, name in enumerate(names):
-        columns[:, i] = rows[name]
-    return columns
+    found = _empty(header, groups, dtype)
+    with path.open("rb") as stream:
+        stream.seek(start)
+        for first in range(0, vertex.count, BLOCK):
+            rows: NDArray[np.void] = np.fromfile(stream, row, min(BLOCK, vertex.count - first))
+            for names, columns in zip(groups, found, strict=True):
+                for i, name in enumerate(names):
+                    columns[first : first + BLOCK, i] = rows[name]
+    return found
+
+
+def _empty(header: PlyHeader, groups: Names, dtype: np.dtype[Any]) -> list[NDArray[Any]]:
+    return [np.empty((header.elements["vertex"].count, len(names)), dtype) for names in groups]

@@ -9,7 +9,7 @@ and signs of the harmonics are those of 3DGS, with the colour channel varying fa
 import struct
 import zlib
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from splatrl.scenes.formats.extra import extra_module
 from splatrl.scenes.formats.limits import check_inflation
-from splatrl.scenes.gaussians import Gaussians, checked_gaussians
+from splatrl.scenes.gaussians import BLOCK, Gaussians, checked_gaussians
 
 MAGIC = b"NGSP"
 HEADER = struct.Struct("<4sIIBBBB")
@@ -26,6 +26,8 @@ HEADER_4 = struct.Struct("<4sIIBBBBI12x")
 ENTRY = struct.Struct("<QQ")
 """Of the table of contents: bytes of a stream, and bytes that it unpacks to."""
 COLOR_SCALE = 0.15  # of the degree-0 harmonics, so that colours a little out of range fit a byte
+PIECE = 1 << 20
+"""Bytes that are unpacked at once."""
 HAS_EXTENSIONS = 0x2  # vendors' records may follow the attributes
 
 Bytes = NDArray[np.uint8]
@@ -56,50 +58,76 @@ def read_spz(path: Path, max_inflation: float) -> Gaussians:
     Raises:
         ValueError: for another version, a damaged stream or a size other than the header promises.
     """
-    data = path.read_bytes()
-    header, payload = (_join if data[:4] == MAGIC else _unpack)(path, data, max_inflation)
+    with path.open("rb") as stream:
+        version_4 = stream.read(len(MAGIC)) == MAGIC
+        stream.seek(0)
+        header, payload = (_join if version_4 else _unpack)(path, stream, max_inflation)
     columns: dict[str, Bytes] = {}
     start = 0
     for name, width in header.widths.items():
         columns[name] = payload[start : start + width * header.points].reshape(header.points, width)
         start += width * header.points
-    rotations = _first_three(columns["rotations"]) if header.version == 2 else _smallest_three(columns["rotations"])
-    sh0 = (columns["colors"][:, None, :] / np.float32(255.0) - np.float32(0.5)) / np.float32(COLOR_SCALE)
-    sh_rest = (columns["sh"].reshape(header.points, -1, 3) - np.float32(128.0)) / np.float32(128.0)
+    count, harmonics = header.points, (header.sh_degree + 1) ** 2
+    means, quats = np.empty((count, 3), np.float32), np.empty((count, 4), np.float32)
+    scales, sh = np.empty((count, 3), np.float32), np.empty((count, harmonics, 3), np.float32)
+    rotations = _first_three if header.version == 2 else _smallest_three
+    for first in range(0, count, BLOCK):
+        rows = slice(first, first + BLOCK)
+        means[rows] = _positions(columns["positions"][rows], header.fractional_bits)
+        quats[rows] = rotations(columns["rotations"][rows])
+        scales[rows] = np.exp(columns["scales"][rows] / np.float32(16.0) - np.float32(10.0))
+        sh[rows, 0] = (columns["colors"][rows] / np.float32(255.0) - np.float32(0.5)) / np.float32(COLOR_SCALE)
+        rest = columns["sh"][rows].reshape(len(scales[rows]), harmonics - 1, 3)
+        sh[rows, 1:] = (rest - np.float32(128.0)) / np.float32(128.0)
     return checked_gaussians(
         str(path),
-        means=torch.from_numpy(_positions(columns["positions"], header.fractional_bits)),
-        quats=torch.from_numpy(rotations),
-        scales=torch.from_numpy(np.exp(columns["scales"] / np.float32(16.0) - np.float32(10.0))),
+        means=torch.from_numpy(means),
+        quats=torch.from_numpy(quats),
+        scales=torch.from_numpy(scales),
         opacities=torch.from_numpy(columns["alphas"][:, 0] / np.float32(255.0)),
-        sh=torch.from_numpy(np.concatenate([sh0, sh_rest], 1)),
+        sh=torch.from_numpy(sh),
     )
 
 
-def _unpack(path: Path, data: bytes, max_inflation: float) -> tuple[Header, Bytes]:
+def _unpack(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header, Bytes]:
     """Header and attributes; unpacks no more than the header promises, and refuses one that promises too much."""
+    held = path.stat().st_size
     inflater = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
     try:
-        start = inflater.decompress(data, HEADER.size)
+        start = _inflated(inflater, stream, HEADER.size)
         if len(start) < HEADER.size:
             raise ValueError(f"{path}: header: expected {HEADER.size} bytes, got {len(start)}")
-        header = _checked(path, Header(*HEADER.unpack(start)), (2, 3))
+        header = _checked(path, Header(*HEADER.unpack(start.tobytes())), (2, 3))
         promised = sum(header.widths.values()) * header.points
-        check_inflation(path, "numPoints", promised, len(data), max_inflation)
-        payload = inflater.decompress(inflater.unconsumed_tail, promised)
-        surplus = inflater.decompress(inflater.unconsumed_tail, 1)
+        check_inflation(path, "numPoints", promised, held, max_inflation)
+        payload = _inflated(inflater, stream, promised)
+        surplus = _inflated(inflater, stream, 1)
     except zlib.error as error:
         raise ValueError(f"{path}: expected a gzip stream, got a damaged one: {error}") from error
     extended = bool(header.flags & HAS_EXTENSIONS)
-    if len(payload) < promised or not (inflater.eof or extended or surplus):
+    if len(payload) < promised or not (inflater.eof or extended or len(surplus)):
         raise ValueError(f"{path}: expected {promised} bytes after the header, got {len(payload)}: truncated")
-    if surplus and not extended:
+    if len(surplus) and not extended:
         raise ValueError(f"{path}: expected {promised} bytes after the header, got more")
-    return header, np.frombuffer(payload, np.uint8)
+    return header, payload
 
 
-def _join(path: Path, data: bytes, max_inflation: float) -> tuple[Header, Bytes]:
+def _inflated(inflater: Any, stream: BinaryIO, most: int) -> Bytes:
+    """The next bytes of a gzip stream, a piece at a time; fewer only where it ends."""
+    found, filled = np.empty(most, np.uint8), 0
+    while filled < most and not inflater.eof:
+        packed = inflater.unconsumed_tail or stream.read(PIECE)
+        piece = inflater.decompress(packed, min(most - filled, PIECE))
+        found[filled : filled + len(piece)] = np.frombuffer(piece, np.uint8)
+        filled += len(piece)
+        if not packed and not piece:
+            break
+    return found[:filled]
+
+
+def _join(path: Path, stream: BinaryIO, max_inflation: float) -> tuple[Header, Bytes]:
     """Header and attributes of version 4, as ``_unpack`` gives those of the others."""
+    data = stream.read()
     if len(data) < HEADER_4.size:
         raise ValueError(f"{path}: header: expected {HEADER_4.size} bytes, got {len(data)}")
     magic, version, points, degree, bits, flags, streams, contents = HEADER_4.unpack_from(data)

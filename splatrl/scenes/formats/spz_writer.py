@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.files import replacing
-from splatrl.scenes.formats.spz import COLOR_SCALE, HEADER, Header
+from splatrl.scenes.formats.spz import COLOR_SCALE, HEADER, PIECE, Header
 from splatrl.scenes.gaussians import Gaussians
 
 VERSION = 3
@@ -62,7 +62,9 @@ def write_spz(path: Path, gaussians: Gaussians, antialiased: bool = True) -> Non
     with replacing(path) as stream, gzip.GzipFile("", "wb", fileobj=stream, mtime=0) as packed:
         packed.write(HEADER.pack(*header))
         for part in parts:
-            packed.write(np.ascontiguousarray(part).data)
+            content = np.ascontiguousarray(part).reshape(-1)
+            for first in range(0, len(content), PIECE):  # Ctrl-C is answered between them
+                packed.write(content[first : first + PIECE].data)
 
 
 def _bytes(values: Tensor) -> Bytes:
