@@ -3,7 +3,6 @@
 import json
 import shlex
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -20,6 +19,7 @@ from splatrl.experiments import Run, conduct, recapture
 from splatrl.training import load_checkpoint
 from tests.capture.rooms import ABOVE, tiny_capture
 from tests.commands.test_train import SETTINGS
+from tests.preloaded import start
 from tests.tiny import tiny_gaussians, tiny_overrides
 
 Command = Callable[..., None]
@@ -65,8 +65,7 @@ def test_ctrl_c_keeps_what_was_trained_and_says_how_to_go_on(tmp_path: Path) -> 
     quoted = ",".join(f"'{override}'" for override in [*tiny_overrides(tmp_path), *settings, "logger.video=false"])
     words = ["name=grid", f"folder={tmp_path}/asked for", f"scene_overrides.backyard=[{quoted}]", "seeds=[3]", "jobs=1"]
     words += ["~experiments.grid.arms.none", "~experiments.grid.arms.long", "frames=100000"]
-    program = [sys.executable, "-m", "splatrl.commands.experiment"]
-    process = subprocess.Popen([*program, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    process = start("-m", "splatrl.commands.experiment", *words)
     last = tmp_path / "asked for" / "grid" / "backyard-distance-s3" / "checkpoints" / "last.pt"
     while not last.exists() and process.poll() is None:
         time.sleep(0.01)

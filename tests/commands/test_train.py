@@ -22,6 +22,7 @@ from splatrl.files import alone_in
 from splatrl.made_with import check_made_with, made_with
 from splatrl.scenes import write_gaussians
 from splatrl.training import load_checkpoint
+from tests.preloaded import Process, start
 from tests.tiny import tiny_gaussians, tiny_overrides
 
 SETTINGS = [
@@ -37,12 +38,11 @@ SETTINGS = [
 ]
 
 
-def command(module: str, *arguments: str) -> subprocess.Popen[str]:
-    line = [sys.executable, "-m", f"splatrl.commands.{module}", *arguments]
-    return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+def command(module: str, *arguments: str) -> Process:
+    return start("-m", f"splatrl.commands.{module}", *arguments)
 
 
-def finish(process: subprocess.Popen[str]) -> str:
+def finish(process: Process) -> str:
     output, _ = process.communicate(timeout=300)
     assert process.returncode == 0, output
     return output

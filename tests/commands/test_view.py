@@ -2,7 +2,6 @@
 
 import re
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from splatrl.scenes import write_gaussians
 from splatrl.viewer.driver import Driver
 from splatrl.viewer.page import Page
 from tests.commands.test_train import SETTINGS, command, finish
+from tests.preloaded import Process
 from tests.tiny import tiny_gaussians, tiny_overrides
 from tests.viewer.conftest import SCENE
 from tests.viewer.visitor import Visitor, until
@@ -35,7 +35,7 @@ def place(tmp_path: Path) -> Path:
     return folder
 
 
-def page_of(process: "subprocess.Popen[str]") -> Visitor:
+def page_of(process: Process) -> Visitor:
     """Opens the page whose address a command prints."""
     assert process.stdout is not None
     lines: list[str] = []

@@ -4,7 +4,6 @@ import copy
 import os
 import pickle
 import signal
-import subprocess
 import sys
 import time
 
@@ -17,6 +16,7 @@ from splatrl.collision import NativeChecker, Occupancy
 from splatrl.native import _core
 from splatrl.native.threads import threads_of, usable_cores
 from splatrl.renderers import LatticeRenderer, NativeRenderer, ReferenceRenderer
+from tests.preloaded import Process, start
 from tests.tiny import tiny_gaussians
 
 LONG = """
@@ -25,7 +25,7 @@ from splatrl import Box
 from splatrl.collision import NativeChecker, Occupancy
 from splatrl.geometry import rigid, axis_rotations
 checker = NativeChecker(Occupancy.from_boxes([[-2.0, -2.0, 0.0]], [[2.0, 2.0, 0.02]], 0.02), Box((0.5, 0.5, 0.5)))
-count = 2048 * 2000
+count = {count}
 start = torch.eye(4).repeat(count, 1, 1)
 start[:, 2, 3] = 0.5
 end = start.clone()
@@ -36,14 +36,13 @@ def work():
 """
 
 
-def script(text: str, **options: object) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-c", LONG + text], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **options
-    )
+def script(text: str, count: int = 500_000) -> Process:
+    """Code after ``LONG``, whose work takes about a microsecond for each of so many moves."""
+    return start("-c", LONG.format(count=count) + text)
 
 
 def test_ctrl_c_ends_a_long_call() -> None:
-    process = script("print('begun', flush=True)\nwork()\nprint('done')")
+    process = script("print('begun', flush=True)\nwork()\nprint('done')", count=4_000_000)
     assert process.stdout is not None and process.stdout.readline() == "begun\n"
     time.sleep(0.5)
     process.send_signal(signal.SIGINT)

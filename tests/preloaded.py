@@ -1,0 +1,175 @@
+"""Python programs that begin at once, each in a process forked from one that has imported what takes seconds.
+
+A program has its own memory, environment, output, signals and end of the interpreter, as if ``python -m`` or
+``python -c`` had started it. The imports alone are done once, for all programs of a test process.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import json
+import os
+import runpy
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import types
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Union
+
+ROOT = Path(__file__).parents[1]
+IMPORTED = (
+    "matplotlib.figure",
+    "splatrl.build",
+    "splatrl.datasets",
+    "splatrl.experiments",
+    "splatrl.runs",
+    "splatrl.viewer.page",
+    "splatrl.viewer.training",
+)
+"""What programs find imported; not the commands, which they run as their main module."""
+MOST_BYTES = 2**17
+"""Of a request: words and environment."""
+
+
+def start(*words: str, env: Mapping[str, str] | None = None) -> Process:
+    """Begin a program.
+
+    Args:
+        words: what follows ``python``: ``-m``, the name of a module and its arguments, or ``-c`` and code.
+        env: the environment in place of this process's own.
+    """
+    if sys.platform != "linux":  # elsewhere a fork is not safe
+        command = [sys.executable, *words]
+        return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    request = json.dumps({"words": words, "env": dict(os.environ if env is None else env), "folder": os.getcwd()})
+    link, theirs = socket.socketpair()
+    output, printed = os.pipe()
+    with theirs:
+        socket.send_fds(_interpreter()[0], [request.encode()], [theirs.fileno(), printed])
+    os.close(printed)
+    return Program(link, output)
+
+
+class Program:
+    """What ``subprocess.Popen`` tells of a process and does to it.
+
+    Attributes:
+        pid: its number.
+        stdout: what it prints, errors included.
+        returncode: its exit status, or minus the signal that ended it; None before it has ended and was asked for.
+    """
+
+    def __init__(self, link: socket.socket, output: int) -> None:
+        self.stdout = open(output, encoding="utf-8")  # noqa: SIM115
+        self.returncode: int | None = None
+        self._link = link
+        self.pid = int(link.recv(16))
+
+    def poll(self) -> int | None:
+        """The return code, if the program has ended."""
+        with suppress(subprocess.TimeoutExpired):
+            self.wait(0.0)
+        return self.returncode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for the end, for so many seconds at most.
+
+        Raises:
+            subprocess.TimeoutExpired: if that was not long enough.
+        """
+        if self.returncode is None:
+            self._link.settimeout(timeout)
+            try:
+                self.returncode = int(self._link.recv(16))
+            except (TimeoutError, BlockingIOError):
+                raise subprocess.TimeoutExpired(f"program {self.pid}", timeout or 0.0) from None
+        return self.returncode
+
+    def communicate(self, timeout: float | None = None) -> tuple[str, None]:
+        """Wait for the end as ``wait`` does, and return what was printed since it was last read."""
+        printed: list[str] = []
+        reader = threading.Thread(target=lambda: printed.append(self.stdout.read()), daemon=True)
+        reader.start()
+        reader.join(timeout)
+        if reader.is_alive():
+            raise subprocess.TimeoutExpired(f"program {self.pid}", timeout or 0.0)
+        self.wait(timeout)
+        return printed[0], None
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal, unless the program has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        """End the program at once."""
+        self.send_signal(signal.SIGKILL)
+
+
+Process = Union[Program, "subprocess.Popen[str]"]
+
+
+@functools.cache
+def _interpreter() -> tuple[socket.socket, subprocess.Popen[bytes]]:
+    """The process from which programs are forked, and the way to it; it ends with this one."""
+    here, there = socket.socketpair(type=socket.SOCK_SEQPACKET)
+    with there:
+        command = [sys.executable, "-m", __name__, str(there.fileno())]
+        nothing = subprocess.DEVNULL
+        process = subprocess.Popen(command, cwd=ROOT, pass_fds=[there.fileno()], stdin=nothing, stdout=nothing)
+    return here, process
+
+
+def _requested(requests: socket.socket) -> list[str]:
+    """Wait for requests: returns the words of each in a process of its own, and here none when there are no more."""
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for the processes that wait for programs
+    while True:
+        message, descriptors, *_ = socket.recv_fds(requests, MOST_BYTES, 2)
+        if not message:
+            return []
+        if os.fork() == 0:
+            break
+        for each in descriptors:
+            os.close(each)
+    requests.close()
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    link, printed = socket.socket(fileno=descriptors[0]), descriptors[1]
+    child = os.fork()
+    if child:
+        os.close(printed)
+        link.send(b"%16d" % child)
+        link.send(b"%16d" % os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+        os._exit(0)
+    link.close()
+    for standard in (1, 2):
+        os.dup2(printed, standard)
+    os.close(printed)
+    request = json.loads(message)
+    os.chdir(request["folder"])
+    os.environ.clear()
+    os.environ.update(request["env"])
+    return request["words"]
+
+
+def _run(kind: str, what: str, *arguments: str) -> None:
+    """Run a module or code as the main module."""
+    if kind == "-m":
+        sys.argv = [what, *arguments]
+        runpy.run_module(what, run_name="__main__", alter_sys=True)
+        return
+    main = sys.modules["__main__"] = types.ModuleType("__main__")
+    sys.argv = [kind, *arguments]
+    exec(compile(what, "<string>", "exec"), main.__dict__)
+
+
+if __name__ == "__main__":
+    for name in IMPORTED:
+        importlib.import_module(name)
+    if words := _requested(socket.socket(fileno=int(sys.argv[1]))):
+        _run(*words)

@@ -1,0 +1,69 @@
+"""Programs from a preloaded interpreter behave as those of ``python`` itself."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from tests.preloaded import start
+
+TELLS = """
+import atexit, os, sys, threading
+atexit.register(print, "at exit")
+print(__name__, sys.argv, os.getcwd(), os.environ.get("TOLD"), threading.active_count())
+print(len(os.listdir("/proc/self/fd")))
+print("an error", file=sys.stderr, flush=True)
+sys.exit(3)
+"""
+
+
+def test_a_program_is_as_one_of_python_itself(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
+    monkeypatch.chdir(str(tmp_path))
+    words, env = ["-c", TELLS, "one", "two words"], os.environ | {"TOLD": "this"}
+    expected = subprocess.run(
+        [sys.executable, *words],
+        env=env,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    program = start(*words, env=env)
+    assert program.communicate(60) == (expected.stdout, None)
+    assert program.returncode == expected.returncode == program.wait() == 3
+
+
+def test_a_module_is_run_as_the_main_one() -> None:
+    program = start("-m", "timeit", "-n", "1", "-r", "1", "import __main__; print(__main__.__spec__.name)")
+    assert program.communicate(60)[0].startswith("timeit\n1 loop")
+    assert program.returncode == 0
+
+
+def test_an_error_is_printed_and_a_program_does_not_touch_another() -> None:
+    program, other = (
+        start("-c", "import torch; torch.ones = None; torch.ones(3)"),
+        start("-c", "import torch; print(torch.ones(3))"),
+    )
+    assert "TypeError: 'NoneType' object is not callable" in program.communicate(60)[0] and program.returncode == 1
+    assert other.communicate(60) == ("tensor([1., 1., 1.])\n", None)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_program_that_is_sent_a_signal_ends_by_it(number: int) -> None:
+    program = start("-c", "import time; print('begun', flush=True); time.sleep(600)")
+    assert program.stdout.readline() == "begun\n"
+    assert program.poll() is None
+    with pytest.raises(subprocess.TimeoutExpired):
+        program.wait(0.01)
+    with pytest.raises(subprocess.TimeoutExpired):
+        program.communicate(0.01)
+    program.send_signal(number)
+    assert program.wait(60) == -number
+    program.kill()  # it has ended, so that nothing happens
+    with pytest.raises(ProcessLookupError):
+        for _ in range(1000):  # the process that waits for it may be a moment late
+            os.kill(program.pid, 0)
+            time.sleep(0.01)
