@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,8 +134,8 @@ class _Room:
         begin = last[:3] + (0.5 * _ahead(last[3]) if len(track) > 1 else 0.0)
         turn = math.radians(settings.turn_deg) if len(track) > 1 else math.pi
         way = last[3] + draw.uniform(-turn, turn)
-        x, y = last[:2] + draw.uniform(*settings.distance) * _ahead(way)[:2]
-        z = self.ground(x, y) + draw.uniform(*settings.height)
+        x, y = last[:2] + draw.uniform(settings.distance[0], settings.distance[1]) * _ahead(way)[:2]
+        z = self.ground(x, y) + draw.uniform(settings.height[0], settings.height[1])
         gate = np.array([x, y, z, way + math.radians(draw.uniform(-settings.skew_deg, settings.skew_deg))])
         end = gate[:3] + 0.5 * _ahead(gate[3])
         rim = gate[:3] + self.rim(gate[3])
@@ -146,7 +147,7 @@ class _Room:
             fits &= other is last or bool(np.linalg.norm(flown - other[:3], axis=1).min() > apart)
             beyond = other[:3] + 0.5 * _ahead(other[3])
             fits &= other is last or bool(np.linalg.norm(beyond - gate[:3]) > apart)
-        for a, b in zip(track[:-1], track[1:], strict=True):  # it does not stand in an earlier way
+        for a, b in pairwise(track):  # it does not stand in an earlier way
             fits &= bool(np.linalg.norm(_between(a[:3], b[:3]) - gate[:3], axis=1).min() > apart)
         return gate if fits else None
 
