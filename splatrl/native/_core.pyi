@@ -319,3 +319,33 @@ def agree(
     threads: int,
 ) -> None:
     """What other photos confirm of the depths of photos."""
+
+def trunk_forward(
+    shape: tuple[int, ...],  # height, width and channels of images; channels of two convolutions; features
+    images: int,  # address of [count, height, width, channels]
+    count: int,
+    weights: tuple[int, ...],  # addresses of weights and bias of each layer, in PyTorch's order
+    layers: tuple[int, ...],  # addresses of [count, rows, columns, channels] twice and [count, features], written
+    threads: int,
+    /,
+) -> None:
+    """Two convolutions without padding, of 4 and 3 pixels at a stride of 2, and a dense layer, each with a ReLU.
+
+    Addresses are those of C-contiguous float32 in main memory.
+
+    Raises:
+        ValueError: for images of less than 8 pixels a side, or channels of convolutions in other than sixteens.
+    """
+
+def trunk_backward(
+    shape: tuple[int, ...],
+    images: int,
+    count: int,
+    weights: tuple[int, ...],
+    layers: tuple[int, ...],  # as ``trunk_forward`` wrote them
+    slopes: int,  # address of [count, features], of the features
+    gradients: tuple[int, ...],  # addresses of what is written, in the order and shapes of the weights
+    threads: int,
+    /,
+) -> None:
+    """The gradients of the weights."""

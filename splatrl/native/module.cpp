@@ -32,4 +32,5 @@ NB_MODULE(_core, m) {
     splatrl::bind_rays(m);
     splatrl::bind_renderer(m);
     splatrl::bind_stereo(m);
+    splatrl::bind_trunk(m);
 }

@@ -12,14 +12,16 @@ from torchrl.objectives.value.functional import vec_generalized_advantage_estima
 from splatrl.training.heads import distribution
 from splatrl.training.loss import STATISTICS, clipped_loss
 from splatrl.training.memory import STATE
+from splatrl.training.repeats import first_alike
 from splatrl.training.settings import LossSettings, OptimSettings
 
 
 class Learner:
     """Adam on the clipped loss; a policy without memory learns from single frames, one with memory from sequences.
 
-    The trunk is evaluated once per frame, and both heads read its output. Pooled images and the critic's values come
-    from collection.
+    The trunk is evaluated once per frame, and both heads read its output. On a CPU frames of a minibatch that show the
+    same are evaluated together, which changes nothing but the order of sums. Pooled images and the critic's values
+    come from collection.
 
     Args:
         model: actor and critic over a shared trunk.
@@ -49,7 +51,8 @@ class Learner:
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Learn from a batch of frames [B, T]; returns the means of ``STATISTICS`` over its gradient steps."""
         batch["advantage"], batch["value_target"] = self.advantages(batch)
-        steps = [self.step(frames) for _ in range(self.loss.ppo_epochs) for frames in self.minibatches(batch)]
+        alike, epochs = self.alike(batch), range(self.loss.ppo_epochs)
+        steps = [self.step(frames) for _ in epochs for frames in self.minibatches(batch, alike)]
         return dict(zip(STATISTICS, torch.stack(steps).mean(0).tolist(), strict=True))
 
     @torch.no_grad()
@@ -83,12 +86,22 @@ class Learner:
         next_value[asked] = self.model.get_value_operator()(seen)["state_value"]
         return next_value
 
-    def minibatches(self, batch: TensorDictBase) -> Iterator[dict[str, Tensor]]:
+    def alike(self, batch: TensorDictBase) -> Tensor | None:
+        """For each frame of a batch, [B * T], the first one that shows the same; None where that would not help."""
+        if self._memory or self.optim.compile or batch["action"].device.type != "cpu" or not self._is_prepared(batch):
+            return None
+        return first_alike(*(batch[key].flatten(0, 1) for key in self._prepared))
+
+    def _is_prepared(self, batch: TensorDictBase) -> bool:
+        return all(key in batch.keys() for key in self._prepared)  # noqa: SIM118, a TensorDict is no dict
+
+    def minibatches(self, batch: TensorDictBase, alike: Tensor | None = None) -> Iterator[dict[str, Tensor]]:
         """Every frame once, in random order: [N, ...] each, or with memory whole rows of the batch, [N, T, ...].
 
-        If a batch does not hold what the part without weights makes, such as ``image``, it is made here.
+        If a batch does not hold what the part without weights makes, such as ``image``, it is made here. With ``alike``
+        a minibatch holds what it shows only once, and in ``shown`` [N] which of that each frame shows.
         """
-        made = all(key in batch.keys() for key in self._prepared)  # noqa: SIM118, a TensorDict is no dict
+        made = self._is_prepared(batch)
         view = self._prepared if made else self._reads
         frames: dict[str, Any] = {key: batch[key] for key in (*view, "action", "action_log_prob")}
         frames |= {key: batch[key].squeeze(-1) for key in ("advantage", "value_target")}
@@ -100,7 +113,12 @@ class Learner:
             frames = {key: value.flatten(0, 1) for key, value in frames.items()}
         count, device = len(frames["action"]), frames["action"].device
         for rows in torch.randperm(count, device=device).split(size):
-            some = {key: value.index_select(0, rows) for key, value in frames.items()}
+            shown = rows
+            if alike is not None:
+                shown, of_frame = alike[rows].unique(return_inverse=True)
+            some = {key: value.index_select(0, shown if key in view else rows) for key, value in frames.items()}
+            if alike is not None:
+                some["shown"] = of_frame
             if not made:
                 found = self._pool(*(some.pop(key) for key in self._reads))
                 some |= zip(self._prepared, found if isinstance(found, tuple) else (found,), strict=True)
@@ -127,6 +145,8 @@ class Learner:
 
     def _hidden(self, frames: dict[str, Tensor]) -> Tensor:
         hidden = self._trunk(*(frames[key] for key in self._prepared))
+        if "shown" in frames:
+            hidden = hidden.index_select(0, frames["shown"])
         for module in self._memory:
             known = {"features": hidden, **{key: frames[key] for key in (STATE, "is_init")}}
             with set_recurrent_mode(True):

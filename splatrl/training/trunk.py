@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from splatrl.training.heads import orthogonal
+from splatrl.training.native_trunk import encoded, suits
 
 GAIN = 2**0.5
 """Orthogonal-initialisation gain for layers followed by a ReLU."""
@@ -31,6 +32,9 @@ class PoolPixels(nn.Module):
 
 class Trunk(nn.Module):
     """A small convolutional network over images, batched or not.
+
+    On a CPU with AVX2 its layers are compiled (``native_trunk``), if the channels are multiples of sixteen; elsewhere
+    they are PyTorch's.
 
     Args:
         height: height of the image, pixels.
@@ -63,6 +67,8 @@ class Trunk(nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         """Encode images: [..., H, W, C] float32 -> [..., features] float32."""
-        images = image.reshape(-1, *image.shape[-3:]).permute(0, 3, 1, 2)  # channels last in memory is faster
-        found = self.convolutions(images).permute(0, 2, 3, 1).flatten(1)
-        return self.dense(found).reshape(*image.shape[:-3], -1)
+        images = image.reshape(-1, *image.shape[-3:])
+        if suits(images, self.convolutions, self.dense):
+            return encoded(images, self.convolutions, self.dense).reshape(*image.shape[:-3], -1)
+        found = self.convolutions(images.permute(0, 3, 1, 2))  # channels last in memory is faster
+        return self.dense(found.permute(0, 2, 3, 1).flatten(1)).reshape(*image.shape[:-3], -1)

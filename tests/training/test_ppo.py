@@ -89,6 +89,27 @@ def test_gradients_are_clipped_to_the_norm() -> None:
     assert (parameters(ppo) - before).norm().item() == pytest.approx(1e-3, rel=1e-2)
 
 
+def test_frames_that_show_the_same_are_evaluated_once_with_the_same_gradient() -> None:
+    ppo = learner(tiny_env([8], max_steps=5), max_grad_norm=1e9)
+    batch = ppo.collect()
+    batch["advantage"], batch["value_target"] = ppo.learner.advantages(batch)
+    alike = ppo.learner.alike(batch)
+    assert alike is not None
+    ppo.learner.optimizer = torch.optim.SGD(ppo.model.parameters(), lr=1.0)
+    state, moves, sizes = copy.deepcopy(ppo.model.state_dict()), [], []
+    for given in (alike, None):
+        ppo.model.load_state_dict(state)
+        torch.manual_seed(1)
+        frames = next(ppo.learner.minibatches(batch, given))
+        sizes.append((len(frames["image"]), len(frames["action"])))
+        before = parameters(ppo)
+        ppo.learner.step(frames)
+        moves.append(before - parameters(ppo))
+    assert sizes[0][0] < sizes[1][0] == sizes[0][1] == sizes[1][1] == 32
+    assert moves[1].abs().max() > 1e-3
+    torch.testing.assert_close(*moves, atol=2e-6, rtol=1e-3)
+
+
 def test_advantages_are_those_of_torchrls_estimator() -> None:
     ppo = learner(tiny_env([6], max_steps=4), frames_per_batch=6 * 13)
     batch = ppo.collect()

@@ -1,0 +1,146 @@
+"""The measurements of ``against.py``, in the checkout whose Python runs it.
+
+It says the name of each measurement as a line of JSON, then reads numbers of turns and answers with seconds, until it
+reads 0; at last it says null. Measurements must run in older checkouts as well, so they use what users use.
+"""
+
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from statistics import median
+
+import torch
+from scenes import BUILT
+
+import splatrl
+from splatrl.bodies import Box, Sphere
+from splatrl.build import build_trainer, build_world
+from splatrl.collision import NativeChecker
+from splatrl.configuration import load_config
+from splatrl.geometry import axis_rotations, rigid
+from splatrl.renderers import NativeRenderer
+
+Turn = Callable[[], object]
+VIEWS = 64
+STEPS = 20
+"""Of an env in a turn."""
+
+
+def training(task: str) -> Iterator[tuple[str, Turn]]:
+    """Collecting a batch and a test with the first policy, and learning from a batch once it knows a little."""
+    cfg = load_config([f"task={task}", "device=cpu", "curriculum=none", "logger.num_test_episodes=64"])
+    torch.manual_seed(0)
+    trainer = build_trainer(cfg, build_world(cfg), Path(tempfile.mkdtemp()))
+    ppo = trainer.ppo
+    yield f"collect {task}", ppo.collect
+    yield f"test {task}", trainer.test
+    for _ in range(4):
+        ppo.iterate()
+    batch = ppo.collect()
+    yield f"learn {task}", lambda: ppo.learner.learn(batch)
+
+
+def steps(batch: int) -> Iterator[tuple[str, Turn]]:
+    """Steps of the grid task whose views are remembered, and the renderer and the checker alone."""
+    env = splatrl.make_env(["device=cpu", "curriculum=none"], batch_size=[batch])
+    torch.manual_seed(0)
+    td = env.reset()
+    for _ in range(60):
+        _, td = env.step_and_maybe_reset(env.rand_action(td))
+    given = env.rand_action(td)
+
+    def repeated(call: Turn) -> Turn:
+        return lambda: [call() for _ in range(STEPS)]
+
+    yield f"step {batch}", repeated(lambda: env.step(given.clone()))
+    yield f"step with resets {batch}", repeated(lambda: env.step_and_maybe_reset(given.clone()))
+    base = getattr(env, "base_env", env)
+    poses = base.task.motion.body_to_world(given["state"])
+    cameras = base.robot.cameras(poses)
+
+    def alone() -> None:
+        base.checker.free_fraction(poses, poses)
+        base.drawing.renderer.pixels(cameras)
+
+    yield f"step, its renderer and checker alone {batch}", repeated(alone)
+
+
+def frames(scene: str, tolerance: float, size: int) -> Iterator[tuple[str, Turn]]:
+    """Views of a scene on one core."""
+    subject = BUILT[scene]()
+    if subject is None:
+        return
+    renderer = NativeRenderer(subject.scene, threads=1, tolerance=tolerance)
+    cameras = subject.room.views(max(4, VIEWS * 64 * 64 // size**2), size, size)
+    name = f"{tolerance} px" if tolerance else "exact"
+    yield f"frames {scene} {name} {size}²", lambda: renderer.pixels(cameras)
+
+
+def queries() -> Iterator[tuple[str, Turn]]:
+    """Collision queries in the backyard on one core."""
+    world = build_world(load_config(["device=cpu"]))
+    assert not isinstance(world, tuple)
+    generator = torch.Generator().manual_seed(0)
+    count = 8192
+    places = torch.rand(count, 3, generator=generator) * torch.tensor([5.0, 5.0, 0.6]) - torch.tensor([2.5, 2.5, 0.0])
+    yaw = axis_rotations(2, 6.28 * torch.rand(count, generator=generator))
+    poses = rigid(yaw, places)
+    ends = rigid(yaw, places + 0.2 * torch.randn(count, 3, generator=generator).nan_to_num())
+    for name, body in (("sphere", Sphere(0.2)), ("box", Box((0.4, 0.4, 0.1)))):
+        checker = NativeChecker(world.occupancy, body, threads=1)
+        yield f"query {name}", lambda checker=checker: checker.collides(poses)
+        yield f"query swept {name}", lambda checker=checker: checker.free_fraction(poses, ends)
+
+
+GROUPS: dict[str, Callable[[], Iterator[tuple[str, Turn]]]] = {
+    "learn collect test grid": lambda: training("grid"),
+    "learn collect test fps": lambda: training("fps"),
+    "step 1": lambda: steps(1),
+    "step 64": lambda: steps(64),
+    "step 1024": lambda: steps(1024),
+    **{
+        f"frames {scene} {tolerance} {size}": lambda scene=scene, tolerance=tolerance, size=size: frames(
+            scene, tolerance, size
+        )
+        for scene in BUILT
+        for tolerance, size in ((0.0, 64), (0.5, 64), (0.0, 256), (0.5, 256), (0.0, 512), (0.5, 512))
+    },
+    "query": queries,
+}
+"""Makers of measurements; the words of a key are all that measurements of the group begin with."""
+
+
+def wanted(words: list[str]) -> Iterator[tuple[str, Turn]]:
+    """The measurements whose names begin with one of some words."""
+    for key, make in GROUPS.items():
+        if words and not any(word.split()[0] in key.split() for word in words):
+            continue
+        for name, turn in make():
+            if not words or any(name.startswith(word) for word in words):
+                yield name, turn
+
+
+def main() -> None:
+    """Answer."""
+    torch.set_num_threads(1)
+    said = sys.stdout
+    sys.stdout = sys.stderr
+    for name, turn in wanted(sys.argv[1:]):
+        turn()
+        print(json.dumps(name), file=said, flush=True)
+        while count := int(sys.stdin.readline() or 0):
+            seconds = []
+            for _ in range(count):
+                begun = time.process_time()
+                turn()
+                seconds.append(time.process_time() - begun)
+            print(json.dumps(median(seconds)), file=said, flush=True)
+        print(json.dumps(0), file=said, flush=True)
+    print("null", file=said, flush=True)
+
+
+if __name__ == "__main__":
+    main()

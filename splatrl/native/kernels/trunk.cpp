@@ -1,0 +1,344 @@
+// The kernels of the convolutional network, for one instruction set. Each sum lives in registers: a kernel holds as
+// many vectors of sixteen as there are registers for, so a weight that is read once serves several pixels or images.
+#include "trunk.h"
+
+#include <algorithm>
+#include <cstring>
+
+#include "lanes.h"
+
+namespace splatrl {
+namespace SPLATRL_ISA {
+
+// One register, of which a vector of sixteen may need several.
+using Register = FloatPart;
+constexpr int WIDTH = SPLATRL_REGISTER;
+
+// Sums that fit into registers beside what they are made from.
+#if defined(SPLATRL_AVX512)
+constexpr int SUMS = 24;
+#else
+constexpr int SUMS = 12;
+#endif
+
+#define UNROLL _Pragma("GCC unroll 32")
+
+LANE_INLINE Register get(const float* from) {
+    Register out;
+    std::memcpy(&out, from, sizeof(out));
+    return out;
+}
+
+LANE_INLINE void put(float* to, const Register& value) { std::memcpy(to, &value, sizeof(value)); }
+
+LANE_INLINE float total(const Register& a) {
+    float values[WIDTH];
+    put(values, a);
+    for (int half = WIDTH / 2; half > 0; half /= 2)
+        for (int i = 0; i < half; ++i) values[i] += values[i + half];
+    return values[0];
+}
+
+LANE_INLINE Register positive(const Register& a) { return a > Register{} ? a : Register{}; }
+
+// Call work.template run<N>(begin) for parts of [0, count) of at most MOST, as even as can be.
+template <int MOST, class Work>
+LANE_INLINE void in_parts_of(int count, int size, int begin, const Work& work) {
+    if constexpr (MOST > 0) {
+        if (size == MOST)
+            work.template run<MOST>(begin);
+        else
+            in_parts_of<MOST - 1>(count, size, begin, work);
+    }
+}
+
+template <int MOST, class Work>
+LANE_INLINE void in_parts(int count, const Work& work) {
+    const int parts = (count + MOST - 1) / MOST;
+    for (int part = 0, begin = 0; part < parts; ++part) {
+        const int size = (count - begin + parts - part - 1) / (parts - part);
+        in_parts_of<MOST>(count, size, begin, work);
+        begin += size;
+    }
+}
+
+template <int REGISTERS>
+struct Width {
+    static constexpr int value = REGISTERS;
+};
+
+// Call work(Width<N>(), first) for N registers of the channels at a time.
+
+template <class Work>
+LANE_INLINE void in_widths(int channels, const Work& work) {
+    const int registers = channels / WIDTH;
+    if (registers % 3 == 0)
+        for (int v = 0; v < registers; v += 3) work(Width<3>(), v * WIDTH);
+    else if (registers % 2 == 0)
+        for (int v = 0; v < registers; v += 2) work(Width<2>(), v * WIDTH);
+    else
+        for (int v = 0; v < registers; ++v) work(Width<1>(), v * WIDTH);
+}
+
+// Some pixels of a row of outputs.
+template <int WIDE>
+struct ForwardRow {
+    const Convolution& shape;
+    const float *image, *weights, *bias;  // from the row's first window; from the first output channel
+    float* out;
+
+    template <int PIXELS>
+    __attribute__((noinline)) void run(int begin) const {
+        const size_t step = size_t(shape.stride) * size_t(shape.in), line = size_t(shape.width) * size_t(shape.in);
+        const size_t outs = size_t(shape.out);
+        const int run = shape.run();
+        Register sums[PIXELS][WIDE];
+        UNROLL for (int p = 0; p < PIXELS; ++p)
+            UNROLL for (int v = 0; v < WIDE; ++v) sums[p][v] = get(bias + v * WIDTH);
+        const float* weight = weights;
+        for (int y = 0; y < shape.side; ++y) {
+            const float* from = image + size_t(y) * line + size_t(begin) * step;
+            for (int k = 0; k < run; ++k, weight += outs) {
+                Register w[WIDE];
+                UNROLL for (int v = 0; v < WIDE; ++v) w[v] = get(weight + v * WIDTH);
+                UNROLL for (int p = 0; p < PIXELS; ++p)
+                    UNROLL for (int v = 0; v < WIDE; ++v) sums[p][v] = sums[p][v] + w[v] * from[size_t(p) * step + size_t(k)];
+            }
+        }
+        UNROLL for (int p = 0; p < PIXELS; ++p)
+            UNROLL for (int v = 0; v < WIDE; ++v) put(out + size_t(begin + p) * outs + v * WIDTH, positive(sums[p][v]));
+    }
+};
+
+static void convolve(const Convolution& shape, const float* image, const float* weights, const float* bias, float* out) {
+    const size_t line = size_t(shape.width) * size_t(shape.in), wide = size_t(shape.wide());
+    for (int y = 0; y < shape.tall(); ++y)
+        in_widths(shape.out, [&](auto width, int first) {
+            constexpr int WIDE = decltype(width)::value;
+            const ForwardRow<WIDE> row{shape, image + size_t(y * shape.stride) * line, weights + first, bias + first,
+                                       out + size_t(y) * wide * size_t(shape.out) + first};
+            in_parts<(SUMS / WIDE > 16 ? 16 : SUMS / WIDE)>(int(wide), row);
+        });
+}
+
+// The gradient of some weights of a row of the window: a sum over the pixels of the output.
+template <int WIDE>
+struct WeightGradient {
+    const Convolution& shape;
+    const float *image, *slope;  // from the row of the window; from the first output channel
+    float* out;                  // [run, out]
+
+    template <int COUNT>
+    __attribute__((noinline)) void run(int begin) const {
+        const size_t step = size_t(shape.stride) * size_t(shape.in), line = size_t(shape.width) * size_t(shape.in);
+        const size_t outs = size_t(shape.out), wide = size_t(shape.wide());
+        Register sums[COUNT][WIDE];
+        float* to = out + size_t(begin) * outs;
+        UNROLL for (int k = 0; k < COUNT; ++k)
+            UNROLL for (int v = 0; v < WIDE; ++v) sums[k][v] = get(to + size_t(k) * outs + v * WIDTH);
+        const float* d = slope;
+        for (int y = 0; y < shape.tall(); ++y) {
+            const float* from = image + size_t(y * shape.stride) * line + begin;
+            for (size_t x = 0; x < wide; ++x, from += step, d += outs) {
+                Register by[WIDE];
+                UNROLL for (int v = 0; v < WIDE; ++v) by[v] = get(d + v * WIDTH);
+                UNROLL for (int k = 0; k < COUNT; ++k)
+                    UNROLL for (int v = 0; v < WIDE; ++v) sums[k][v] = sums[k][v] + by[v] * from[k];
+            }
+        }
+        UNROLL for (int k = 0; k < COUNT; ++k)
+            UNROLL for (int v = 0; v < WIDE; ++v) put(to + size_t(k) * outs + v * WIDTH, sums[k][v]);
+    }
+};
+
+static void add_gradients(const Convolution& shape, const float* image, const float* slope, float* weights, float* bias) {
+    const size_t line = size_t(shape.width) * size_t(shape.in), outs = size_t(shape.out);
+    for (int y = 0; y < shape.side; ++y)
+        in_widths(shape.out, [&](auto width, int first) {
+            constexpr int WIDE = decltype(width)::value;
+            const WeightGradient<WIDE> row{shape, image + size_t(y) * line, slope + first,
+                                           weights + size_t(y) * size_t(shape.run()) * outs + first};
+            in_parts<(SUMS / WIDE > 16 ? 16 : SUMS / WIDE)>(shape.run(), row);
+        });
+    const size_t pixels = shape.written() / outs;
+    for (size_t first = 0; first < outs; first += WIDTH) {
+        Register sum = get(bias + first);
+        for (size_t p = 0; p < pixels; ++p) sum = sum + get(slope + p * outs + first);
+        put(bias + first, sum);
+    }
+}
+
+// What some pixels of a row of outputs add to the slopes of the row of the image under a row of their windows.
+template <int WIDE>
+struct BackwardRow {
+    const Convolution& shape;
+    const float *slope, *weights;  // from the row's first pixel; [out, run] from the first number of the run
+    float* out;                    // from the first number of the first window's run
+
+    template <int PIXELS>
+    __attribute__((noinline)) void run(int begin) const {
+        const size_t step = size_t(shape.stride) * size_t(shape.in), outs = size_t(shape.out), run = size_t(shape.run());
+        const float* from = slope + size_t(begin) * outs;
+        Register sums[PIXELS][WIDE];
+        UNROLL for (int p = 0; p < PIXELS; ++p)
+            UNROLL for (int v = 0; v < WIDE; ++v) sums[p][v] = Register{};
+        const float* weight = weights;
+        for (size_t o = 0; o < outs; ++o, weight += run) {
+            Register w[WIDE];
+            UNROLL for (int v = 0; v < WIDE; ++v) w[v] = get(weight + v * WIDTH);
+            UNROLL for (int p = 0; p < PIXELS; ++p)
+                UNROLL for (int v = 0; v < WIDE; ++v) sums[p][v] = sums[p][v] + w[v] * from[size_t(p) * outs + o];
+        }
+        float* to = out + size_t(begin) * step;
+        UNROLL for (int p = 0; p < PIXELS; ++p)
+            UNROLL for (int v = 0; v < WIDE; ++v) {
+                float* place = to + size_t(p) * step + v * WIDTH;
+                put(place, get(place) + sums[p][v]);
+            }
+    }
+};
+
+// Slopes of what a convolution read, from those of what it gave.
+static void convolve_back(const Convolution& shape, const float* slope, const float* weights, float* out) {
+    const size_t line = size_t(shape.width) * size_t(shape.in), wide = size_t(shape.wide());
+    const size_t outs = size_t(shape.out), run = size_t(shape.run());
+    std::memset(out, 0, sizeof(float) * shape.read());
+    for (int y = 0; y < shape.tall(); ++y)
+        for (int row = 0; row < shape.side; ++row)
+            in_widths(shape.run(), [&](auto width, int first) {
+                constexpr int WIDE = decltype(width)::value;
+                const BackwardRow<WIDE> part{shape, slope + size_t(y) * wide * outs,
+                                             weights + size_t(row) * outs * run + first,
+                                             out + size_t(y * shape.stride + row) * line + first};
+                in_parts<(SUMS / WIDE > 16 ? 16 : SUMS / WIDE)>(int(wide), part);
+            });
+}
+
+constexpr int DENSE_OUTS = SUMS / 4;
+constexpr int DENSE_IMAGES = SUMS / DENSE_OUTS;
+constexpr int STRIP = 3;  // registers of what the dense layer reads, backwards
+constexpr int STRIP_ROWS = SUMS / STRIP;
+
+// Some features of some images: products of vectors of what was read, summed at the end.
+template <int OUTS>
+struct DenseForward {
+    size_t flat, features, first;
+    const float *read, *weights, *bias;
+    float* hidden;
+
+    template <int IMAGES>
+    __attribute__((noinline)) void run(int begin) const {
+        Register sums[IMAGES][OUTS];
+        UNROLL for (int i = 0; i < IMAGES; ++i)
+            UNROLL for (int o = 0; o < OUTS; ++o) sums[i][o] = Register{};
+        const float *from = read + size_t(begin) * flat, *weight = weights + first * flat;
+        for (size_t k = 0; k < flat; k += WIDTH) {
+            Register x[IMAGES];
+            UNROLL for (int i = 0; i < IMAGES; ++i) x[i] = get(from + size_t(i) * flat + k);
+            UNROLL for (int o = 0; o < OUTS; ++o) {
+                const Register w = get(weight + size_t(o) * flat + k);
+                UNROLL for (int i = 0; i < IMAGES; ++i) sums[i][o] = sums[i][o] + w * x[i];
+            }
+        }
+        for (int i = 0; i < IMAGES; ++i)
+            for (int o = 0; o < OUTS; ++o)
+                hidden[size_t(begin + i) * features + first + size_t(o)] =
+                    std::max(total(sums[i][o]) + bias[first + size_t(o)], 0.0f);
+    }
+};
+
+struct DenseForwards {
+    size_t flat, features;
+    const float *read, *weights, *bias;
+    float* hidden;
+    int count;
+
+    template <int OUTS>
+    void run(int first) const {
+        in_parts<DENSE_IMAGES>(count, DenseForward<OUTS>{flat, features, size_t(first), read, weights, bias, hidden});
+    }
+};
+
+// rows[r][strip] (+)= sum over n of factors[n, r] · columns[n, strip]: slopes of what was read, or of the weights.
+template <int WIDE>
+struct DenseProduct {
+    const float *factors, *columns;
+    size_t factor_step, factor_row, column_step, terms, out_step;
+    float* out;
+
+    template <int ROWS>
+    __attribute__((noinline)) void run(int begin) const {
+        Register sums[ROWS][WIDE];
+        UNROLL for (int r = 0; r < ROWS; ++r)
+            UNROLL for (int v = 0; v < WIDE; ++v) sums[r][v] = Register{};
+        const float *factor = factors + size_t(begin) * factor_row, *column = columns;
+        for (size_t n = 0; n < terms; ++n, factor += factor_step, column += column_step) {
+            Register c[WIDE];
+            UNROLL for (int v = 0; v < WIDE; ++v) c[v] = get(column + v * WIDTH);
+            UNROLL for (int r = 0; r < ROWS; ++r)
+                UNROLL for (int v = 0; v < WIDE; ++v) sums[r][v] = sums[r][v] + c[v] * factor[size_t(r) * factor_row];
+        }
+        UNROLL for (int r = 0; r < ROWS; ++r)
+            UNROLL for (int v = 0; v < WIDE; ++v) put(out + size_t(begin + r) * out_step + v * WIDTH, sums[r][v]);
+    }
+};
+
+// Strips of [begin, end), each by all rows.
+template <class Make>
+LANE_INLINE void in_strips(size_t begin, size_t end, int rows, const Make& make) {
+    size_t k = begin;
+    for (; k + STRIP * WIDTH <= end; k += STRIP * WIDTH) in_parts<STRIP_ROWS>(rows, make(Width<STRIP>(), k));
+    for (; k < end; k += WIDTH) in_parts<STRIP_ROWS>(rows, make(Width<1>(), k));
+}
+
+static void forward(const TrunkShape& shape, const PackedTrunk& packed, const TrunkWeights& weights, const float* images,
+                    size_t count, const TrunkLayers& layers) {
+    const size_t flat = shape.flat();
+    for (size_t i = 0; i < count; ++i) {
+        float* between = layers.first + i * shape.first.written();
+        convolve(shape.first, images + i * shape.first.read(), packed.first, weights.first_bias, between);
+        convolve(shape.second, between, packed.second, weights.second_bias, layers.second + i * flat);
+    }
+    in_parts<DENSE_OUTS>(shape.features, DenseForwards{flat, size_t(shape.features), layers.second, weights.dense,
+                                                       weights.dense_bias, layers.hidden, int(count)});
+}
+
+// Slopes before a ReLU: those after it where it let something through.
+LANE_INLINE void through(const float* after, float* slope, size_t count) {
+    for (size_t i = 0; i < count; i += WIDTH) {
+        const Register given = get(slope + i), passed = get(after + i);
+        put(slope + i, passed > Register{} ? given : Register{});
+    }
+}
+
+static void backward(const TrunkShape& shape, const PackedTrunk& packed, const TrunkWeights& weights,
+                     const float* images, size_t count, const TrunkLayers& layers, const float* slope,
+                     const TrunkGradients& gradients, float* scratch) {
+    const size_t flat = shape.flat(), features = size_t(shape.features);
+    float *second = scratch, *first = scratch + count * flat;
+    in_strips(0, flat, int(count), [&](auto width, size_t k) {
+        return DenseProduct<decltype(width)::value>{slope, weights.dense + k, 1, features, flat, features, flat,
+                                                    second + k};
+    });
+    through(layers.second, second, count * flat);
+    for (size_t i = 0; i < count; ++i) {
+        const float* between = layers.first + i * shape.first.written();
+        add_gradients(shape.second, between, second + i * flat, gradients.second, gradients.second_bias);
+        convolve_back(shape.second, second + i * flat, packed.second_back, first);
+        through(between, first, shape.first.written());
+        add_gradients(shape.first, images + i * shape.first.read(), first, gradients.first, gradients.first_bias);
+    }
+}
+
+static void dense_gradient(const TrunkShape& shape, const float* read, const float* slope, size_t count, size_t begin,
+                           size_t end, float* out) {
+    const size_t flat = shape.flat(), features = size_t(shape.features);
+    in_strips(begin, end, shape.features, [&](auto width, size_t k) {
+        return DenseProduct<decltype(width)::value>{slope, read + k, features, 1, flat, count, flat, out + k};
+    });
+}
+
+extern const TrunkKernels trunk_kernels = {forward, backward, dense_gradient};
+
+}  // namespace SPLATRL_ISA
+}  // namespace splatrl

@@ -1,0 +1,76 @@
+"""The network that reads images, compiled: the same layers as ``Trunk``, forwards and backwards in C++."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
+
+from splatrl.native import _core
+from splatrl.native.threads import usable_cores
+
+FAST = ("avx2", "avx512")
+"""Instruction sets with which it is faster than PyTorch's own layers."""
+LANES = 16
+"""Channels of the convolutions must be multiples of this number."""
+LARGE = 64
+"""From so many images on, starting threads costs less than they save."""
+
+
+def suits(images: Tensor, convolutions: nn.Sequential, dense: nn.Sequential) -> bool:
+    """Whether the compiled layers take these images and weights, and are faster than PyTorch's."""
+    if torch.compiler.is_compiling() or torch.jit.is_tracing() or images.requires_grad:
+        return False
+    weights = (*convolutions.parameters(), *dense.parameters())
+    plain = all(each.dtype == torch.float32 and each.device.type == "cpu" for each in (images, *weights))
+    fits = all(len(bias) % LANES == 0 for bias in weights[1:4:2])  # of the convolutions
+    return plain and fits and _core.isa() in FAST
+
+
+def encoded(images: Tensor, convolutions: nn.Sequential, dense: nn.Sequential) -> Tensor:
+    """Features of images, through which gradients reach the weights: [N, H, W, C] -> [N, F], float32.
+
+    All cores share the work. Neither their number nor the size of a batch changes a byte of an image's features, and
+    gradients are sums of those of sixteen images at a time, whatever the cores.
+
+    Args:
+        images: they need to pass ``suits``.
+        convolutions: two of them, each before a ReLU.
+        dense: a linear layer before a ReLU.
+    """
+    weights = (each.contiguous() for each in (*convolutions.parameters(), *dense.parameters()))
+    return _Encoding.apply(images.contiguous(), *weights)
+
+
+class _Encoding(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, images: Tensor, *weights: Tensor) -> Tensor:
+        count, height, width, _ = images.shape
+        first, second, features = (len(bias) for bias in weights[1::2])
+        tall, wide = ((side - 4) // 2 + 1 for side in (height, width))
+        shapes = (tall, wide, first), ((tall - 3) // 2 + 1, (wide - 3) // 2 + 1, second), (features,)
+        layers = tuple(images.new_empty(count, *shape) for shape in shapes)
+        ctx.shape = (*images.shape[1:], first, second, features)
+        given = images.data_ptr(), count, _addresses(weights), _addresses(layers)
+        _core.trunk_forward(ctx.shape, *given, _threads(count))
+        ctx.save_for_backward(images, *weights, *layers)
+        return layers[-1]
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
+        images, *known = ctx.saved_tensors
+        weights, layers = known[:6], known[6:]
+        slope, gradients = slope.contiguous(), [torch.empty_like(weight) for weight in weights]
+        given = images.data_ptr(), len(images), _addresses(weights), _addresses(layers), slope.data_ptr()
+        _core.trunk_backward(ctx.shape, *given, _addresses(gradients), _threads(len(images)))
+        return (None, *gradients)
+
+
+def _threads(count: int) -> int:
+    return usable_cores() if count >= LARGE else 1
+
+
+def _addresses(tensors: Sequence[Tensor]) -> tuple[int, ...]:
+    return tuple(tensor.data_ptr() for tensor in tensors)
