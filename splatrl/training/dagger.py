@@ -1,9 +1,13 @@
-"""Dataset aggregation (DAgger, Ross et al. 2011): the policy acts, and the planner says what would have been right."""
+"""Dataset aggregation (DAgger, Ross et al. 2011): the policy acts, and the planner says what would have been right.
+
+A task with a teacher of its own is asked in place of the planner.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 from torch.nn.functional import one_hot
 from torchrl.data import Categorical, TensorSpec
@@ -59,18 +63,26 @@ def visited(
     with torch.no_grad():
         _, value = learner.advantages(batch)
     rows = batch.flatten(0, 1)
+    task = env.task
+    taught = task.teacher(rows["state"], {key: rows[key] for key in task.memory_spec})
+    target = _planned(rows, plans, env.action_spec) if taught is None else taught.to(env.action_spec.dtype)
+    return {
+        **{key: rows[key] for key in reads},
+        "target": target.to(value.device),
+        "value_target": value.flatten(),
+        "frame": rows["step_count"].flatten(),
+    }
+
+
+def _planned(rows: TensorDictBase, plans: Sequence[Plan], spec: TensorSpec) -> Tensor:
+    """What the planner would have done in some frames: [N, D]; see ``targets``."""
     state, actions = rows["state"].to(plans[0].states.device), plans[0].actions
     optimal = torch.zeros(len(state), len(actions), dtype=torch.bool, device=state.device)
     scene = rows.get("scene", torch.zeros_like(rows["step_count"])).flatten().to(state.device)
     for number, plan in enumerate(plans):
         here = (scene == number).nonzero().squeeze(1)
         optimal[here] = plan.optimal(state[here])
-    return {
-        **{key: rows[key] for key in reads},
-        "target": targets(optimal, actions, env.action_spec).to(value.device),
-        "value_target": value.flatten(),
-        "frame": rows["step_count"].flatten(),
-    }
+    return targets(optimal, actions, spec)
 
 
 def targets(optimal: Tensor, actions: Tensor, spec: TensorSpec) -> Tensor:

@@ -161,6 +161,15 @@ class Task(Protocol):
         """What each robot's world consists of: [B, M] placed models; None is the unmoved scene alone."""
         ...
 
+    def teacher(self, state: Tensor, memory: Memory) -> Tensor | None:
+        """The actions [B, ...] of one who knows the state, for DAgger; None where the planner is to be asked.
+
+        Args:
+            state: [B, ...].
+            memory: what is remembered about each robot.
+        """
+        ...
+
     def marks(self, memory: Memory | None = None) -> list[Mark]:
         """What a map shows of the task.
 
@@ -247,6 +256,10 @@ class TaskModule(torch.nn.Module):
     def parts(self, state: Tensor, memory: Memory) -> Parts | None:
         """The scene alone, or with the links and things of a robot with physics."""
         return self.motion.parts(state) if isinstance(self.motion, PhysicsMotion) else None
+
+    def teacher(self, state: Tensor, memory: Memory) -> Tensor | None:
+        """The planner is to be asked."""
+        return None
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
         """Nothing to show."""

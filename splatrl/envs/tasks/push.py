@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, TaskModule, Verdict
+from splatrl.envs.tasks.push_teacher import pushing
 from splatrl.geometry import rigid
 from splatrl.motions.physics import PhysicsMotion
 from splatrl.physics.gaussians import Models
@@ -28,6 +29,8 @@ NEAR = 0.35
 """Distance to the ball within which coming nearer is not rewarded: there is room to go round it, metres."""
 AROUND = 0.25
 """What half a way round the ball is worth, as metres of approach."""
+FAR = 9.0
+"""Metres: no need to know more precisely."""
 WIDTH = 0.25
 """Distance from what is solid at which robots can pass, metres."""
 SIGHT = 12
@@ -124,7 +127,7 @@ class Push(TaskModule):
         clearance: float = 0.4,
         mark_radius: float = 0.15,
         mark_rgb: Sequence[float] = (0.85, 0.1, 0.75),
-        leeway: float = 0.3,
+        leeway: float = 0.5,
         max_steps: int = 150,
     ):
         if not isinstance(motion, PhysicsMotion):
@@ -256,6 +259,19 @@ class Push(TaskModule):
         memory = {"mark": step.memory["mark"], "ball": ball.float()}
         return Verdict(reward.float().unsqueeze(1), (reached | lost).unsqueeze(1), outcome.unsqueeze(1), memory)
 
+    def teacher(self, state: Tensor, memory: Memory) -> Tensor | None:
+        """What one does who knows where everything is, if the robot takes velocities; see ``push_teacher``."""
+        if not self.motion.driven:
+            return None
+        mark = memory["mark"][:, :2].to(state)
+        return pushing(self.motion.planar(state), self._ball(state)[:, :2], mark, self._room)
+
+    def _room(self, places: Tensor) -> Tensor:
+        """Distance of places from what is solid and from where a robot is lost: [N, 2] -> [N] metres."""
+        lower, upper = self.motion.twin.lower - self.leeway, self.motion.twin.upper + self.leeway
+        inside = torch.minimum(places - lower, upper - places).amin(1)
+        return torch.minimum(self._away(places), inside).clamp_max(FAR)
+
     def parts(self, state: Tensor, memory: Memory) -> Parts:
         """The scene, the robot, the ball and the mark; see ``Task.parts``."""
         moving = self.motion.parts(state)
@@ -311,8 +327,8 @@ class Push(TaskModule):
 
     def _away(self, places: Tensor) -> Tensor:
         """Distance of places on the ground from the boxes that a robot can meet: [N, 2] -> [N] metres."""
-        nearest = torch.full((len(places),), torch.inf, dtype=torch.float64)
-        for row in self.motion.terrain.boxes:
+        nearest = torch.full_like(places[:, 0], torch.inf)
+        for row in self.motion.terrain.boxes.to(places):
             outside = ((places - row[:2]).abs() - row[3:5]).clamp_min(0.0)
             torch.minimum(nearest, outside.norm(dim=1), out=nearest)
         return nearest
