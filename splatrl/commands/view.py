@@ -3,6 +3,7 @@
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -55,15 +56,14 @@ def run(cfg: DictConfig) -> None:
     torch.set_num_threads(own.threads)
     page = Page(instantiate(own.scene), cfg.host, cfg.port)
     print(f"{page.address}: {page.scene.name}, {len(page.scene.gaussians):,} Gaussians; Ctrl-C ends it", flush=True)
-    try:
-        stop = furnish(page, own, trained)
-        print("all of the page is there", flush=True)
-        _wait()
-        stop()
-    except KeyboardInterrupt:
-        print()
-    finally:
-        page.close()
+    with ExitStack() as ending:
+        ending.callback(page.close)
+        try:
+            ending.callback(furnish(page, own, trained))  # a thread in PyTorch as the interpreter ends would abort it
+            print("all of the page is there", flush=True)
+            _wait()
+        except KeyboardInterrupt:
+            print()
 
 
 def _config_of_run(cfg: DictConfig, typed: Sequence[str]) -> tuple[DictConfig, Callable[[World], TrainedPolicy]]:
