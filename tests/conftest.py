@@ -5,7 +5,9 @@ PyTorch and the package are imported where they are used, because the process th
 
 from __future__ import annotations
 
+import itertools
 import os
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,8 +67,19 @@ def cuda_device() -> torch.device:
     return torch.device("cuda", torch.cuda.current_device())
 
 
+LONG_RUN, LISTED = 60.0, 8
+"""Seconds of tests from which a run ends with the files that took longest, and their number."""
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Report on which device the tests of ``-m gpu`` ran, or that they did not run."""
+    """Report which files took longest, and on which device the tests of ``-m gpu`` ran, or that they did not run."""
+    seconds: Counter[str] = Counter()
+    for report in itertools.chain(*terminalreporter.stats.values()):
+        if isinstance(report, pytest.TestReport):
+            seconds[report.nodeid.partition("::")[0]] += report.duration
+    if sum(seconds.values()) > LONG_RUN:
+        listed = [f"{spent:.0f} s {path}" for path, spent in seconds.most_common(LISTED)]
+        terminalreporter.write_line(f"of {sum(seconds.values()):.0f} s in tests: {', '.join(listed)}")
     if "gpu" in (config.option.markexpr or "").replace("not gpu", ""):
         import torch
 
