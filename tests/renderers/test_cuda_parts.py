@@ -34,6 +34,8 @@ from tests.renderers.parts_cases import (
 )
 
 Make = Callable[..., CudaRenderer]
+MODES = [((0, 0, 0), True), ((1, 1, 1), False), ((2, 2, 2), True), ((3, 0, 1), False)]
+"""Degrees of models and whether images are antialiased: test_cuda.py draws each degree both ways."""
 
 
 @pytest.fixture(params=["emulated", pytest.param("gpu", marks=pytest.mark.gpu)])
@@ -56,8 +58,7 @@ def assert_equal(some: list[Tensor], others: list[Tensor]) -> None:
     assert all(torch.equal(a, b) for a, b in zip(some, others, strict=True))
 
 
-@pytest.mark.parametrize("antialiased", [True, False])
-@pytest.mark.parametrize("degrees", [(0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 0, 1)])
+@pytest.mark.parametrize(("degrees", "antialiased"), MODES)
 def test_parts_look_like_their_gaussians_moved_to_the_world(
     make: Make, degrees: tuple[int, ...], antialiased: bool
 ) -> None:
@@ -82,8 +83,7 @@ def test_one_part_at_home_is_the_scene_where_it_stands(make: Make, tolerance: fl
     assert_equal(second, images(make(models[1:], **settings), cameras))
 
 
-@pytest.mark.parametrize("antialiased", [True, False])
-@pytest.mark.parametrize("degrees", [(1, 1, 1), (1, 3, 0)])
+@pytest.mark.parametrize(("degrees", "antialiased"), [((1, 1, 1), True), ((1, 3, 0), False)])
 def test_a_part_is_drawn_at_the_level_of_detail_of_its_own_model(
     make: Make, degrees: tuple[int, ...], antialiased: bool
 ) -> None:
