@@ -61,8 +61,8 @@ def test_a_batch_is_one_env_that_steps_all_robots(tmp_path: Path) -> None:
     assert slow.reset(seed=0)[0].shape == (2, 12, 16, 3)
 
 
-def test_gymnasium_can_import_by_itself() -> None:
-    asks = "import gymnasium; print(gymnasium.make('splatrl:splatrl/Circle-v0').spec.id)"
+def test_gymnasium_can_import_by_itself(tmp_path: Path) -> None:
+    asks = f"import gymnasium; print(gymnasium.make('splatrl:splatrl/Circle-v0', **{room(tmp_path, 'circle')}).spec.id)"
     done = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["splatrl/Circle-v0"]
 

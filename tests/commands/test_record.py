@@ -11,11 +11,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 import torch
+from omegaconf import DictConfig
 
 from splatrl.build import build_trainer, build_world
 from splatrl.commands import record, replay
 from splatrl.configuration import load_config
 from splatrl.datasets import planner_episodes, read_demonstrations
+from splatrl.envs.world import World
 from splatrl.training import load_checkpoint
 from tests.commands.test_train import SETTINGS, command, finish
 from tests.tiny import tiny_overrides
@@ -140,14 +142,27 @@ def test_frames_may_be_used_up_by_imitation(scene: list[str], tmp_path: Path) ->
     assert load_checkpoint(tmp_path / "checkpoints" / "last.pt")["ppo"]["frames"] == 288
 
 
+@pytest.fixture(scope="module")
+def taught(demos: Path, scene: list[str], tmp_path_factory: pytest.TempPathFactory) -> tuple[DictConfig, World, Path]:
+    """A training that imitates before it learns, done without a break: its config, its world and its run folder."""
+    settings = [
+        f"demos={demos}",
+        "cloning.epochs=2",
+        "dagger.rounds=2",
+        "dagger.frames_per_round=64",
+        "dagger.epochs=1",
+    ]
+    cfg = load_config([*scene, *SETTINGS, *settings, "collector.total_frames=768"])
+    world, folder = build_world(cfg), tmp_path_factory.mktemp("taught")
+    build_trainer(cfg, world, folder).fit()
+    return cfg, world, folder
+
+
 @pytest.mark.parametrize("rows", [1, 2, 3])
 def test_a_training_killed_while_it_imitates_begins_anew_with_the_same_bytes(
-    rows: int, demos: Path, scene: list[str], tmp_path: Path
+    rows: int, taught: tuple[DictConfig, World, Path], tmp_path: Path
 ) -> None:
-    taught = [f"demos={demos}", "cloning.epochs=2", "dagger.rounds=2", "dagger.frames_per_round=64", "dagger.epochs=1"]
-    cfg = load_config([*scene, *SETTINGS, *taught, "collector.total_frames=768"])
-    world = build_world(cfg)
-    build_trainer(cfg, world, tmp_path / "whole").fit()
+    cfg, world, whole = taught
     killed = build_trainer(cfg, world, tmp_path / "killed")
     prepare = killed.prepare
     assert prepare is not None
@@ -165,7 +180,7 @@ def test_a_training_killed_while_it_imitates_begins_anew_with_the_same_bytes(
     again = build_trainer(cfg, world, tmp_path / "killed")
     again.resume()
     again.fit()
-    one, other = (load_checkpoint(tmp_path / name / "checkpoints" / "last.pt") for name in ("whole", "killed"))
+    one, other = (load_checkpoint(run / "checkpoints" / "last.pt") for run in (whole, tmp_path / "killed"))
     assert one["ppo"]["frames"] == other["ppo"]["frames"] > 0
     assert all(torch.equal(value, other["ppo"]["model"][key]) for key, value in one["ppo"]["model"].items())
     times = {"seconds"}

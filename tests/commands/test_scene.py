@@ -1,6 +1,4 @@
 import gzip
-import subprocess
-import sys
 import warnings
 from pathlib import Path
 
@@ -11,10 +9,12 @@ from PIL import Image
 
 from splatrl.build import build_world
 from splatrl.collision.point_clouds import write_points
+from splatrl.commands import scene
 from splatrl.commands.scene import main
 from splatrl.configuration import load_config
 from splatrl.scenes import Gaussians, read_scene, similarity, write_gaussians
 from splatrl.scenes.description import read_description
+from tests.preloaded import start
 from tests.scenes.places import place, turned
 from tests.scenes.test_survey import BOXES, FLOOR, dataparser, lying, surfaces
 
@@ -141,7 +141,10 @@ def test_a_large_place_has_longer_steps_coarser_voxels_and_a_larger_thing(tmp_pa
         (["--matrix", ROWS, "--scale", "3"], 5.1, 8.7),
     ],
 )
-def test_what_is_stated_goes_before_the_guess(splat: Path, options: list[str], floor: float, top: float) -> None:
+def test_what_is_stated_goes_before_the_guess(
+    splat: Path, options: list[str], floor: float, top: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scene, "draw_scene", lambda *_: [])  # the frame of the pictures is that of what is read
     main([*options, str(splat)])
     assert heights(splat.parent) == pytest.approx((floor, top), abs=0.03)
 
@@ -198,8 +201,8 @@ def test_files_that_are_missing_or_damaged_are_one_line_of_error(tmp_path: Path)
 
 
 def test_it_runs_as_a_module_and_explains_itself() -> None:
-    command = [sys.executable, "-m", "splatrl.commands.scene", "--help"]
-    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    shown, _ = (program := start("-m", "splatrl.commands.scene", "--help")).communicate(60)
+    assert program.returncode == 0
     assert "--nerfstudio" in shown
 
 

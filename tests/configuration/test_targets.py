@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from splatrl.build import build_world
 from splatrl.configuration import load_config, resumed_config, run_config, save_config
@@ -55,10 +55,16 @@ WAYS = [  # key, and what a stranger puts there
 ]
 
 
+@pytest.fixture(scope="module")
+def config(tmp_path_factory: pytest.TempPathFactory) -> DictConfig:
+    """The config of a run in the tiny room."""
+    return load_config(tiny_overrides(tmp_path_factory.mktemp("room")))
+
+
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(config: DictConfig, tmp_path: Path) -> Path:
     """A run folder that nobody has changed yet."""
-    save_config(load_config(tiny_overrides(tmp_path)), tmp_path)
+    save_config(config, tmp_path)
     return tmp_path
 
 

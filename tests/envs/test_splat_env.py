@@ -198,7 +198,7 @@ def test_the_checker_of_these_tests_is_right_by_hand() -> None:
 
 
 def test_two_processes_step_envs_of_their_own() -> None:
-    env = ParallelEnv(2, [partial(tiny_env, (3,), seed) for seed in (1, 2)], mp_start_method="spawn")
+    env = ParallelEnv(2, [partial(tiny_env, (3,), seed) for seed in (1, 2)], mp_start_method="fork")
     batch = env.rollout(5, break_when_any_done=False)
     env.close()
     assert batch.shape == (2, 3, 5)
