@@ -150,7 +150,7 @@ def likenesses(gaussians: Gaussians, placed: Placed, width: int) -> list[Likenes
 
 def settings_of(options: argparse.Namespace, truth: Truth) -> CaptureSettings:
     """What a person would state: how high the camera was above the floor at z = ``--floor``."""
-    height = float((truth.camera_to_world[:, 2, 3] - options.floor).median())
+    height = float((truth.camera_to_world[:, 2, 3] - options.floor).mean())
     fit = FitSettings(width=options.width, cap=options.gaussians, views=options.views, seed=options.seed)
     return CaptureSettings(camera_height=height, seed=options.seed, fit=fit, force=True)
 

@@ -19,6 +19,8 @@ USUAL_HEIGHT = 1.5
 """Metres: where people hold a camera. A place of unknown scale is drawn as if they had."""
 SCALE_ERROR = {"recorded": 0.01, "distance": 0.03, "camera_height": 0.05}
 """Largest relative errors found in trials; a marker's own views tell its error."""
+OUTERMOST = (0.05, 0.95)
+"""Quantiles of the cameras' heights beyond which they are taken for wrong."""
 _TURNS = np.radians(np.arange(0.0, 90.0, 0.5))
 _CELLS = 200
 
@@ -34,7 +36,7 @@ class Placed:
         scale_error: how far off the scale may be, as a share; None where it is unknown.
         up_from: what told which way is up.
         up_error_deg: how far off that may be, degrees.
-        camera_height: median height of the cameras, metres.
+        camera_height: height of the cameras on average, as ``mean_height`` has it, metres.
         floor_points: points of the reconstruction that lie on the floor.
     """
 
@@ -71,7 +73,7 @@ def place(
         metric: whether its unit is the metre already.
         marker: side of the printed markers to look for in the images, metres; None looks for none.
         distance: two clicked points with the metres between them.
-        camera_height: median height of the cameras above the floor, metres.
+        camera_height: of the cameras above the floor on average over the time of the film, metres.
 
     Raises:
         CaptureError: for too few cameras or points, or a distance that cannot be measured.
@@ -87,7 +89,7 @@ def place(
             f"expected at least 2 cameras and 20 points to find the floor, got {len(poses)} and {len(points)}"
         )
     ground = find_ground(poses, points, None if up is None else up.double().numpy())
-    above = float(np.median(poses[:, :3, 3] @ ground.up)) - ground.height
+    above = mean_height(poses[:, :3, 3] @ ground.up, reconstruction.seconds) - ground.height
     if not above > 0:
         raise CaptureError("found no floor below the cameras; film so that the floor is seen")
     scale, scale_from, error = _scale(reconstruction, above, metric, marker, distance, camera_height)
@@ -102,6 +104,23 @@ def place(
         scale * above,
         ground.inliers,
     )
+
+
+def mean_height(heights: Floats, seconds: Tensor | None) -> float:
+    """Height of the cameras on average over the time of the film.
+
+    Where images in between have no pose, the camera counts as having gone on evenly: a median over those that have one
+    is several per cent off where somebody raises and lowers the camera. A few poses that are far off count as the
+    outermost of the others.
+
+    Args:
+        heights: [N] of the cameras.
+        seconds: [N], ascending, when they took their images; None where nothing says so.
+    """
+    held = np.clip(heights, *np.quantile(heights, OUTERMOST))
+    if seconds is None or not seconds[-1] > seconds[0]:
+        return float(held.mean())
+    return float(np.trapezoid(held, seconds.numpy()) / float(seconds[-1] - seconds[0]))
 
 
 def moved(reconstruction: Reconstruction, transform: Floats) -> Reconstruction:

@@ -39,7 +39,12 @@ def parser() -> Parser:
         "with a small splat",
     )
     result.add_argument("--force", action="store_true", help="go on where a first look says no; replace a scene")
-    result.add_argument("--camera-height", type=float, metavar="M", help="of the camera above the floor, metres")
+    result.add_argument(
+        "--camera-height",
+        type=float,
+        metavar="M",
+        help="of the camera above the floor, on average over the film, metres; above grass, count from its tips",
+    )
     result.add_argument(
         "--distance",
         type=distance,

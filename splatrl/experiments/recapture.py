@@ -96,7 +96,7 @@ def recapture(folder: Path, scenes: Mapping[str, Sequence[str]], original: str =
     world = build_one_world(cfg)
     film = _film(world, folder / FILM)
     truth = read_truth(film)
-    height = float(truth.camera_to_world[:, 2, 3].median() - world.scene.bounds[0][2])
+    height = float(truth.camera_to_world[:, 2, 3].mean() - world.scene.bounds[0][2])
     settings = CaptureSettings(camera_height=height, force=True)
     with _bar() as progress:
         placed, notes = reconstruct(film, folder / CAPTURED, settings, progress, tqdm.write)

@@ -11,7 +11,7 @@ from splatrl.capture.base import CaptureError
 from splatrl.capture.ground import cameras_up, find_ground
 from splatrl.capture.scale import Click, Distance, ScaleFrom, clicked_point
 from splatrl.capture.world import Placed, place, wall_direction
-from tests.capture.walks import ABOVE, K, strewn, walk, without_points
+from tests.capture.walks import ABOVE, CAMERAS, K, strewn, walk, without_points
 
 
 def up_error_deg(placed: Placed, transform: np.ndarray) -> float:
@@ -56,6 +56,20 @@ def test_up_the_floor_and_the_scale_are_found_however_the_walk_lay(seed: int) ->
     torch.testing.assert_close(middle, torch.zeros(2).double(), atol=1e-9, rtol=0)
     yaw = math.degrees(math.atan2(whole[1, 0], whole[0, 0])) % 90.0
     assert min(yaw, 90.0 - yaw) < 2.0, "x runs along a fence of the yard"
+
+
+@pytest.mark.parametrize("first", [8, 14, 20, 26])
+def test_a_camera_that_was_raised_and_lowered_tells_the_scale_though_images_have_no_pose(first: int) -> None:
+    seconds, poses = torch.arange(CAMERAS).double() / 4, walk().camera_to_world.clone()
+    poses[:, 2, 3] += 0.5 * torch.sin(2 * seconds)
+    poses[5, 2, 3] = 80.0  # one that is wrong
+    kept = torch.ones(CAMERAS, dtype=torch.bool)
+    kept[first : first + 5] = False
+    partly = replace(walk(), camera_to_world=poses[kept], seconds=seconds[kept])
+    true = float((walk().camera_to_world[:, 2, 3] + 0.5 * torch.sin(2 * seconds)).mean())
+    placed = place(partly, marker=None, camera_height=true)
+    assert scale_error(placed, np.eye(4)) < 0.04  # up to 0.06 by the median of those that have a pose
+    assert placed.camera_height == pytest.approx(true)
 
 
 def test_the_same_reconstruction_is_placed_the_same_to_the_last_bit() -> None:
