@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from splatrl.envs.splat_env import SplatEnv
     from splatrl.envs.world import World
     from splatrl.scenes import Gaussians, Scene, backyard, read_scene
+    from splatrl.scenes.town import town
     from splatrl.scenes.yards import yard, yards
 
 _HOMES = {
@@ -33,6 +34,7 @@ _HOMES = {
     "env_makers": "build",
     "make_env": "build",
     "read_scene": "scenes",
+    "town": "scenes.town",
     "yard": "scenes.yards",
     "yards": "scenes.yards",
 }
@@ -51,6 +53,7 @@ __all__ = [
     "env_makers",
     "make_env",
     "read_scene",
+    "town",
     "yard",
     "yards",
 ]

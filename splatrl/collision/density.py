@@ -1,6 +1,9 @@
 """Where a scene's Gaussians are opaque enough to be solid."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +56,7 @@ DEFAULT_DENSITY = DensitySettings()
 
 
 def solid_voxels(
-    gaussians: Gaussians,
+    pieces: Sequence[Callable[[], Gaussians]],
     resolution: float,
     settings: DensitySettings,
     crop: Bounds | None,
@@ -66,8 +69,11 @@ def solid_voxels(
     the Gaussian's own axes. It is exact where these are the world's, and it never misses a voxel that a thin slanted
     surface crosses. The voxel is solid if 1 − e^−σ ≥ ``cutoff`` and its 26-connected component is large enough.
 
+    All pieces of a scene add to one grid, so voxels at the borders of blocks are those of the blocks merged.
+
     Args:
-        gaussians: in the world frame.
+        pieces: each gives some of the Gaussians in the world frame. One is in memory at a time; those with something in
+            the grid are asked twice, for its size and for densities.
         resolution: edge of a voxel, metres.
         settings: which Gaussians count and what is solid.
         crop: lower and upper corner of the grid, metres. None takes the box that holds the 5th to the 95th percentile
@@ -83,40 +89,73 @@ def solid_voxels(
     """
     check_resolution(resolution)
     limit = max(1.0, 20.0 * resolution) if settings.max_scale is None else settings.max_scale
-    kept = (gaussians.opacities >= settings.min_opacity) & (gaussians.scales.amax(1) <= limit)
-    if not kept.any():
+
+    find = partial(_ellipsoids, min_opacity=settings.min_opacity, max_scale=limit)
+    within = _populated_bounds([find(piece()) for piece in pieces]) if crop is None else checked_box("crop", crop)
+    filled = []
+    for piece in pieces:
+        _, first, end = _voxels(find(piece()), within, resolution)
+        if len(first):
+            filled.append((piece, first.min(0), end.max(0)))
+    if not filled:
         return np.zeros((0, 0, 0), bool), (0, 0, 0), 0
-    means, scales, quats, opacities = (
-        values[kept].detach().double().cpu().numpy()
-        for values in (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities)
-    )
-    axes = Rotation.from_quat(quats, scalar_first=True).as_matrix()
-    reach = _EXTENT * np.sqrt(((axes * scales[:, None]) ** 2).sum(2))
-    lower, upper = _populated_bounds(means - reach, means + reach) if crop is None else checked_box("crop", crop)
-    first = np.floor(np.maximum(means - reach, lower) / resolution).astype(np.int64)
-    end = np.ceil(np.minimum(means + reach, upper) / resolution).astype(np.int64)
-    inside = (end > first).all(1)
-    if not inside.any():
-        return np.zeros((0, 0, 0), bool), (0, 0, 0), 0
-    first, end = first[inside], end[inside]
-    origin = first.min(0)
-    density = np.zeros(grid_shape(origin, end.max(0), resolution, max_voxels), np.float32)
-    add_density(
-        means[inside] / resolution - origin,
-        axes[inside],
-        scales[inside] / resolution,
-        opacities[inside],
-        first - origin,
-        end - origin,
-        _EXTENT,
-        density,
-    )
+    origin, last = np.min([first for _, first, _ in filled], 0), np.max([end for _, _, end in filled], 0)
+    density = np.zeros(grid_shape(origin, last, resolution, max_voxels), np.float32)
+    for piece, _, _ in filled:
+        part = find(piece())
+        rows, first, end = _voxels(part, within, resolution)
+        add_density(
+            part.means[rows] / resolution - origin,
+            part.axes[rows],
+            part.scales[rows] / resolution,
+            part.opacities[rows],
+            first - origin,
+            end - origin,
+            _EXTENT,
+            density,
+        )
     dense = density >= -np.log1p(-settings.cutoff)
     solid = _without_floaters(dense, settings.min_volume / resolution**3)
     return solid, (int(origin[0]), int(origin[1]), int(origin[2])), int(dense.sum() - solid.sum())
 
 
-def _populated_bounds(lower: NDArray[np.float64], upper: NDArray[np.float64]) -> NDArray[np.float64]:
+class _Ellipsoids(NamedTuple):
+    """The Gaussians of a piece that count."""
+
+    means: NDArray[np.float64]  # [N, 3] metres, like all lengths here
+    axes: NDArray[np.float64]  # [N, 3, 3], columns
+    scales: NDArray[np.float64]  # [N, 3]
+    opacities: NDArray[np.float64]  # [N]
+    reach: NDArray[np.float64]  # [N, 3], how far they extend along the world's axes
+
+
+def _ellipsoids(gaussians: Gaussians, min_opacity: float, max_scale: float) -> _Ellipsoids:
+    kept = (gaussians.opacities >= min_opacity) & (gaussians.scales.amax(1) <= max_scale)
+    means, scales, quats, opacities = (
+        values[kept].detach().double().cpu().numpy()
+        for values in (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities)
+    )
+    axes = Rotation.from_quat(quats, scalar_first=True).as_matrix() if len(quats) else np.zeros((0, 3, 3))
+    reach = _EXTENT * np.sqrt(((axes * scales[:, None]) ** 2).sum(2))
+    return _Ellipsoids(means, axes, scales, opacities, reach)
+
+
+def _voxels(
+    part: _Ellipsoids, within: NDArray[np.float64], resolution: float
+) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
+    """Which Gaussians reach into a box [2, 3], and for those the key of the first voxel and one past the last."""
+    lower, upper = within
+    first = np.floor(np.maximum(part.means - part.reach, lower) / resolution).astype(np.int64)
+    end = np.ceil(np.minimum(part.means + part.reach, upper) / resolution).astype(np.int64)
+    inside = (end > first).all(1)
+    return inside, first[inside], end[inside]
+
+
+def _populated_bounds(parts: Sequence[_Ellipsoids]) -> NDArray[np.float64]:
+    lower = np.concatenate([part.means - part.reach for part in parts])
+    upper = np.concatenate([part.means + part.reach for part in parts])
+    if len(lower) == 0:
+        return np.zeros((2, 3))
     low, high = np.quantile(lower, 0.05, axis=0), np.quantile(upper, 0.95, axis=0)
     margin = 0.5 * (high - low).max()
     return np.stack([low - margin, high + margin])

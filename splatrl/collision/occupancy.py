@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from hashlib import blake2b
@@ -126,7 +126,19 @@ class Occupancy(Voxels):
         max_voxels: int = MAX_VOXELS,
     ) -> "Occupancy":
         """The voxels that a scene's Gaussians make opaque; see ``solid_voxels`` for the method and the arguments."""
-        solid, origin, floaters = solid_voxels(gaussians, resolution, density, crop, max_voxels)
+        return cls.from_pieces([lambda: gaussians], resolution, density, crop, max_voxels)
+
+    @classmethod
+    def from_pieces(
+        cls,
+        pieces: Sequence[Callable[[], Gaussians]],
+        resolution: float = 0.05,
+        density: DensitySettings = DEFAULT_DENSITY,
+        crop: Bounds | None = None,
+        max_voxels: int = MAX_VOXELS,
+    ) -> "Occupancy":
+        """The same for a scene that comes in pieces, one of which is in memory at a time."""
+        solid, origin, floaters = solid_voxels(pieces, resolution, density, crop, max_voxels)
         return cls(solid, origin, resolution, floaters).trimmed()
 
     @classmethod
@@ -200,7 +212,7 @@ class Occupancy(Voxels):
 
         def build() -> dict[str, NDArray[Any]]:
             if cloud is None:
-                occupancy = cls.from_gaussians(scene.gaussians, resolution, density, within, max_voxels)
+                occupancy = cls.from_pieces(scene.pieces, resolution, density, within, max_voxels)
                 if scene.free is not None:
                     free = cls.from_points(read_points(scene.free.path), scene.free.voxel_size, None, max_voxels)
                     occupancy = occupancy.without(free)

@@ -54,5 +54,5 @@ def group_node(group: str, option: str) -> dict[str, Any]:
             if source.available() and source.is_config(f"{group}/{option}"):
                 node = OmegaConf.to_container(source.load_config(f"{group}/{option}").config, resolve=False)
                 assert isinstance(node, dict), type(node)
-                return {str(key): value for key, value in node.items()}
+                return {str(key): value for key, value in node.items() if key != "defaults"}  # of the whole config
     raise AssertionError(f"{group}/{option}")

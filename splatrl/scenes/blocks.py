@@ -4,7 +4,7 @@ A folder holds the files and a ``blocks.yaml`` that says where each of them lies
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import blake2b
@@ -107,11 +107,12 @@ class BlockScene(Scene):
     @property
     def gaussians(self) -> Gaussians:
         """All Gaussians in one, in the order of the blocks, read each time that it is asked for."""
-        return joined(list(self.pieces()))
+        return joined([read() for read in self.pieces])
 
-    def pieces(self) -> Iterator[Gaussians]:
-        """The Gaussians of one block after the other."""
-        return (block.read() for block in self.blocks)
+    @property
+    def pieces(self) -> Sequence[Callable[[], Gaussians]]:
+        """What reads the Gaussians of each block."""
+        return [block.read for block in self.blocks]
 
     @cached_property
     def digest(self) -> str:

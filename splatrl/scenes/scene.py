@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import blake2b
@@ -61,9 +61,10 @@ class Scene:
     def __post_init__(self) -> None:
         checked_name("scene.name", self.name)
 
-    def pieces(self) -> Iterator[Gaussians]:
-        """All Gaussians, a piece at a time, so that a scene need not be in memory at once."""
-        yield self.gaussians
+    @property
+    def pieces(self) -> Sequence[Callable[[], Gaussians]]:
+        """What gives all Gaussians piece by piece, so that a scene need not be in memory at once."""
+        return [lambda: self.gaussians]
 
     def cached(
         self, kind: str, settings: Mapping[str, Any], build: Callable[[], Arrays], most: int | None = None

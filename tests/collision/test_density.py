@@ -223,3 +223,15 @@ def test_settings_out_of_range_are_refused_by_name():
 def test_a_density_setting_out_of_range_is_refused_by_name(name, value):
     with pytest.raises(ValueError, match=f"{name}: expected .*, got {value}"):
         DensitySettings(**{name: value})
+
+
+def test_voxels_of_pieces_are_those_of_all_in_one():
+    g = gaussians(torch.rand(4000, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([3.0, 2.0, 0.1]), 0.04)
+    pieces = [lambda rows=rows: g[rows] for rows in (slice(0, 500), slice(500, 1100), slice(1100, 4000))]
+    for crop in (None, ((-1.0, -2.0, -1.0), (0.7, 0.33, 3.0))):
+        whole, cut = Occupancy.from_gaussians(g, crop=crop), Occupancy.from_pieces(pieces, crop=crop)
+        assert np.array_equal(whole.keys(), cut.keys())
+        assert whole.count > 100
+    assert Occupancy.from_pieces(pieces[:1]).count < Occupancy.from_gaussians(g).count
+    assert Occupancy.from_pieces(pieces, crop=((90, 90, 90), (91, 91, 91))).count == 0
+    assert Occupancy.from_pieces([lambda: g[:0]]).count == 0

@@ -63,7 +63,7 @@ def test_a_cleared_box_is_free_and_all_beside_it_is_as_before():
 def test_from_scene_clears_and_adds_boxes_before_it_fills():
     grid = torch.cartesian_prod(torch.arange(0, 2, 0.03), torch.arange(0, 1.5, 0.03), torch.tensor([0.0]))
     scene = SimpleNamespace(
-        gaussians=blobs(grid, 0.02),
+        pieces=[lambda: blobs(grid, 0.02)],
         bounds=((0.0, 0.0, 0.0), (2.0, 1.5, 1.0)),
         free=None,
         cached=lambda kind, settings, build, most: json.loads(json.dumps(settings)) and build(),

@@ -139,7 +139,8 @@ def remembering(gaussians: Gaussians, bounds=((0.0, 0.0, 0.0), (1.0, 0.6, 1.2)))
         return kept[key]
 
     builds: list[str] = []
-    return SimpleNamespace(gaussians=gaussians, bounds=bounds, cached=cached, free=None), builds
+    scene = SimpleNamespace(gaussians=gaussians, pieces=[lambda: gaussians], bounds=bounds, cached=cached, free=None)
+    return scene, builds
 
 
 def slab() -> Gaussians:
@@ -206,7 +207,7 @@ def test_from_scene_ends_a_tenth_beyond_the_bounds_or_at_the_crop():
     grid = torch.cartesian_prod(torch.arange(-3, 3, 0.08), torch.arange(-3, 3, 0.08), torch.tensor([0.0]))
     scene = SimpleNamespace(
         free=None,
-        gaussians=blobs(grid, 0.06),
+        pieces=[lambda: blobs(grid, 0.06)],
         bounds=((0.0, 0.0, 0.0), (2.0, 1.0, 0.0)),  # flat, as the sheet is
         cached=lambda kind, settings, build, most: build(),
     )

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from splatrl.scenes import Gaussians, Scene, read_scene, similarity, write_gaussians
-from splatrl.scenes.blocks import BLOCKS_FILE, MOST_BLOCKS, BlockScene, joined, read_blocks_description
+from splatrl.scenes.blocks import BLOCKS_FILE, MOST_BLOCKS, BlockScene, read_blocks_description
 from splatrl.scenes.gaussians import INVISIBLE
 from splatrl.scenes.splitting import AROUND, write_split
 from tests.renderers.cases import random_gaussians
@@ -36,7 +36,7 @@ def test_a_block_lies_where_its_frame_says(tmp_path: Path) -> None:
     assert isinstance(scene, BlockScene)
     assert scene.name == tmp_path.name
     assert scene.bounds == ((-9, 0, 0), (1, 5, 1))
-    first, second = scene.pieces()
+    first, second = (read() for read in scene.pieces)
     moved = random_gaussians(1, 20, 1).transformed(similarity(["x", "-z", "y"], 2.0, [1.0, 2.0, 3.0]))
     torch.testing.assert_close(first.means, random_gaussians(0, 20).means)
     for name in ("means", "scales", "sh"):
@@ -143,7 +143,7 @@ def test_splitting_loses_nothing_and_says_which_place_each_block_shows(tmp_path:
         assert block.splat.stem == AROUND or high[0] - low[0] == pytest.approx(1.0)
     around = next(block for block in blocks.blocks if block.splat.stem == AROUND)
     assert {90.0, -80.0} <= set(around.read().means[:, :2].flatten().tolist())
-    whole, cut = in_order(cloud[cloud.opacities >= INVISIBLE]), in_order(joined(list(blocks.pieces())))
+    whole, cut = in_order(cloud[cloud.opacities >= INVISIBLE]), in_order(blocks.gaussians)
     for name in ("means", "quats", "scales", "opacities", "sh"):
         torch.testing.assert_close(getattr(cut, name), getattr(whole, name), rtol=1e-5, atol=1e-6)
     assert read_blocks_description(tmp_path)["robot_height"] == 0.5
