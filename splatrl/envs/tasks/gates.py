@@ -75,8 +75,7 @@ class Gates(TaskModule):
         [B, 1] int64, how many were passed; ``gate_place`` [B, 4] float32, centre and yaw of the next, world, metres and
         radians, for sensors and for those who train a critic on it.
 
-    Tracks are drawn in the scene by ``seed``. Training flies the first ``tracks``, tests the
-    ``test_tracks`` after them.
+    Tracks are drawn in the scene by ``seed``. Training flies the first ``tracks``, tests those after them.
 
     Example:
         >>> import splatrl
