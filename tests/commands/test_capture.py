@@ -12,9 +12,11 @@ from splatrl.cameras import Cameras
 from splatrl.capture import pipeline
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.fit import FitSettings
+from splatrl.capture.fit_pictures import Frame
 from splatrl.capture.look import Look
 from splatrl.capture.progress import Progress
 from splatrl.capture.scale import Click, Distance
+from splatrl.capture.stereo import Depths
 from splatrl.commands import capture
 from splatrl.files import alone_in
 from splatrl.renderers import NativeRenderer
@@ -39,8 +41,16 @@ def photographed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Photos, Reco
     return photos, replace(found, paths=paths)
 
 
+@pytest.fixture(scope="module")
+def known_depths() -> dict[str, Depths]:
+    """Depths that were found, by what they were found for: the same in nearly all captures here."""
+    return {}
+
+
 @pytest.fixture
-def stages(photographed: tuple[Photos, Reconstruction], monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def stages(
+    photographed: tuple[Photos, Reconstruction], known_depths: dict[str, Depths], monkeypatch: pytest.MonkeyPatch
+) -> list[str]:
     """Lets the stages that need a video give what is known; returns the names of those that were called."""
     called: list[str] = []
     photos, found = photographed
@@ -54,13 +64,20 @@ def stages(photographed: tuple[Photos, Reconstruction], monkeypatch: pytest.Monk
         called.append("poses")
         return found
 
-    real_fit = pipeline.fit
+    real_depths, real_fit = pipeline.find_depths, pipeline.fit
+
+    def find_depths(found: Reconstruction, frame: Frame, rows: torch.Tensor, progress: Progress) -> Depths:
+        key = pipeline._digest(found)
+        if key not in known_depths:
+            known_depths[key] = real_depths(found, frame, rows, progress=progress)
+        return known_depths[key]
 
     def fit(*arguments: object) -> object:
         called.append("fit")
         return real_fit(*arguments)
 
-    for name, stage in {"read_photos": read_photos, "find_poses": find_poses, "fit": fit}.items():
+    replaced = {"read_photos": read_photos, "find_poses": find_poses, "find_depths": find_depths, "fit": fit}
+    for name, stage in replaced.items():
         monkeypatch.setattr(pipeline, name, stage)
     monkeypatch.setattr(pipeline, "look", lambda photos, progress: GOOD)
     return called

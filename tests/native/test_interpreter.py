@@ -4,7 +4,6 @@ import copy
 import os
 import pickle
 import signal
-import subprocess
 import sys
 import time
 
@@ -93,9 +92,10 @@ for name, (call, argument) in calls.items():
 
 
 def test_long_calls_answer_signals_while_they_work() -> None:
-    found = subprocess.run([sys.executable, "-c", STOPPED], capture_output=True, text=True, timeout=300, check=True)
+    output, _ = (process := start("-c", STOPPED)).communicate(timeout=300)
+    assert process.returncode == 0, output
     names = "add_model", "add_model with levels", "flat_scene", "flat_scene with levels", "build_levels", "add_density"
-    assert found.stdout.splitlines() == [f"{name} stopped" for name in names]
+    assert output.splitlines() == [f"{name} stopped" for name in names]
 
 
 def test_daemon_threads_in_the_core_end_with_the_interpreter() -> None:
