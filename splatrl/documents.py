@@ -14,6 +14,8 @@ MAX_YAML = 128 * 2**10
 """Bytes of a YAML file; those that splatrl writes have a tenth of it."""
 MAX_JSON = 64 * 2**20
 """Bytes of a JSON file: poses of a capture's thousands of images."""
+MAX_NESTS = 2**21
+"""Lists and objects in a JSON text: an empty one is two bytes that take sixty-four of memory."""
 MAX_DEPTH = 32
 REFERENCE = re.compile(r"\$\{[\w.]+\}")
 """A reference to another key, such as ${robot.height}: the whole value, so that nothing grows, and no resolver."""
@@ -78,8 +80,11 @@ def parsed_json(source: str, text: str | bytes) -> Any:
         text: as text, or as bytes in UTF-8.
 
     Raises:
-        ValueError: for text that is nested too deep or not JSON.
+        ValueError: for text that is nested too deep, holds too many lists, or is not JSON.
     """
+    nests = text.count("[") + text.count("{") if isinstance(text, str) else text.count(b"[") + text.count(b"{")
+    if nests > MAX_NESTS:
+        raise ValueError(f"{source}: expected JSON of at most {MAX_NESTS:,} lists and objects, got {nests:,}")
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:  # broken JSON, broken UTF-8 and numbers of thousands of digits

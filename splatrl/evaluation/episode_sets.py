@@ -18,6 +18,8 @@ from splatrl.files import refusing, replacing
 EPISODES = "episodes.json.gz"
 MOST_BYTES = 2**27
 """Of a file's unpacked text: some hundred thousand episodes."""
+INFLATION, SLACK = 100, 2**20
+"""Bytes that a byte of a file may unpack to, and those that any file may: real ones stay below 20."""
 MOST_EPISODES = 200_000
 FARTHEST = 1e6
 """Metres of a position, at most."""
@@ -107,9 +109,10 @@ def read_episodes(path: Path, scenes: Sequence[str]) -> tuple[Tensor, Tensor, Te
 def _unpacked(path: Path) -> bytes:
     """The text of a file, at most ``MOST_BYTES``."""
     packed, text = path.read_bytes() if path.stat().st_size <= MOST_BYTES else b"", zlib.decompressobj(wbits=31)
-    content = text.decompress(packed, MOST_BYTES)
+    most = min(MOST_BYTES, INFLATION * len(packed) + SLACK)
+    content = text.decompress(packed, most)
     if not text.eof:
-        raise ValueError(f"expected a whole gzip file of at most {MOST_BYTES:,} bytes unpacked")
+        raise ValueError(f"expected a whole gzip file of at most {most:,} bytes unpacked")
     return content
 
 

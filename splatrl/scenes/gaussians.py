@@ -11,7 +11,7 @@ from splatrl.spherical_harmonics import rotate_sh, sh_degree
 
 INVISIBLE = 1.0 / 255.0
 """A Gaussian of lower opacity cannot change an image: renderers skip every alpha below it."""
-BLOCK = 1 << 18
+BLOCK = 1 << 16
 """Rows that are looked at together: Ctrl-C is answered between them, and memory stays small."""
 
 

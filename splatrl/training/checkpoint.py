@@ -13,6 +13,9 @@ from splatrl.files import refusing, replacing
 MADE = re.compile(r"collections OrderedDict|torch\._utils _rebuild_tensor_v2|torch \w+Storage|torch (Size|device)")
 """What a checkpoint's pickle may make: a bytearray, which PyTorch would allow too, has any size."""
 
+MOST_STEPS = 2**22
+"""Operations of a checkpoint's pickle: tables of a hundred thousand batches."""
+
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     """Write a checkpoint atomically, so that ``path`` is never a partial file.
@@ -55,6 +58,17 @@ def _check_entries(archive: zipfile.ZipFile, size: int) -> None:
         raise ValueError(f"expected entries of at most {size:,} bytes, got more")
     for entry in entries:
         if entry.filename.endswith(".pkl"):
-            made = {argument for code, argument, _ in pickletools.genops(archive.read(entry)) if code.name == "GLOBAL"}
+            made = _made(archive.read(entry))
             if strange := sorted(str(name) for name in made if not MADE.fullmatch(str(name))):
                 raise ValueError(f"expected tensors and plain values, got {', '.join(strange)}")
+
+
+def _made(pickled: bytes) -> set[object]:
+    """The names of what a pickle makes; refuses one that makes more than any training's history and weights."""
+    made: set[object] = set()
+    for number, (code, argument, _) in enumerate(pickletools.genops(pickled)):
+        if code.name == "GLOBAL":
+            made.add(argument)
+        if number > MOST_STEPS:  # each is a byte or more, and may make a list, of sixty-four
+            raise ValueError(f"expected at most {MOST_STEPS:,} values, got more")
+    return made

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from splatrl.scenes.formats.extra import extra_module
 from splatrl.scenes.formats.limits import check_inflation
-from splatrl.scenes.gaussians import BLOCK, Gaussians, checked_gaussians
+from splatrl.scenes.gaussians import Gaussians, checked_gaussians
 
 MAGIC = b"NGSP"
 HEADER = struct.Struct("<4sIIBBBB")
@@ -26,6 +26,8 @@ HEADER_4 = struct.Struct("<4sIIBBBBI12x")
 ENTRY = struct.Struct("<QQ")
 """Of the table of contents: bytes of a stream, and bytes that it unpacks to."""
 COLOR_SCALE = 0.15  # of the degree-0 harmonics, so that colours a little out of range fit a byte
+BLOCK = 1 << 16
+"""Gaussians that are decoded together."""
 PIECE = 1 << 20
 """Bytes that are unpacked at once."""
 HAS_EXTENSIONS = 0x2  # vendors' records may follow the attributes

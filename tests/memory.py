@@ -1,0 +1,245 @@
+"""What reading a file costs at most: files that promise or become as much as they may, and the memory of each.
+
+``python -m tests.memory`` prints, for each kind, the size of the file, what of memory its reading took, and how many
+bytes that is for one of the file. They are read in a process of its own, whose peak the system counts (Linux).
+"""
+
+import ctypes
+import gc
+import gzip
+import io
+import json
+import subprocess
+import sys
+import tempfile
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import astuple, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from splatrl.array_files import read_arrays
+from splatrl.collision.point_clouds import read_points
+from splatrl.documents import read_json, read_yaml
+from splatrl.envs.drawing.sprite import load_sprite
+from splatrl.evaluation.episode_sets import read_episodes
+from splatrl.images import read_grey, read_photo
+from splatrl.scenes.formats import read_gaussians
+from splatrl.scenes.formats.limits import MAX_INFLATION, SLACK
+from splatrl.training import load_checkpoint
+from tests.scenes.samples import (
+    compressed_ply_bytes,
+    ply_bytes,
+    ply_fields,
+    sample_gaussians,
+    sog_entries,
+    spz_bytes,
+    zip_bytes,
+)
+
+MIB = 1 << 20
+NOISE = np.random.default_rng(0).bytes(MIB)
+"""What cannot be compressed, to make a file as large as its promises need."""
+
+
+@dataclass(frozen=True)
+class Costly:
+    """A file that costs as much as it may.
+
+    Attributes:
+        name: of the file.
+        write: makes its content.
+        read: reads it; it may refuse it.
+        each: bytes of memory that one of the file's may take.
+        fixed: bytes that it may take besides.
+    """
+
+    name: str
+    write: Callable[[], bytes]
+    read: Callable[[Path], object]
+    each: float
+    fixed: int = 48 * MIB
+
+    def most(self, size: int) -> float:
+        """Bytes of memory that a file of this size may take."""
+        return self.each * size + self.fixed
+
+
+def _ascii(values: str, header: str, rows: int) -> Callable[[], bytes]:
+    return lambda: header.format(rows).encode() + values.encode() * rows
+
+
+def _spz(degree: int) -> bytes:
+    """As many Gaussians as the file may promise: of nothing but zeros, and noise behind them."""
+    held = MIB + 16 * 1024  # the noise, and what the zeros are packed to
+    width = 20 + 3 * ((degree + 1) ** 2 - 1)
+    count = int((MAX_INFLATION * held + SLACK) / width)
+    payload = bytes(9 * count) + b"\xff" * count + bytes((width - 10) * count)
+    return spz_bytes(payload + NOISE, count, 3, degree, flags=2)
+
+
+def _sog() -> bytes:
+    import imagecodecs
+
+    count = int((MAX_INFLATION * MIB + SLACK) / 64)
+    entries, _ = sog_entries(bands=0)
+    meta, side = json.loads(entries["meta.json"]), int(np.ceil(count**0.5))
+    texture = np.full((side, side, 4), 255, np.uint8)
+    packed = imagecodecs.webp_encode(texture, lossless=True)
+    names = [name for section in meta.values() if isinstance(section, dict) for name in section.get("files", ())]
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr("meta.json", json.dumps(meta | {"count": count}))
+        for name in names:
+            archive.writestr(name, packed)
+        archive.writestr("noise", NOISE)
+    return stream.getvalue()
+
+
+def _compressed() -> bytes:
+    values = np.random.default_rng(0).integers(0, 1 << 32, (256 * 256, 4)).astype(np.uint32)
+    return compressed_ply_bytes(np.tile(np.linspace(-3.0, 3.0, 18), (256, 1)), values)
+
+
+def _png(width: int, height: int, kind: int, channels: int, depth: int) -> bytes:
+    """A picture of zeros, made without one."""
+
+    def chunk(name: bytes, content: bytes) -> bytes:
+        return len(content).to_bytes(4, "big") + name + content + zlib.crc32(name + content).to_bytes(4, "big")
+
+    size = width.to_bytes(4, "big") + height.to_bytes(4, "big")
+    packer, row = zlib.compressobj(9), bytes(1 + width * channels * depth // 8)
+    rows = b"".join([*(packer.compress(row) for _ in range(height)), packer.flush()])
+    header = size + bytes([depth, kind, 0, 0, 0])
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+
+
+def _checkpoint() -> bytes:
+    """A pickle that does nothing but make lists."""
+    stream = io.BytesIO()
+    torch.save({"a": torch.zeros(1)}, stream)
+    changed = io.BytesIO()
+    with zipfile.ZipFile(stream) as archive, zipfile.ZipFile(changed, "w") as made:
+        for name in archive.namelist():
+            lists = b"\x80\x02(" + b"]" * (5 * MIB) + b"l."
+            made.writestr(name, lists if name.endswith(".pkl") else archive.read(name))
+    return changed.getvalue()
+
+
+def _arrays(packed: bool) -> bytes:
+    stream = io.BytesIO()
+    (np.savez_compressed if packed else np.savez)(stream, a=np.zeros(16 * MIB, np.uint8))
+    return stream.getvalue()
+
+
+def _lying_arrays() -> bytes:
+    """An array of a terabyte, of which nothing is there."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        header = b"{'descr': '|u1', 'fortran_order': False, 'shape': (1000000000000,), }\n"
+        archive.writestr("a.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+    return stream.getvalue()
+
+
+FIELDS = tuple(ply_fields(sample_gaussians(1, 0)))
+PLY = "ply\nformat ascii 1.0\nelement vertex {}\n" + "".join(f"property float {f}\n" for f in FIELDS) + "end_header\n"
+CLOUD = "ply\nformat ascii 1.0\nelement vertex {}\n" + "".join(f"property float {f}\n" for f in "xyz") + "end_header\n"
+PCD = "VERSION .7\nFIELDS x y z\nSIZE 1 1 1\nTYPE I I I\nCOUNT 1 1 1\nWIDTH {0}\nHEIGHT 1\nPOINTS {0}\nDATA "
+COSTLY = {
+    "ply": Costly("a.ply", lambda: ply_bytes(ply_fields(sample_gaussians(60_000, 0))), read_gaussians, 8),
+    "ascii ply": Costly("a.ply", _ascii("1 " * (len(FIELDS) - 1) + "1\n", PLY, 100_000), read_gaussians, 12),
+    "ascii ply, one line": Costly("a.ply", lambda: PLY.format(1).encode() + b"1" * 4 * MIB, read_gaussians, 16),
+    "compressed ply": Costly("a.ply", _compressed, read_gaussians, 24, 160 * MIB),
+    "spz": Costly("a.spz", lambda: _spz(0), read_gaussians, 180),
+    "spz, degree 3": Costly("a.spz", lambda: _spz(3), read_gaussians, 120),
+    "splat": Costly(
+        "a.splat", lambda: (b"\x01\x01\x01\x3f" * 6 + b"\xff" * 4 + b"\x80\x80\x80\xff") * 100_000, read_gaussians, 12
+    ),
+    "sog": Costly("a.sog", _sog, read_gaussians, 180, 160 * MIB),
+    "ascii cloud": Costly("a.ply", _ascii("1 1 1\n", CLOUD, 400_000), read_points, 16),
+    "pcd": Costly("a.pcd", _ascii("\x01\x01\x01", PCD + "binary\n", 400_000), read_points, 32),
+    "ascii pcd": Costly("a.pcd", _ascii("1 1 1\n", PCD + "ascii\n", 400_000), read_points, 24),
+    "photo": Costly("a.png", lambda: _png(8192, 8192, 2, 3, 8), read_photo, 0, 900 * MIB),
+    "depth": Costly("a.png", lambda: _png(8192, 8192, 0, 1, 16), read_grey, 0, 480 * MIB),
+    "sprite": Costly("a.png", lambda: _png(4096, 4096, 6, 4, 8), load_sprite, 0, 900 * MIB),
+    "yaml": Costly("a.yaml", lambda: b"a: [" + b"[]," * 40_000 + b"]", read_yaml, 2000),
+    "json": Costly("a.json", lambda: b"[" + b"[]," * (2 * MIB - 2) + b"[]]", read_json, 4, 200 * MIB),
+    "json, more lists": Costly("a.json", lambda: b"[" + b"[]," * (2 * MIB) + b"[]]", read_json, 4),
+    "json, numbers": Costly("a.json", lambda: b"[" + b"1.5," * (2 * MIB) + b"1]", read_json, 18),
+    "episodes": Costly(
+        "a.json.gz",
+        lambda: gzip.compress(b"[" + b"[]," * (20 * MIB) + b"[]]"),
+        lambda path: read_episodes(path, ["a"]),
+        0,
+    ),
+    "checkpoint": Costly("a.pt", _checkpoint, load_checkpoint, 4),
+    "arrays": Costly("a.npz", lambda: _arrays(False), read_arrays, 2),
+    "packed arrays": Costly("a.npz", lambda: _arrays(True), lambda path: read_arrays(path, 17 * MIB), 0),
+    "arrays that lie": Costly("a.npz", _lying_arrays, read_arrays, 0),
+}
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of reading one file: its bytes, those of memory that it took, and what came of it."""
+
+    size: int
+    memory: int
+    outcome: str
+
+
+def measured(kinds: Sequence[str]) -> dict[str, Cost]:
+    """Write files and read them, one after the other, in a new process."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "tests.memory", "--read", folder, *kinds]
+        root = Path(__file__).parents[1]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=root)
+    return {kind: Cost(*cost) for kind, cost in json.loads(done.stdout.splitlines()[-1]).items()}
+
+
+def _resident(field: str) -> int:
+    lines = dict(line.split(":") for line in Path("/proc/self/status").read_text().splitlines())
+    return 1024 * int(lines[field].split()[0])
+
+
+def _cost(kind: str, folder: Path) -> Cost:
+    """Read a file in this process, whose peak is counted from there."""
+    path = folder / COSTLY[kind].name
+    path.write_bytes(COSTLY[kind].write())
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)
+    before, outcome = _resident("VmRSS"), "read"
+    Path("/proc/self/clear_refs").write_text("5")
+    try:
+        COSTLY[kind].read(path)
+    except ValueError as error:
+        outcome = f"refused: {str(error).removeprefix(str(path))[:100]}"
+    return Cost(path.stat().st_size, _resident("VmHWM") - before, outcome)
+
+
+def _read(folder: Path, kinds: Sequence[str]) -> None:
+    warnings.simplefilter("ignore")
+    with suppress(ImportError):  # what readers load when they are first used is not what a file costs
+        (folder / "a.sog").write_bytes(zip_bytes(sog_entries(bands=0)[0]))
+        read_gaussians(folder / "a.sog")
+    print(json.dumps({kind: astuple(_cost(kind, folder)) for kind in kinds}))
+
+
+def main() -> None:
+    """Entry point of the command."""
+    if sys.argv[1:2] == ["--read"]:
+        _read(Path(sys.argv[2]), sys.argv[3:])
+        return
+    for kind, cost in measured(sys.argv[1:] or list(COSTLY)).items():
+        within = "" if cost.memory <= COSTLY[kind].most(cost.size) else "  TOO MUCH"
+        sizes = f"{cost.size / MIB:8.2f} MiB {cost.memory / MIB:8.1f} MiB {cost.memory / cost.size:9.1f}"
+        print(f"{kind:20} {sizes}  {cost.outcome}{within}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

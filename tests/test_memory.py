@@ -1,0 +1,36 @@
+"""Files that promise as much as they may: reading each takes no more memory than its kind may take."""
+
+import sys
+
+import pytest
+
+from tests.memory import COSTLY, Cost, measured
+
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
+LARGE = ("photo", "depth", "sprite")
+"""Kinds that take most of a gigabyte, whatever the size of the file."""
+NEEDS = {"sog": "gsply", "compressed ply": "gsply"}
+REFUSED = {"ascii ply, one line", "json, more lists", "episodes", "checkpoint", "arrays that lie"}
+
+
+def checked(kind: str, cost: Cost) -> None:
+    if kind in NEEDS:
+        pytest.importorskip(NEEDS[kind], reason="needs the extra gsply")
+    assert cost.memory <= COSTLY[kind].most(cost.size), cost
+    assert cost.outcome.startswith("refused" if kind in REFUSED else "read"), cost
+
+
+@pytest.fixture(scope="module")
+def costs() -> dict[str, Cost]:
+    return measured([kind for kind in COSTLY if kind not in LARGE])
+
+
+@pytest.mark.parametrize("kind", [kind for kind in COSTLY if kind not in LARGE])
+def test_a_file_takes_no_more_memory_than_its_kind_may(kind: str, costs: dict[str, Cost]) -> None:
+    checked(kind, costs[kind])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", LARGE)
+def test_a_large_picture_takes_no_more_memory_than_its_pixels_may(kind: str) -> None:
+    checked(kind, measured([kind])[kind])
