@@ -41,7 +41,7 @@ from splatrl.remembered import remembering
 from splatrl.renderers.one_scene import OneScene
 from splatrl.scenes.scene import Bounds, Scene
 from splatrl.several import stacked
-from splatrl.training import PPO, Cloner, Trainer, inputs_of, make_tracker, memory_transforms
+from splatrl.training import PPO, Actor, Cloner, Trainer, inputs_of, make_tracker, memory_transforms
 from splatrl.values import require_number
 
 BEYOND = 1.0
@@ -294,8 +294,8 @@ def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Train
 
     def test() -> dict[str, float]:
         test_env.set_seed(cfg.logger.test_seed)  # a test depends on the policy alone, not on the tests before it
-        policy, seed = model.get_policy_operator(), cfg.logger.test_seed
-        episodes = run_episodes(test_env, policy, starts.state, seed=seed, scene=starts.scene, memory=starts.memory)
+        actor, seed = Actor(model, judges=False), cfg.logger.test_seed
+        episodes = run_episodes(test_env, actor, starts.state, seed=seed, scene=starts.scene, memory=starts.memory)
         result = {"success": episodes.success.double().mean().item()}
         if world.task.goals_for_success is not None:
             result["goals"] = episodes.goals.double().mean().item()

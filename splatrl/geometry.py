@@ -30,7 +30,9 @@ def rigid(rotation: Tensor, translation: Tensor) -> Tensor:
     Returns:
         [..., 4, 4], same dtype and device as ``rotation``.
     """
-    shape = torch.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    shape, other = rotation.shape[:-2], translation.shape[:-1]
+    if shape != other:
+        shape = torch.broadcast_shapes(shape, other)  # which is slow
     transform = rotation.new_zeros(*shape, 4, 4)
     transform[..., :3, :3] = rotation
     transform[..., :3, 3] = translation

@@ -13,6 +13,7 @@ from splatrl.configuration import check_config, command_line, conf_dir, run_conf
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
 from splatrl.runs import load_policy
+from splatrl.training import Actor
 
 
 def evaluate_run(cfg: DictConfig, folder: Path, world: World | Worlds | None = None) -> dict[str, Any]:
@@ -25,7 +26,7 @@ def evaluate_run(cfg: DictConfig, folder: Path, world: World | Worlds | None = N
     """
     trained = load_policy(folder, cfg=cfg, world=world)
     settings = EvaluationSettings(**cfg.evaluation)
-    policy, checkpoint = trained.policy, trained.checkpoint
+    policy, checkpoint = Actor(trained.model, judges=False), trained.checkpoint
     summary, files = evaluate(trained.world, policy, checkpoint, folder, settings, cfg.seed, cfg.logger.video)
     print("\n".join(summary_lines(summary)))
     print(f"pictures in {folder}: {', '.join(str(path.relative_to(folder)) for path in files)}")

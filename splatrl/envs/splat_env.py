@@ -15,6 +15,7 @@ from splatrl.collision.nothing import NoChecker
 from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.drawing.base import Drawing, View
+from splatrl.envs.restart import maybe_reset
 from splatrl.envs.robot import Robot
 from splatrl.envs.sensors.base import Moment, Sensor
 from splatrl.envs.stateful_env import StatefulEnv
@@ -145,6 +146,10 @@ class SplatEnv(EnvBase):
         for part in (self.drawing.renderer, self.checker):
             if isinstance(part, Faulty):
                 part.raise_faults()
+
+    def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Begin new episodes where they ended; see ``EnvBase.maybe_reset``."""
+        return maybe_reset(self, tensordict)
 
     def _make_specs(self) -> None:
         motion, robot = self.task.motion, self.robot

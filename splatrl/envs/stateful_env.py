@@ -9,6 +9,7 @@ from torch import Tensor
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from splatrl.envs.nesting import refuse_frame_skip
+from splatrl.envs.restart import maybe_reset
 
 BASE = "base_env."
 
@@ -44,6 +45,10 @@ class StatefulEnv(TransformedEnv):
         _check(transform)
         super().insert_transform(index, transform)
         return self
+
+    def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Begin new episodes where they ended; see ``EnvBase.maybe_reset``."""
+        return maybe_reset(self, tensordict)
 
     def load_state_dict(self, state_dict: Mapping[str, Any], **kwargs: Any) -> None:
         """Restore a ``state_dict()``."""

@@ -1,10 +1,11 @@
 """Tests a finished training from its whole start set, and writes numbers and pictures into the run folder."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tensordict.nn import TensorDictModuleBase
+from tensordict import TensorDictBase
 from tqdm import tqdm
 
 from splatrl.envs.tasks import NavigationTask
@@ -43,7 +44,7 @@ class EvaluationSettings:
 
 def evaluate(
     world: World | Worlds,
-    policy: TensorDictModuleBase,
+    policy: Callable[[TensorDictBase], TensorDictBase],
     checkpoint: dict[str, Any],
     folder: Path,
     settings: EvaluationSettings,

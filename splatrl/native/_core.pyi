@@ -349,3 +349,35 @@ def trunk_backward(
     /,
 ) -> None:
     """The gradients of the weights."""
+
+def policy_loss(
+    frames: tuple[int, ...],  # addresses of hidden, action (int64), log_prob, advantage and value_target, [count, ...]
+    sizes: tuple[int, int, int],  # count, features, actions
+    heads: tuple[int, ...],  # addresses of weights and bias of the policy's and of the value's linear layer
+    clip_epsilon: float,
+    critic_coeff: float,
+    entropy_coeff: float,
+    gradients: tuple[int, ...],  # addresses of what is written: those of the heads, and of hidden
+    statistics: int,  # address of [5], written: ``splatrl.training.loss.STATISTICS``
+    /,
+) -> None:
+    """The gradients of the loss of proximal policy optimisation over discrete actions.
+
+    Addresses are those of C-contiguous float32 in main memory.
+
+    Raises:
+        ValueError: for an action that is not one of them.
+    """
+
+def adam(
+    tensors: list[tuple[int, ...]],  # addresses of values, gradient, first and second moment of each
+    counts: list[int],  # numbers in each
+    step: float,  # from 1
+    rate: float,
+    beta1: float,
+    beta2: float,
+    epsilon: float,
+    max_norm: float,
+    /,
+) -> None:
+    """Clip gradients to a norm, all tensors together, and take a step of Adam."""

@@ -14,6 +14,7 @@ void bind_isa(nanobind::module_& m);
 void bind_levels(nanobind::module_& m);
 void bind_occupancy(nanobind::module_& m);
 void bind_packed(nanobind::module_& m);
+void bind_policy(nanobind::module_& m);
 void bind_rays(nanobind::module_& m);
 void bind_renderer(nanobind::module_& m);
 void bind_stereo(nanobind::module_& m);

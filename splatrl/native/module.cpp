@@ -29,6 +29,7 @@ NB_MODULE(_core, m) {
     splatrl::bind_levels(m);
     splatrl::bind_occupancy(m);
     splatrl::bind_packed(m);
+    splatrl::bind_policy(m);
     splatrl::bind_rays(m);
     splatrl::bind_renderer(m);
     splatrl::bind_stereo(m);

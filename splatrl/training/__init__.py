@@ -1,5 +1,6 @@
 """Learning: networks, PPO, checkpoints and the training loop."""
 
+from splatrl.training.actor import Actor
 from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
 from splatrl.training.cloning import Cloner, CloningSettings
 from splatrl.training.dagger import DaggerSettings, targets, visited
@@ -13,6 +14,7 @@ from splatrl.training.trainer import Trainer
 
 __all__ = [
     "PPO",
+    "Actor",
     "Cloner",
     "CloningSettings",
     "DaggerSettings",

@@ -11,6 +11,7 @@ from torchrl.modules import ActorValueOperator
 
 from splatrl.envs.nesting import layers
 from splatrl.envs.restart import restart
+from splatrl.training.actor import Actor
 from splatrl.training.cuda_graph import CudaGraph
 from splatrl.training.memory import STATE
 
@@ -49,6 +50,8 @@ class Collector(Protocol):
 class HostCollector:
     """TorchRL's rollout, in which the host checks after each step which robots are done, and stacks the steps.
 
+    The model acts on plain tensors (``Actor``), since half of a rollout on a CPU would go into TensorDicts.
+
     Args:
         env: batched env.
         model: actor and critic.
@@ -56,14 +59,14 @@ class HostCollector:
     """
 
     def __init__(self, env: EnvBase, model: ActorValueOperator, steps: int):
-        self.env, self.model, self.steps = env, model, steps
+        self.env, self.actor, self.steps = env, Actor(model), steps
         self.carried = env.reset()
 
     @torch.no_grad()
     def collect(self) -> TensorDictBase:
         """The next frames, [B, T]."""
         options = {"auto_reset": False, "tensordict": self.carried, "break_when_any_done": False}
-        batch = self.env.rollout(self.steps, self.model, **options)
+        batch = self.env.rollout(self.steps, self.actor, **options)
         self.carried = self.env.step_mdp(batch[:, -1].clone())  # the next rollout resets what is done
         return batch
 

@@ -12,6 +12,7 @@ from torchrl.objectives.value.functional import vec_generalized_advantage_estima
 from splatrl.training.heads import distribution
 from splatrl.training.loss import STATISTICS, clipped_loss
 from splatrl.training.memory import STATE
+from splatrl.training.native_step import native_step
 from splatrl.training.repeats import first_alike
 from splatrl.training.settings import LossSettings, OptimSettings
 
@@ -39,6 +40,9 @@ class Learner:
         self._reads, self._prepared = list(pool.in_keys), list(pool.out_keys)
         self._measured = torch.compile(self._losses) if optim.compile else self._losses
         self._policy, self._value = model.get_policy_head(), model.get_value_head().module
+        compiled = not memory and not optim.compile
+        parts = self._trunk, self._policy, self._value
+        self._native = native_step(*parts, optim.max_grad_norm) if compiled else None
 
     def anneal(self, left: float) -> None:
         """Set learning rate and entropy bonus for the point at which a share ``left`` of the training remains."""
@@ -126,6 +130,8 @@ class Learner:
 
     def step(self, frames: dict[str, Tensor]) -> Tensor:
         """Take one gradient step on a minibatch; returns ``STATISTICS``."""
+        if self._native is not None and self._native.suits(frames, self.optimizer):
+            return self._native.step(frames, self.optimizer, self.loss, self.entropy_coeff)
         loss, statistics = self._measured(frames, self._bonus(frames["action"].device))
         self.optimizer.zero_grad()
         loss.backward()

@@ -43,17 +43,40 @@ def encoded(images: Tensor, convolutions: nn.Sequential, dense: nn.Sequential) -
     return _Encoding.apply(images.contiguous(), *weights)
 
 
+def forward(images: Tensor, weights: Sequence[Tensor]) -> list[Tensor]:
+    """What each layer gives for images [N, H, W, C], the features [N, F] last.
+
+    Args:
+        images: float32 on the CPU, contiguous.
+        weights: weights and bias of each layer, contiguous.
+    """
+    count, height, width, _ = images.shape
+    first, second, features = (len(bias) for bias in weights[1::2])
+    tall, wide = ((side - 4) // 2 + 1 for side in (height, width))
+    shapes = (tall, wide, first), ((tall - 3) // 2 + 1, (wide - 3) // 2 + 1, second), (features,)
+    layers = [images.new_empty(count, *shape) for shape in shapes]
+    given = images.data_ptr(), count, addresses(weights), addresses(layers)
+    _core.trunk_forward(_shape(images, weights), *given, _threads(count))
+    return layers
+
+
+def backward(images: Tensor, weights: Sequence[Tensor], layers: Sequence[Tensor], slope: Tensor) -> list[Tensor]:
+    """Gradients of the weights, from that of the features [N, F]."""
+    gradients, count = [torch.empty_like(weight) for weight in weights], len(images)
+    given = images.data_ptr(), count, addresses(weights), addresses(layers), slope.data_ptr()
+    _core.trunk_backward(_shape(images, weights), *given, addresses(gradients), _threads(count))
+    return gradients
+
+
+def addresses(tensors: Sequence[Tensor]) -> tuple[int, ...]:
+    """Where tensors begin in memory."""
+    return tuple(tensor.data_ptr() for tensor in tensors)
+
+
 class _Encoding(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, images: Tensor, *weights: Tensor) -> Tensor:
-        count, height, width, _ = images.shape
-        first, second, features = (len(bias) for bias in weights[1::2])
-        tall, wide = ((side - 4) // 2 + 1 for side in (height, width))
-        shapes = (tall, wide, first), ((tall - 3) // 2 + 1, (wide - 3) // 2 + 1, second), (features,)
-        layers = tuple(images.new_empty(count, *shape) for shape in shapes)
-        ctx.shape = (*images.shape[1:], first, second, features)
-        given = images.data_ptr(), count, _addresses(weights), _addresses(layers)
-        _core.trunk_forward(ctx.shape, *given, _threads(count))
+        layers = forward(images, weights)
         ctx.save_for_backward(images, *weights, *layers)
         return layers[-1]
 
@@ -61,16 +84,12 @@ class _Encoding(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
         images, *known = ctx.saved_tensors
-        weights, layers = known[:6], known[6:]
-        slope, gradients = slope.contiguous(), [torch.empty_like(weight) for weight in weights]
-        given = images.data_ptr(), len(images), _addresses(weights), _addresses(layers), slope.data_ptr()
-        _core.trunk_backward(ctx.shape, *given, _addresses(gradients), _threads(len(images)))
-        return (None, *gradients)
+        return (None, *backward(images, known[:6], known[6:], slope.contiguous()))
+
+
+def _shape(images: Tensor, weights: Sequence[Tensor]) -> tuple[int, ...]:
+    return (*images.shape[1:], *(len(bias) for bias in weights[1::2]))
 
 
 def _threads(count: int) -> int:
     return usable_cores() if count >= LARGE else 1
-
-
-def _addresses(tensors: Sequence[Tensor]) -> tuple[int, ...]:
-    return tuple(tensor.data_ptr() for tensor in tensors)

@@ -21,13 +21,28 @@ class PoolPixels(nn.Module):
 
     def __init__(self, pool: int):
         super().__init__()
-        self.pool = nn.AvgPool2d(pool)
+        self.side, self.pool = pool, nn.AvgPool2d(pool)
 
     def forward(self, pixels: Tensor) -> Tensor:
         """Pool images: [..., H, W, C] uint8 -> [..., H // pool, W // pool, C] float32 in [−0.5, 0.5]."""
-        images = pixels.reshape(-1, *pixels.shape[-3:]).permute(0, 3, 1, 2).float()
-        images = (self.pool(images) / 255.0 - 0.5).permute(0, 2, 3, 1)
-        return images.reshape(*pixels.shape[:-3], *images.shape[1:])
+        images = pixels.reshape(-1, *pixels.shape[-3:])
+        if images.dtype == torch.uint8 and images.device.type == "cpu" and not torch.compiler.is_compiling():
+            pooled = self._sums(images) / self.side**2
+        else:
+            pooled = self.pool(images.permute(0, 3, 1, 2).float()).permute(0, 2, 3, 1)
+        pooled = pooled / 255.0 - 0.5
+        return pooled.reshape(*pixels.shape[:-3], *pooled.shape[1:])
+
+    def _sums(self, images: Tensor) -> Tensor:
+        """Sums over cells, exact in any order: [N, H, W, C] uint8 -> [N, H // pool, W // pool, C] float32.
+
+        Rows are added before columns, since a row of an image is contiguous; ``AvgPool2d`` goes pixel by pixel.
+        """
+        count, height, width, depth = images.shape
+        tall, wide, side = height // self.side, width // self.side, self.side
+        cells = images[:, : tall * side, : wide * side].float().view(count, tall, side, wide, side, depth)
+        rows = sum((cells[:, :, row] for row in range(1, side)), cells[:, :, 0])
+        return sum((rows[:, :, :, column] for column in range(1, side)), rows[:, :, :, 0])
 
 
 class Trunk(nn.Module):

@@ -5,14 +5,10 @@
 #include <algorithm>
 #include <cstring>
 
-#include "lanes.h"
+#include "kernels/registers.h"
 
 namespace splatrl {
 namespace SPLATRL_ISA {
-
-// One register, of which a vector of sixteen may need several.
-using Register = FloatPart;
-constexpr int WIDTH = SPLATRL_REGISTER;
 
 // Sums that fit into registers beside what they are made from.
 #if defined(SPLATRL_AVX512)
@@ -22,24 +18,6 @@ constexpr int SUMS = 12;
 #endif
 
 #define UNROLL _Pragma("GCC unroll 32")
-
-LANE_INLINE Register get(const float* from) {
-    Register out;
-    std::memcpy(&out, from, sizeof(out));
-    return out;
-}
-
-LANE_INLINE void put(float* to, const Register& value) { std::memcpy(to, &value, sizeof(value)); }
-
-LANE_INLINE float total(const Register& a) {
-    float values[WIDTH];
-    put(values, a);
-    for (int half = WIDTH / 2; half > 0; half /= 2)
-        for (int i = 0; i < half; ++i) values[i] += values[i + half];
-    return values[0];
-}
-
-LANE_INLINE Register positive(const Register& a) { return a > Register{} ? a : Register{}; }
 
 // Call work.template run<N>(begin) for parts of [0, count) of at most MOST, as even as can be.
 template <int MOST, class Work>

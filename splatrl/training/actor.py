@@ -1,0 +1,56 @@
+"""A model that acts on plain tensors, which costs a fraction of acting through TensorDicts."""
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torch.distributions import Distribution
+from torchrl.envs.utils import ExplorationType, exploration_type
+from torchrl.modules import ActorValueOperator
+
+from splatrl.training.heads import distribution
+
+
+class Actor:
+    """What ``model(td)`` writes: the prepared inputs, ``action``, ``action_log_prob`` and ``state_value``.
+
+    It draws the same actions from the same generator, and heeds TorchRL's ``set_exploration_type`` where that is
+    random or deterministic. A model with memory acts through TensorDicts.
+
+    Args:
+        model: actor and critic over a shared trunk.
+        judges: whether the critic is asked.
+    """
+
+    def __init__(self, model: ActorValueOperator, judges: bool = True):
+        pool, trunk, *memory = model.module[0].module
+        self._whole = model if judges else model.get_policy_operator()
+        self._remembers, self._judges = bool(memory), judges
+        self._pool, self._trunk = pool.module, trunk.module
+        self._reads, self._prepared = list(pool.in_keys), list(pool.out_keys)
+        self._policy, self._value = model.get_policy_head(), model.get_value_head().module
+
+    @torch.no_grad()
+    def __call__(self, td: TensorDictBase) -> TensorDictBase:
+        """Act on observations [B]; they are returned with what the model writes."""
+        kind = exploration_type() or ExplorationType.RANDOM
+        if self._remembers or kind not in (ExplorationType.RANDOM, ExplorationType.DETERMINISTIC):
+            return self._whole(td)
+        found = self._pool(*(td.get(key) for key in self._reads))
+        prepared = found if isinstance(found, tuple) else (found,)
+        hidden = self._trunk(*prepared)
+        policy = distribution(self._policy, hidden)
+        action = _chosen(policy, kind)
+        written = dict(zip(self._prepared, prepared, strict=True)) | {"action": action}
+        written["action_log_prob"] = policy.log_prob(action)
+        if self._judges:
+            written["state_value"] = self._value(hidden)
+        for key, value in written.items():
+            td.set(key, value)
+        return td
+
+
+def _chosen(policy: Distribution, kind: ExplorationType) -> Tensor:
+    """Actions as TorchRL's ``ProbabilisticTensorDictModule`` chooses them."""
+    if kind == ExplorationType.DETERMINISTIC:
+        return policy.deterministic_sample  # type: ignore[attr-defined]
+    return policy.rsample() if policy.has_rsample else policy.sample()
