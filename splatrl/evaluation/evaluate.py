@@ -107,7 +107,7 @@ def evaluate(
         place = folder if len(names) == 1 else folder / "scenes" / f"{number}-{one.scene.name}"
         place.mkdir(parents=True, exist_ok=True)
         own = one.env(EPISODES_IN_VIDEO)
-        pictures = Pictures(one.scene.gaussians, one.occupancy, one.plan, own, place)
+        pictures = Pictures(one.scene.surroundings, one.occupancy, one.plan, own, place)
         if one.plan.field is not None:
             files += [pictures.starts(sampled.of(number)), pictures.success_map(sampled.of(number))]
         if video:

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <cstdlib>
 #include <memory>
 #include <new>
@@ -12,12 +13,37 @@
 
 namespace splatrl {
 
+// Gives memory back: to the system itself where it was mapped, so that models that come and go leave no holes behind.
 struct Free {
-    void operator()(void* memory) const { std::free(memory); }
+    size_t mapped = 0;  // bytes
+
+    void operator()(void* memory) const {
+#if defined(__linux__)
+        if (mapped > 0) {
+            munmap(memory, mapped);
+            return;
+        }
+#endif
+        std::free(memory);
+    }
 };
 
 template <class T>
 using Buffer = std::unique_ptr<T[], Free>;
+
+#if defined(__linux__)
+// Memory of whole huge pages, or null.
+inline void* map_huge_pages(size_t bytes, size_t huge_page) {
+    void* mapped = mmap(nullptr, bytes + huge_page, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    if (mapped == MAP_FAILED) return nullptr;
+    char* first = static_cast<char*>(mapped);
+    const size_t before = (huge_page - reinterpret_cast<uintptr_t>(first) % huge_page) % huge_page;
+    if (before > 0) munmap(first, before);
+    munmap(first + before + bytes, huge_page - before);
+    madvise(first + before, bytes, MADV_HUGEPAGE);
+    return first + before;
+}
+#endif
 
 // Large buffers ask for huge pages where the system has them, which makes address translation cheaper for scattered
 // access.
@@ -25,11 +51,16 @@ template <class T>
 Buffer<T> make_buffer(size_t count) {
     constexpr size_t HUGE_PAGE = size_t(1) << 21;
     const size_t bytes = (count > 0 ? count : 1) * sizeof(T), alignment = bytes > HUGE_PAGE / 2 ? HUGE_PAGE : 64;
-    void* memory = std::aligned_alloc(alignment, (bytes + alignment - 1) / alignment * alignment);
-    if (memory == nullptr) throw std::bad_alloc();
+    const size_t whole = (bytes + alignment - 1) / alignment * alignment;
 #if defined(__linux__)
-    if (alignment == HUGE_PAGE) madvise(memory, bytes, MADV_HUGEPAGE);
+    if (alignment == HUGE_PAGE) {
+        void* memory = map_huge_pages(whole, HUGE_PAGE);
+        if (memory == nullptr) throw std::bad_alloc();
+        return Buffer<T>(static_cast<T*>(memory), Free{whole});
+    }
 #endif
+    void* memory = std::aligned_alloc(alignment, whole);
+    if (memory == nullptr) throw std::bad_alloc();
     return Buffer<T>(static_cast<T*>(memory));
 }
 

@@ -26,6 +26,8 @@ from splatrl.scenes.gaussians import Gaussians
 PACKED_VERSION = 1
 """Raise it when the arrays or what they are made from change: those in the cache are then made again."""
 
+HUGE_PAGE = 2**21
+
 
 def packed_model(
     gaussians: Gaussians, merge: bool, background: tuple[float, float, float], antialiased: bool
@@ -50,8 +52,9 @@ def packed_model(
 
 
 def packed_bytes(arrays: Arrays) -> int:
-    """Memory that a model takes."""
-    return sum(values.nbytes for values in arrays.values())
+    """Memory that a model takes in the core, which keeps large arrays in whole huge pages."""
+    sizes = [values.nbytes for values in arrays.values()]
+    return sum(size if size <= HUGE_PAGE // 2 else -(-size // HUGE_PAGE) * HUGE_PAGE for size in sizes)
 
 
 def top_of(arrays: Arrays, groups: int) -> tuple[Arrays, float]:

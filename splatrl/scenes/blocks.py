@@ -114,6 +114,21 @@ class BlockScene(Scene):
         """What reads the Gaussians of each block."""
         return [block.read for block in self.blocks]
 
+    @property
+    def surroundings(self) -> Gaussians:
+        """The Gaussians of the blocks that are no farther from its bounds than half their longest side."""
+        lower, upper = self.bounds
+        margin = 0.5 * max(high - low for low, high in zip(lower, upper, strict=True))
+        near = [
+            block
+            for block in self.blocks
+            if all(
+                low < block.bounds[1][axis] + margin and block.bounds[0][axis] - margin < high
+                for axis, (low, high) in enumerate(zip(lower, upper, strict=True))
+            )
+        ]
+        return joined([block.read() for block in near or self.blocks])
+
     @cached_property
     def digest(self) -> str:
         """Fingerprint of all blocks, in their order."""

@@ -66,6 +66,11 @@ class Scene:
         """What gives all Gaussians piece by piece, so that a scene need not be in memory at once."""
         return [lambda: self.gaussians]
 
+    @property
+    def surroundings(self) -> Gaussians:
+        """The Gaussians in its bounds and around them, for maps of the place."""
+        return self.gaussians
+
     def cached(
         self, kind: str, settings: Mapping[str, Any], build: Callable[[], Arrays], most: int | None = None
     ) -> Arrays:

@@ -149,6 +149,16 @@ def test_splitting_loses_nothing_and_says_which_place_each_block_shows(tmp_path:
     assert read_blocks_description(tmp_path)["robot_height"] == 0.5
 
 
+def test_maps_are_drawn_of_the_blocks_around_the_bounds(tmp_path: Path) -> None:
+    lines = [f"  - {{splat: {name}.ply, bounds: [[{x}, 0, 0], [{x + 4}, 4, 1]]}}" for name, x in (("a", 0), ("b", 6))]
+    folder = folder_with(tmp_path, "blocks:\n" + "\n".join(lines))
+    assert len(read_scene(folder).surroundings) == 40
+    assert len(read_scene(folder, bounds=[[0, 0, 0], [3, 3, 1]]).surroundings) == 20
+    assert len(read_scene(folder, bounds=[[90, 0, 0], [93, 3, 1]]).surroundings) == 40
+    plain = Scene("cloud", random_gaussians(4, 50), ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
+    assert plain.surroundings is plain.gaussians
+
+
 def test_too_small_a_size_is_refused(tmp_path: Path) -> None:
     scene = Scene("cloud", random_gaussians(4, 2000), ((-3.0, -3.0, -2.0), (3.0, 3.0, 2.0)))
     with pytest.raises(ValueError, match=r"--split: expected at most 1,024 blocks, got .* take larger ones"):
