@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from statistics import median
 
@@ -154,7 +155,7 @@ def main() -> None:
     first = next(block for block in blocks if block.bounds[0][:2] == (0.0, 0.0))
     block = BlockRenderer(BlockScene("one", [around, first]), tolerance=TOLERANCE, threads=1)
     views = into_one_block(0)
-    taken = frame_ms({"town": lambda: renderer.pixels(views), "block": lambda: block.pixels(views)}, options.rounds)
+    taken = frame_ms({"town": partial(renderer.pixels, views), "block": partial(block.pixels, views)}, options.rounds)
     in_town, in_block = taken["town"], taken["block"]
     print(f"frame: {in_town:.3f} ms in the town, {in_block:.3f} in one block: {in_town / in_block:.2f}")
     with tempfile.TemporaryDirectory() as folder:
@@ -164,7 +165,7 @@ def main() -> None:
         for count, cut in scenes.items():
             renderers[f"{count:,}"] = BlockRenderer(cut, tolerance=TOLERANCE, threads=1, budget=4e9)
         street = at_the_crossing(1)
-        taken = frame_ms({name: lambda one=one: one.pixels(street) for name, one in renderers.items()}, options.rounds)
+        taken = frame_ms({name: partial(one.pixels, street) for name, one in renderers.items()}, options.rounds)
     least = min(taken.values())
     print("cut to: " + ", ".join(f"{name} {value:.3f} ms" for name, value in taken.items()))
     print(f"the whole town against the smallest cut: {max(taken.values()) / least:.2f}")

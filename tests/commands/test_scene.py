@@ -12,7 +12,8 @@ from splatrl.collision.point_clouds import write_points
 from splatrl.commands import scene
 from splatrl.commands.scene import main
 from splatrl.configuration import load_config
-from splatrl.scenes import Gaussians, read_scene, similarity, write_gaussians
+from splatrl.scenes import Gaussians, read_gaussians, read_scene, similarity, write_gaussians
+from splatrl.scenes.blocks import BlockScene
 from splatrl.scenes.description import read_description
 from tests.preloaded import start
 from tests.scenes.places import place, turned
@@ -243,3 +244,31 @@ def test_an_out_that_ends_in_spz_makes_a_folder_with_a_small_splat(
     assert (tmp_path / "again" / "free.ply").read_bytes() == splat.with_name("free.ply").read_bytes()
     assert again.free is not None and again.free.voxel_size == stated["voxel_size"]
     assert gzip.decompress((tmp_path / "again" / "splat.spz").read_bytes())[14] == 0
+
+
+@pytest.mark.parametrize(("out", "ending"), [("town", ".ply"), ("town.spz", ".spz")])
+def test_a_splat_is_cut_into_blocks_that_together_are_the_scene(
+    splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], out: str, ending: str
+) -> None:
+    main([str(splat), "--split", "1.5", "--out", str(tmp_path / out)])
+    folder = tmp_path / "town"
+    assert f"train in it: splatrl-train scene={folder}/" in capsys.readouterr().out
+    cut = read_scene(folder)
+    assert isinstance(cut, BlockScene)
+    assert len(cut.blocks) > 4
+    assert {block.splat.suffix for block in cut.blocks} == {ending}
+    assert not (folder / "scene.yaml").exists()
+    assert heights(folder) == pytest.approx((0.0, 1.2), abs=0.02)
+    assert len(cut.gaussians) == len(read_gaussians(splat))
+    with pytest.raises(SystemExit, match=r"blocks.yaml: already exists"):
+        main([str(splat), "--split", "1.5", "--out", str(tmp_path / out)])
+
+
+def test_blocks_are_not_written_where_a_scene_yaml_would_be_read_in_their_place(splat: Path) -> None:
+    main([str(splat)])
+    with pytest.raises(SystemExit, match=r"--split: expected a folder without scene.yaml"):
+        main([str(splat.parent), "--split", "2"])
+    with pytest.raises(SystemExit, match="--split: expected a finite number above 0"):
+        main([str(splat), "--split", "0", "--out", str(splat.parent / "town")])
+    main([str(splat.parent), "--split", "2", "--out", str(splat.parent / "town")])
+    assert isinstance(read_scene(splat.parent / "town"), BlockScene)
