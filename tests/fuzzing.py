@@ -38,6 +38,7 @@ from splatrl.envs.drawing.sprite import load_sprite
 from splatrl.evaluation.clip_files import read_clips, read_labels
 from splatrl.files import refusing
 from splatrl.images import read_photo
+from splatrl.scenes.blocks import read_blocks
 from splatrl.scenes.description import read_description
 from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.placement import nerfstudio_transform
@@ -211,6 +212,13 @@ walk: [[-1.0, -1.0], [1.0, 1.0]]
 goal: [0.1, 0.2, 90.0]
 quality: {psnr: 30.5, frames: 12, sharp: true}
 """
+BLOCKS = b"""name: town
+bounds: [[-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]]
+goal: [0.1, 0.2, 90.0]
+blocks:
+  - {splat: blocks.yaml, bounds: [[-1.0, -1.0, 0.0], [0.0, 1.0, 2.0]]}
+  - {splat: blocks.yaml, bounds: [[0, -1, 0], [1, 1, 2]], world_from_splat: {axes: [x, -z, y], scale: 1.5}}
+"""
 NERFSTUDIO = json.dumps({"transform": np.eye(4)[:3].tolist(), "scale": 0.5}).encode()
 LABELS = b"frame,action\n0,forward\n1,left|right\n7,forward\n"
 ACTIONS = ("forward", "left", "right")
@@ -257,6 +265,13 @@ def _clips(path: Path) -> None:
             pass
 
 
+def _blocks(path: Path) -> None:
+    try:
+        read_blocks(path.parent)
+    except FileNotFoundError as error:  # of a damaged name
+        raise ValueError(str(error)) from error
+
+
 FORMATS = {
     "ply": Format("a.ply", _ply, _gaussians),
     "compressed ply": Format("a.ply", _compressed, _gaussians),
@@ -271,6 +286,7 @@ FORMATS = {
     "occupancy": Format("a.npz", lambda rng: _arrays(), _occupancy, _behind_zip),
     "run": Format("config.yaml", lambda rng: _config(), lambda path: run_config(path.parent)),
     "scene": Format("scene.yaml", lambda rng: SCENE, lambda path: read_description(path.parent)),
+    "blocks": Format("blocks.yaml", lambda rng: BLOCKS, _blocks),
     "nerfstudio": Format("a.json", lambda rng: NERFSTUDIO, nerfstudio_transform),
     "labels": Format("a.csv", lambda rng: LABELS, lambda path: read_labels(path, ACTIONS)),
     "png": Format("a.png", functools.partial(_image, "PNG"), read_photo, _behind_checksums),
