@@ -28,7 +28,7 @@ MIDDLE: Bounds = ((-10.0, -10.0, 0.0), (10.0, 10.0, 3.0))
 def town(seed: int = 0, blocks: int = 10, bounds: Sequence[Sequence[float]] | None = None) -> BlockScene:
     """A generated town: streets around square blocks of 20 m, each with two houses, a yard and trees of its own.
 
-    A block has about 100,000 Gaussians. It takes seconds to make one and 2 MB to keep it; the whole town is kept in the
+    A block has about 100,000 Gaussians. It takes seconds to make one and 1 MB to keep it; the whole town is kept in the
     user's cache directory. The same numbers give the same bytes. Two streets cross at the origin, where four blocks
     meet and a red egg stands; on the command line ``scene=town`` sets it as the goal.
 
