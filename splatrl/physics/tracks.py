@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from splatrl.physics.room import Room, ahead, between
 from splatrl.physics.terrain import Terrain
 from splatrl.values import require_number
 
@@ -17,8 +18,6 @@ TRIES = 400
 """Tracks that are begun for each that is asked for, at most."""
 BRANCHES = 12
 """Places that are tried for each gate."""
-SAMPLES = 0.1
-"""Metres between the points of a way at which it must be free."""
 
 
 @dataclass(frozen=True)
@@ -91,11 +90,11 @@ def draw_tracks(
     Raises:
         ValueError: where there is no room.
     """
-    room = _Room(terrain, np.array(lower, float), np.array(upper, float), ceiling, settings)
+    drawn = _Tracks(Room(terrain, lower, upper, ceiling), settings)
     tracks = []
     for number in range(count):
         draw = np.random.default_rng([seed, number])
-        found = next((track for _ in range(TRIES) if (track := room.track(draw)) is not None), None)
+        found = next((track for _ in range(TRIES) if (track := drawn.track(draw)) is not None), None)
         if found is None:
             raise ValueError(
                 f"task.track: expected room for {settings.gates} gates, found none in {TRIES} tries; type wider "
@@ -105,19 +104,18 @@ def draw_tracks(
     return np.stack(tracks)
 
 
-class _Room:
-    """Where there is room for gates and ways."""
+class _Tracks:
+    """Draws tracks in a room."""
 
-    def __init__(self, terrain: Terrain, lower: Floats, upper: Floats, ceiling: float, settings: TrackSettings):
-        self.plane, self.boxes = terrain.plane.numpy(), terrain.boxes.numpy()
-        self.lower, self.upper, self.ceiling, self.settings = lower, upper, ceiling, settings
+    def __init__(self, room: Room, settings: TrackSettings):
+        self.room, self.settings = room, settings
 
     def track(self, draw: np.random.Generator) -> Floats | None:
         """A start and gates [1 + G, 4], or None where the way ended."""
         low, high = self.settings.height
-        x, y = draw.uniform(self.lower + 0.3, self.upper - 0.3)
-        track = [np.array([x, y, self.ground(x, y) + draw.uniform(low, high), draw.uniform(-math.pi, math.pi)])]
-        if not self.free(track[0][None, :3], self.settings.clearance).all():
+        x, y = draw.uniform(self.room.lower + 0.3, self.room.upper - 0.3)
+        track = [np.array([x, y, self.room.ground(x, y) + draw.uniform(low, high), draw.uniform(-math.pi, math.pi)])]
+        if not self.room.free(track[0][None, :3], self.settings.clearance).all():
             return None
         while len(track) <= self.settings.gates:
             found = next((gate for _ in range(BRANCHES) if (gate := self.gate(track, draw)) is not None), None)
@@ -131,51 +129,27 @@ class _Room:
     def gate(self, track: list[Floats], draw: np.random.Generator) -> Floats | None:
         """A gate after those of a track, or None if what is drawn does not fit."""
         settings, last = self.settings, track[-1]
-        begin = last[:3] + (0.5 * _ahead(last[3]) if len(track) > 1 else 0.0)
+        begin = last[:3] + (0.5 * ahead(last[3]) if len(track) > 1 else 0.0)
         turn = math.radians(settings.turn_deg) if len(track) > 1 else math.pi
         way = last[3] + draw.uniform(-turn, turn)
-        x, y = last[:2] + draw.uniform(settings.distance[0], settings.distance[1]) * _ahead(way)[:2]
-        z = self.ground(x, y) + draw.uniform(settings.height[0], settings.height[1])
+        x, y = last[:2] + draw.uniform(settings.distance[0], settings.distance[1]) * ahead(way)[:2]
+        z = self.room.ground(x, y) + draw.uniform(settings.height[0], settings.height[1])
         gate = np.array([x, y, z, way + math.radians(draw.uniform(-settings.skew_deg, settings.skew_deg))])
-        end = gate[:3] + 0.5 * _ahead(gate[3])
+        end = gate[:3] + 0.5 * ahead(gate[3])
         rim = gate[:3] + self.rim(gate[3])
-        flown = np.concatenate([_between(begin, gate[:3]), _between(gate[:3], end)])
-        fits = self.free(rim, 0.05).all() and self.free(flown, settings.clearance).all()
+        flown = np.concatenate([between(begin, gate[:3]), between(gate[:3], end)])
+        fits = self.room.free(rim, 0.05).all() and self.room.free(flown, settings.clearance).all()
         apart = 0.5 * settings.frame * math.sqrt(2.0) + settings.clearance
         for other in track[1:]:
             fits &= bool(np.linalg.norm(rim - other[:3], axis=1).min() > apart)
             fits &= other is last or bool(np.linalg.norm(flown - other[:3], axis=1).min() > apart)
-            beyond = other[:3] + 0.5 * _ahead(other[3])
+            beyond = other[:3] + 0.5 * ahead(other[3])
             fits &= other is last or bool(np.linalg.norm(beyond - gate[:3]) > apart)
         for a, b in pairwise(track):  # it does not stand in an earlier way
-            fits &= bool(np.linalg.norm(_between(a[:3], b[:3]) - gate[:3], axis=1).min() > apart)
+            fits &= bool(np.linalg.norm(between(a[:3], b[:3]) - gate[:3], axis=1).min() > apart)
         return gate if fits else None
 
     def rim(self, yaw: float) -> Floats:
         """Points of a gate's frame about its centre: [8, 3]."""
         half, side = 0.5 * self.settings.frame, np.array([-math.sin(yaw), math.cos(yaw), 0.0])
         return np.array([half * (a * side + [0.0, 0.0, b]) for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b])
-
-    def ground(self, x: float, y: float) -> float:
-        """Height of the ground."""
-        return float((self.plane[3] - self.plane[0] * x - self.plane[1] * y) / self.plane[2])
-
-    def free(self, points: Floats, margin: float) -> NDArray[np.bool_]:
-        """Whether points are at least ``margin`` from bounds, ground, ceiling and boxes: [P, 3] -> [P]."""
-        above = points @ self.plane[:3] - self.plane[3]
-        inside = ((points[:, :2] >= self.lower) & (points[:, :2] <= self.upper)).all(1)
-        inside &= (above >= margin) & (above <= self.ceiling - margin)
-        if len(self.boxes):
-            outside = np.maximum(np.abs(points[:, None] - self.boxes[:, :3]) - self.boxes[:, 3:], 0.0)
-            inside &= np.linalg.norm(outside, axis=2).min(1) >= margin
-        return inside
-
-
-def _ahead(yaw: float) -> Floats:
-    return np.array([math.cos(yaw), math.sin(yaw), 0.0])
-
-
-def _between(start: Floats, end: Floats) -> Floats:
-    """Points of a straight way, both ends among them: [P, 3]."""
-    steps = max(2, math.ceil(float(np.linalg.norm(end - start)) / SAMPLES) + 1)
-    return start + np.linspace(0.0, 1.0, steps)[:, None] * (end - start)

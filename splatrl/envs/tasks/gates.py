@@ -1,28 +1,22 @@
 """The gates task: a quadrotor flies through a track of gates."""
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from hashlib import blake2b
-from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, TaskModule, Verdict
-from splatrl.files import digest_of
 from splatrl.geometry import axis_rotations, rigid
 from splatrl.motions.physics import FIRST, PhysicsMotion
-from splatrl.physics import tracks as tracks_module
 from splatrl.physics.bank import bank
 from splatrl.physics.pilot import Flying, fly_through
+from splatrl.physics.room import drawn_once
 from splatrl.physics.stepping import BANK, Physics
 from splatrl.physics.tracks import TrackSettings, draw_tracks
 from splatrl.renderers.parts import Parts
-from splatrl.scenes.cache import cached_arrays
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
 from splatrl.values import require_number
@@ -136,8 +130,15 @@ class Gates(TaskModule):
         Raises:
             ValueError: where there is no room for a track.
         """
-        motion, many = self.motion, self.tracks + self.test_tracks
-        places = self._drawn_tracks(many)
+        motion, many, ceiling = self.motion, self.tracks + self.test_tracks, self.motion.ceiling
+        assert ceiling is not None
+        where = motion.twin.lower.tolist(), motion.twin.upper.tolist(), ceiling
+        places = drawn_once(
+            "tracks",
+            motion.terrain,
+            [*where, asdict(self.track), many, self.seed],
+            lambda: draw_tracks(motion.terrain, *where, self.track, many, self.seed),
+        )
         self.places = torch.from_numpy(places).to(self.places.device)
         models = bank(motion.physics.models[0], replace(motion.variation, models=many))
         for model, gates in zip(models, places[:, 1:], strict=True):
@@ -146,23 +147,6 @@ class Gates(TaskModule):
                 model.body_pos[body] = x, y, z
                 model.body_quat[body] = math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)
         motion.physics = Physics(models, motion.physics.substeps, motion.threads)
-
-    def _drawn_tracks(self, count: int) -> "np.ndarray[tuple[int, ...], np.dtype[np.float64]]":
-        """The tracks, from the cache where they were drawn before."""
-        motion, terrain = self.motion, self.motion.terrain
-        assert motion.ceiling is not None
-        lower, upper = motion.twin.lower.tolist(), motion.twin.upper.tolist()
-        settings = [lower, upper, motion.ceiling, asdict(self.track), count, self.seed]
-        recipe = json.dumps([settings, digest_of([Path(tracks_module.__file__)])], default=list)
-        digest = blake2b(recipe.encode(), digest_size=16)
-        for part in (terrain.plane, terrain.boxes):
-            digest.update(part.numpy().tobytes())
-
-        def build() -> dict[str, "np.ndarray[tuple[int, ...], np.dtype[np.float64]]"]:
-            drawn = draw_tracks(terrain, lower, upper, motion.ceiling or 0.0, self.track, count, self.seed)
-            return {"tracks": drawn}
-
-        return cached_arrays(f"tracks-{digest.hexdigest()}", build)["tracks"]
 
     @property
     def models(self) -> list[Gaussians]:
