@@ -40,7 +40,7 @@ def main() -> None:
         if step % EVERY == 0:
             cameras = world.robot.cameras(task.motion.body_to_world(state))
             egos.append(renderer.pixels(cameras, task.parts(state, memory))[0])
-        action = task.teach(state, memory)
+        action = task.teacher(state, memory)
         move = task.motion.move(state, action, world.checker)
         verdict = task.judge(Step(state, action, move, memory, torch.empty(0)), anywhere)
         state, memory = move.state, dict(verdict.memory)

@@ -5,6 +5,7 @@ from splatrl.physics.compose import Composed, compose
 from splatrl.physics.gaussians import BodyGaussians, gaussians_from_mjcf
 from splatrl.physics.kinematics import Kinematics
 from splatrl.physics.mjcf import read_mjcf
+from splatrl.physics.routes import RouteSettings, draw_routes
 from splatrl.physics.stepping import Physics, Stepped
 from splatrl.physics.terrain import Terrain, level_ground
 from splatrl.physics.tracks import TrackSettings, draw_tracks
@@ -14,12 +15,14 @@ __all__ = [
     "Composed",
     "Kinematics",
     "Physics",
+    "RouteSettings",
     "Stepped",
     "Terrain",
     "TrackSettings",
     "Variation",
     "bank",
     "compose",
+    "draw_routes",
     "draw_tracks",
     "gaussians_from_mjcf",
     "level_ground",

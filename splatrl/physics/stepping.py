@@ -104,7 +104,7 @@ class Physics:
         held = np.ascontiguousarray(ctrl.detach().cpu().numpy(), np.float64)[:, None]
         count = len(before)
         rows = np.clip(np.nan_to_num(before[:, 0]), 0, len(self.models) - 1).astype(np.int64)
-        models = [self.models[row] for row in rows] if len(self.models) > 1 else self.model
+        models = [self.models[row] for row in rows] if len(self.models) > 1 and count else self.model
         with self._lock:
             states, sensed = self._rollout.rollout(
                 models,

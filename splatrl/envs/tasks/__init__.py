@@ -11,6 +11,7 @@ from splatrl.envs.tasks.orbit import Orbit
 from splatrl.envs.tasks.poster import Poster
 from splatrl.envs.tasks.push import Push, PushRewards
 from splatrl.envs.tasks.rewards import OutcomeTask, Rewards
+from splatrl.envs.tasks.route import Route, RouteRewards
 from splatrl.envs.tasks.sim2real import Sim2Real
 from splatrl.envs.tasks.snake import Snake
 
@@ -34,6 +35,8 @@ __all__ = [
     "Push",
     "PushRewards",
     "Rewards",
+    "Route",
+    "RouteRewards",
     "Sim2Real",
     "Snake",
     "Step",
