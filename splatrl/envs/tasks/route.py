@@ -13,6 +13,7 @@ from splatrl.geometry import rigid
 from splatrl.motions.physics import PhysicsMotion
 from splatrl.physics.bank import bank
 from splatrl.physics.chauffeur import drive_to
+from splatrl.physics.gaussians import Models
 from splatrl.physics.marks import disc
 from splatrl.physics.room import drawn_once
 from splatrl.physics.routes import RouteSettings, draw_routes
@@ -129,7 +130,7 @@ class Route(TaskModule):
             )
         self.routes, self.test_routes, self.seed, self.leeway = routes, test_routes, seed, leeway
         self.reach, self.wheelbase = reach, wheelbase
-        self.discs = [disc(mark_radius, mark_rgb), disc(mark_radius, later_rgb)]
+        self.discs = Models((disc(mark_radius, mark_rgb), disc(mark_radius, later_rgb)))
         self.goals_for_success = self.route.waypoints
         self.register_buffer("places", torch.zeros(0, 0, 3, dtype=torch.float64), persistent=False)
 
