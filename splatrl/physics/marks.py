@@ -1,9 +1,10 @@
-"""Flat shapes of Gaussians that lie on the ground and touch nothing."""
+"""Shapes of Gaussians of one colour that mark places and touch nothing."""
 
 import math
 from collections.abc import Sequence
 
 import torch
+from torch import Tensor
 
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
@@ -24,17 +25,47 @@ def disc(radius: float, rgb: Sequence[float], count: int = 400) -> Gaussians:
     Raises:
         ValueError: for a colour that is not three numbers in [0, 1].
     """
-    if len(rgb) != 3 or not all(0.0 <= value <= 1.0 for value in rgb):
-        raise ValueError(f"task.mark_rgb: expected red, green and blue in [0, 1], got {list(rgb)}")
     number = torch.arange(count, dtype=torch.float64)
     spread = SPREAD * radius * math.sqrt(math.pi / count)
     far, angle = (radius - spread) * ((number + 0.5) / count).sqrt(), GOLDEN * number
     means = torch.stack([far * angle.cos(), far * angle.sin(), torch.zeros_like(far)], 1).float()
-    colour = (torch.tensor([float(value) for value in rgb]) - 0.5) / C0
+    flat = torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1)
+    return _coloured(means, flat, torch.tensor([spread, spread, min(spread, THICKNESS)]), rgb)
+
+
+def ball(radius: float, rgb: Sequence[float], count: int = 400) -> Gaussians:
+    """A ball of one colour around the origin, brighter towards the top.
+
+    Args:
+        radius: metres.
+        rgb: red, green and blue in [0, 1].
+        count: Gaussians, which lie along a Fibonacci spiral.
+
+    Raises:
+        ValueError: for a colour that is not three numbers in [0, 1].
+    """
+    number = torch.arange(count, dtype=torch.float64)
+    z, angle = 1.0 - 2.0 * (number + 0.5) / count, GOLDEN * number
+    across = (1.0 - z * z).sqrt()
+    normals = torch.stack([across * angle.cos(), across * angle.sin(), z], 1)
+    spread = SPREAD * radius * math.sqrt(4.0 * math.pi / count)
+    half = torch.stack([1.0 + z, -normals[:, 1], normals[:, 0], torch.zeros_like(z)], 1)  # turns z to the normal
+    quats = torch.nn.functional.normalize(half, dim=1).float()
+    found = _coloured((radius * normals).float(), quats, torch.tensor([spread, spread, min(spread, THICKNESS)]), rgb)
+    shade = (0.8 + 0.2 * z).float().view(-1, 1, 1)
+    found.sh = (shade * (found.sh * C0 + 0.5) - 0.5) / C0
+    return found
+
+
+def _coloured(means: Tensor, quats: Tensor, scales: Tensor, rgb: Sequence[float]) -> Gaussians:
+    """Opaque Gaussians of one size and colour: [N, 3], [N, 4], [3]."""
+    if len(rgb) != 3 or not all(0.0 <= value <= 1.0 for value in rgb):
+        raise ValueError(f"task.mark_rgb: expected red, green and blue in [0, 1], got {list(rgb)}")
+    count, colour = len(means), (torch.tensor([float(value) for value in rgb]) - 0.5) / C0
     return Gaussians(
         means=means,
-        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
-        scales=torch.tensor([spread, spread, min(spread, THICKNESS)]).repeat(count, 1),
+        quats=quats,
+        scales=scales.repeat(count, 1),
         opacities=torch.full((count,), OPACITY),
         sh=colour.repeat(count, 1, 1),
         batch_size=[count],

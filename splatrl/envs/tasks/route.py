@@ -14,7 +14,7 @@ from splatrl.motions.physics import PhysicsMotion
 from splatrl.physics.bank import bank
 from splatrl.physics.chauffeur import drive_to
 from splatrl.physics.gaussians import Models
-from splatrl.physics.marks import disc
+from splatrl.physics.marks import ball
 from splatrl.physics.room import drawn_once
 from splatrl.physics.routes import RouteSettings, draw_routes
 from splatrl.physics.stepping import Physics
@@ -22,8 +22,8 @@ from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.values import require_number
 
-LIFT = 0.02
-"""How far a mark lies above the ground, metres: ground is grass, too."""
+LIFT = 0.15
+"""How far the middle of a mark is above the ground, metres: ground is grass, too."""
 JITTER = (0.05, 0.05, 0.2)
 """Largest distance of a start from that of its route along x and y, metres, and of its heading, radians."""
 
@@ -55,7 +55,8 @@ class RouteRewards:
 class Route(TaskModule):
     """Drive along a route of waypoints in order without touching anything, as in DriveEnvNeRF, seen by a camera.
 
-    The next waypoint lies on the ground as a disc of one colour, the one after it as a disc of another.
+    A ball of one colour hovers above the next waypoint, one of another colour above the one after it. Cars drive
+    through them.
 
     Observation: ``pixels`` [B, H, W, 3] uint8, the ego view.
     Action: the motion's: of ``car`` [B, 2] float32, speed in metres per second and mean steering angle in radians.
@@ -84,7 +85,7 @@ class Route(TaskModule):
         seed: of the routes.
         reach: distance of the car from a waypoint at which it is reached, metres.
         wheelbase: of the car, for its teacher, metres.
-        mark_radius: of the discs, metres.
+        mark_radius: of the balls, metres.
         mark_rgb: colour of the next waypoint.
         later_rgb: colour of the one after it.
         leeway: see above, metres.
@@ -130,7 +131,7 @@ class Route(TaskModule):
             )
         self.routes, self.test_routes, self.seed, self.leeway = routes, test_routes, seed, leeway
         self.reach, self.wheelbase = reach, wheelbase
-        self.discs = Models((disc(mark_radius, mark_rgb), disc(mark_radius, later_rgb)))
+        self.balls = Models((ball(mark_radius, mark_rgb), ball(mark_radius, later_rgb)))
         self.goals_for_success = self.route.waypoints
         self.register_buffer("places", torch.zeros(0, 0, 3, dtype=torch.float64), persistent=False)
 
@@ -154,8 +155,8 @@ class Route(TaskModule):
 
     @property
     def models(self) -> list[Gaussians]:
-        """The robot's links and two discs."""
-        return [*self.motion.models, *self.discs]
+        """The robot's links and two balls."""
+        return [*self.motion.models, *self.balls]
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:
@@ -239,7 +240,7 @@ class Route(TaskModule):
         return self.places[route, 1 + passed.clamp(-1, self.route.waypoints - 1), :2]
 
     def _on_ground(self, places: Tensor) -> Tensor:
-        """Places [B, 2] just above the ground: [B, 3] float64."""
+        """Places [B, 2] where balls hover: [B, 3] float64."""
         return torch.cat([places, (self.motion.terrain.height(places) + LIFT).unsqueeze(1)], 1)
 
     def _memory(self, state: Tensor, passed: Tensor) -> Memory:
