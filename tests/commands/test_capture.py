@@ -1,5 +1,6 @@
 """splatrl-capture, from photos to a folder in which robots can be trained; poses are known here, to be quick."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -174,6 +175,24 @@ def test_stages_that_were_damaged_are_done_again(
     assert f"{kept / 'fit.ply'}: expected" in (said := capsys.readouterr().out) and "it begins anew" in said
     assert (tmp_path / "garden" / "splat.ply").read_bytes() == whole and stages.count("fit") == 2
     assert not list(tmp_path.rglob("*.tmp"))
+
+
+@pytest.mark.parametrize("name", ["depths.npz", "fit.npz", "splat.ply"])
+def test_a_disk_that_is_full_is_one_line_that_names_the_file(
+    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    renamed = os.replace
+
+    def fails(old: Path, new: Path) -> None:
+        if Path(new).name == name:
+            raise OSError(28, "No space left on device")
+        renamed(old, new)
+
+    monkeypatch.setattr(os, "replace", fails)
+    monkeypatch.setattr(pipeline.Checkpoint, "due", lambda self: True)
+    with pytest.raises(SystemExit, match=rf"^splatrl-capture: .*cannot write: No space left on device: '.*{name}'$"):
+        capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
+    assert not list(tmp_path.rglob("*.tmp")) and not (tmp_path / "garden" / "scene.yaml").exists()
 
 
 def test_two_captures_do_not_share_a_folder(tmp_path: Path, stages: list[str]) -> None:

@@ -1,0 +1,61 @@
+"""Videos with a known truth, captured from end to end by the command, against that truth: minutes each."""
+
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from splatrl.capture.pipeline import CaptureSettings, reconstruct
+from splatrl.capture.truth import deviation, read_truth
+from splatrl.scenes.description import read_description
+
+pytestmark = pytest.mark.slow
+pytest.importorskip("cv2")
+pytest.importorskip("pycolmap")
+ROOT = Path(__file__).parents[2]
+HEIGHT, WIDTH = 1.5, 960
+"""Of the rendered videos: metres of the camera above the floor on average, and pixels."""
+
+
+def captured(video: Path, folder: Path, height: float) -> dict[str, Any]:
+    """The figures of a capture's ``scene.yaml``."""
+    if not video.is_file():
+        pytest.skip(f"{video} is not here")
+    words = [str(video), "--out", str(folder), "--camera-height", str(height), "--device", "cpu"]
+    command = [sys.executable, "-m", "splatrl.commands.capture", *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert f"splatrl-train scene={folder}/" in done.stdout
+    found: dict[str, Any] = read_description(folder)["quality"]
+    return found
+
+
+def against_truth(place: str, folder: Path, height: float, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> Any:
+    """What ``benchmarks/capture_truth.py`` finds."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    module = importlib.import_module("capture_truth")
+    monkeypatch.setattr(sys, "argv", ["capture_truth.py", place, str(folder), "--camera-height", str(height)])
+    capsys.readouterr()
+    module.main()
+    said = capsys.readouterr().out
+    return json.loads(said[said.index("{") :])
+
+
+@pytest.mark.parametrize("name", ["kitchen_m", "backyard_m"])
+def test_a_rendered_video_becomes_a_scene_like_the_one_that_it_shows(
+    name: str, shared_scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    video, folder = shared_scenes / "videos" / f"{name}.mp4", tmp_path / name
+    quality = captured(video, folder, HEIGHT)
+    assert quality["psnr"] > 27 and quality["path_free"] == 1.0
+    placed, _ = reconstruct(video, folder, CaptureSettings(camera_height=HEIGHT))
+    off = deviation(placed, read_truth(video), WIDTH)
+    assert placed.reconstruction.missing < 0.05
+    assert off.path < 0.002 and off.up_deg < 2 and abs(off.scale) < 0.05
+    if name == "kitchen_m":
+        found = against_truth("kitchen", folder, HEIGHT, monkeypatch, capsys)
+        assert found["false hits"] < 0.01 and found["recall"] > 0.95
