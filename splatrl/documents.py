@@ -36,7 +36,9 @@ def read_yaml(path: Path, limit: int = MAX_YAML) -> Any:
     try:
         _check_events(text)
         return OmegaConf.to_container(OmegaConf.create(text), resolve=False)
-    except (yaml.YAMLError, OmegaConfBaseException, ValueError, TypeError, LookupError, RecursionError) as error:
+    except (yaml.YAMLError, OmegaConfBaseException, AssertionError, RecursionError) as error:
+        raise ValueError(f"{path}: expected plain YAML, got {error or type(error).__name__}") from error
+    except (ValueError, TypeError, LookupError) as error:
         raise ValueError(f"{path}: expected plain YAML, got {error}") from error
 
 

@@ -79,3 +79,9 @@ def test_json_is_read_up_to_a_size(tmp_path: Path) -> None:
     assert read_json(path) == {"a": [1.5]}
     with pytest.raises(ValueError, match="expected at most 4 bytes"):
         read_json(path, 4)
+
+
+def test_yaml_that_is_a_bare_number_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text("5")
+    with pytest.raises(ValueError, match=r"a\.yaml: expected plain YAML"):
+        read_yaml(tmp_path / "a.yaml")
