@@ -59,3 +59,13 @@ def test_a_rendered_video_becomes_a_scene_like_the_one_that_it_shows(
     if name == "kitchen_m":
         found = against_truth("kitchen", folder, HEIGHT, monkeypatch, capsys)
         assert found["false hits"] < 0.01 and found["recall"] > 0.95
+
+
+def test_a_video_of_a_real_place_becomes_a_scene_as_a_depth_sensor_saw_it(
+    shared_scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, height = tmp_path / "red", 1.3
+    quality = captured(shared_scenes / "videos" / "redkitchen" / "video.mp4", folder, height)
+    assert quality["psnr_corrected"] > 24
+    found = against_truth("redkitchen", folder, height, monkeypatch, capsys)
+    assert found["AbsRel"] < 0.08 and found["of these occupied"] < 0.0125
