@@ -9,8 +9,10 @@ from tqdm import tqdm
 Key = TypeVar("Key", bound=Hashable)
 
 
-def take_turns(calls: dict[Key, Callable[[], None]], rounds: int) -> dict[Key, list[float]]:
-    """Seconds of every call in each round, after one round to warm up.
+def take_turns(
+    calls: dict[Key, Callable[[], object]], rounds: int, clock: Callable[[], float] = time.perf_counter
+) -> dict[Key, list[float]]:
+    """Seconds of every call in each round, after one round to warm up, by the wall or another clock.
 
     A shared machine drifts by tens of percent within seconds: only figures of the same run are comparable, and only
     medians.
@@ -19,10 +21,10 @@ def take_turns(calls: dict[Key, Callable[[], None]], rounds: int) -> dict[Key, l
     with tqdm(total=(rounds + 1) * len(calls), desc="warming up") as bar:
         for number in range(rounds + 1):
             for key, call in calls.items():
-                start = time.perf_counter()
+                start = clock()
                 call()
                 if number > 0:
-                    seconds[key].append(time.perf_counter() - start)
+                    seconds[key].append(clock() - start)
                 bar.update()
             bar.set_description(f"round {min(number + 1, rounds)} of {rounds}")
     return seconds

@@ -68,7 +68,7 @@ def _has_teacher(world: World | Worlds) -> bool:
     """Whether the task says itself what would have been right."""
     one = world.worlds[0]
     memory = {key: spec.zero((1,)) for key, spec in one.task.memory_spec.items()}
-    return one.task.teacher(one.plan.starts[:1], memory) is not None
+    return one.task.teach(one.plan.starts[:1], memory) is not None
 
 
 def _frames(shown: Demonstrations, ppo: PPO, reads: Sequence[str]) -> dict[str, Tensor]:

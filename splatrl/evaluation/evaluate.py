@@ -111,7 +111,8 @@ def evaluate(
         if one.plan.field is not None:
             files += [pictures.starts(sampled.of(number)), pictures.success_map(sampled.of(number))]
         if video:
-            files.append(pictures.video(own, policy, settings.seed))
+            shown = spread_starts(one, EPISODES_IN_VIDEO) if one.task.chooses_episodes else None
+            files.append(pictures.video(own, policy, settings.seed, shown))
     return summary, files
 
 

@@ -12,7 +12,7 @@ from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Plan
 from splatrl.evaluation.figures import start_map, success_map
 from splatrl.evaluation.recording import record_episodes
-from splatrl.evaluation.rollouts import Episodes
+from splatrl.evaluation.rollouts import Chosen, Episodes
 from splatrl.evaluation.topdown import MapView, footprint, map_window, top_down
 from splatrl.evaluation.video import rollout_video
 from splatrl.scenes.gaussians import Gaussians
@@ -57,14 +57,28 @@ class Pictures:
         success_map(planar, episodes.success, self.view, path)
         return path
 
-    def video(self, env: EnvBase, policy: Callable[[TensorDictBase], TensorDictBase], seed: int) -> Path:
-        """Record a rollout of each robot of ``env``, from starts spread over distances to the goal, nearest first."""
+    def video(
+        self,
+        env: EnvBase,
+        policy: Callable[[TensorDictBase], TensorDictBase],
+        seed: int,
+        chosen: Chosen | None = None,
+    ) -> Path:
+        """Record a rollout of each robot of ``env``, from starts spread over distances to the goal, nearest first.
+
+        Args:
+            env: robots.
+            policy: acts.
+            seed: of the sampling.
+            chosen: a start for each robot, with what the task remembers there, where tasks choose episodes.
+        """
         path = self.folder / "rollouts.mp4"
         rows = self.plan.start_rows
         ordered = rows[self.plan.distance[rows].argsort(stable=True)]
         count = env.numel()
         spread = (torch.arange(1, count + 1) * len(ordered) // count - 1).clamp_min(0)
-        recordings = record_episodes(env, policy, self.plan.states[ordered[spread]], seed=seed)
+        states, memory = (self.plan.states[ordered[spread]], {}) if chosen is None else (chosen.state, chosen.memory)
+        recordings = record_episodes(env, policy, states, seed=seed, memory=memory)
         names = env.task.motion.action_names
         rollout_video(recordings, env.robot, self.view, path, env.drawing, names)
         return path

@@ -46,6 +46,7 @@ def record_episodes(
     starts: Tensor,
     sampled: bool = True,
     seed: int = 0,
+    memory: Memory | None = None,
 ) -> list[Recording]:
     """Record one episode from each start, side by side; PyTorch's global generator is left as it was.
 
@@ -55,6 +56,7 @@ def record_episodes(
         starts: [N, D] states.
         sampled: whether to sample from the policy's distribution or take its mode.
         seed: seed of the sampling.
+        memory: what the task remembers where each begins, [N, ...] by key, such as goals; None draws it.
 
     Raises:
         ValueError: for an env of any other size.
@@ -63,7 +65,7 @@ def record_episodes(
         raise ValueError(f"env: expected as many robots as starts, {len(starts)}, got {env.numel()}")
     steps: list[TensorDictBase] = []
     with acting(sampled, seed, env.device):
-        given = TensorDict({"state": starts}, batch_size=env.batch_size, device=env.device)
+        given = TensorDict({"state": starts, **(memory or {})}, batch_size=env.batch_size, device=env.device)
         now = env.reset(given, set_state=True)
         running = torch.ones(len(starts), dtype=torch.bool)
         while running.any():  # robots that have finished go on unrecorded

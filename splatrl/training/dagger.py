@@ -64,7 +64,7 @@ def visited(
         _, value = learner.advantages(batch)
     rows = batch.flatten(0, 1)
     task = env.task
-    taught = task.teacher(rows["state"], {key: rows[key] for key in task.memory_spec})
+    taught = task.teach(rows["state"], {key: rows[key] for key in task.memory_spec})
     target = _planned(rows, plans, env.action_spec) if taught is None else taught.to(env.action_spec.dtype)
     return {
         **{key: rows[key] for key in reads},

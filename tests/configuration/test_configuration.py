@@ -51,7 +51,10 @@ TASK_OF |= {
         ("sensors", "imagegoal"),
     )
 }
+TASK_OF |= {"motion/physics": "push", "robot/mjcf": "push", "rewards/push": "push"}
 """A task other than grid, for the options that do not work with grid."""
+NEEDS = {"robot/mjcf": ["robot.path=wheels"]}
+"""What an option does not work without."""
 PACKAGES = {"motion": "motion@task.motion", "rewards": "rewards@task.rewards"}
 """How a group is named on the command line if its name alone does not determine its package."""
 
@@ -61,7 +64,9 @@ def test_every_option_of_every_group_builds_an_env_that_steps(option: Path, tmp_
     group = PACKAGES.get(str(option.parent), option.parent.as_posix())
     task = TASK_OF.get(option.as_posix(), "grid")
     chosen = f"[{option.name}]" if group == "sensors" else option.name
-    env = make_env([*tiny_overrides(tmp_path, task), f"{group}={chosen}"], batch_size=[2])
+    env = make_env(
+        [*tiny_overrides(tmp_path, task), f"{group}={chosen}", *NEEDS.get(option.as_posix(), [])], batch_size=[2]
+    )
     assert env.rollout(2)["next", "reward"].shape[0] == 2
 
 

@@ -85,6 +85,13 @@ def test_what_the_task_remembers_is_kept_and_marked_step_by_step() -> None:
         torch.testing.assert_close(stands[:, :2, 3], expected[:, :2] + recording.planar[:, :2].float())
 
 
+def test_episodes_can_begin_with_what_the_task_is_to_remember() -> None:
+    env = painted_env(Runaway(coarse_forward(), PLACE, max_steps=2), batch=1)
+    given = {"target": torch.tensor([[0.1, 0.2, 0.3]])}
+    (recording,) = record_episodes(env, scripted([0, 2]), torch.tensor([[-1.0, -1.5, 0.0]]), memory=given)
+    torch.testing.assert_close(recording.memory["target"][0], given["target"][0])
+
+
 class Runaway(Apple):
     """The apple moves north by 0.1 m in each step, and a part stands at the sum of its position and the robot's."""
 

@@ -161,7 +161,7 @@ class Task(Protocol):
         """What each robot's world consists of: [B, M] placed models; None is the unmoved scene alone."""
         ...
 
-    def teacher(self, state: Tensor, memory: Memory) -> Tensor | None:
+    def teach(self, state: Tensor, memory: Memory) -> Tensor | None:
         """The actions [B, ...] of one who knows the state, for DAgger; None where the planner is to be asked.
 
         Args:
@@ -257,7 +257,7 @@ class TaskModule(torch.nn.Module):
         """The scene alone, or with the links and things of a robot with physics."""
         return self.motion.parts(state) if isinstance(self.motion, PhysicsMotion) else None
 
-    def teacher(self, state: Tensor, memory: Memory) -> Tensor | None:
+    def teach(self, state: Tensor, memory: Memory) -> Tensor | None:
         """The planner is to be asked."""
         return None
 

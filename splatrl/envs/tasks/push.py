@@ -23,7 +23,7 @@ from splatrl.values import require_number
 
 CELL = 0.05
 """Distance between the places where a ball or a mark can be, metres."""
-TRIES = 64
+TRIES = 128
 """Places drawn for each ball and mark, of which the first that fits is taken."""
 NEAR = 0.35
 """Distance to the ball within which coming nearer is not rewarded: there is room to go round it, metres."""
@@ -99,6 +99,8 @@ class Push(TaskModule):
         farthest: at most, metres.
         apart: distance between robot and ball in the beginning, at least, metres.
         ahead_deg: the ball begins within this angle of where the robot looks, in either direction; degrees.
+        turn_deg: angle at the ball, at most, between the way on from the robot and the way to the mark; 180 puts marks
+            anywhere, also behind the robot, which then has to drive round the ball.
         clearance: between a ball or mark and what is solid, at least, metres.
         mark_radius: of what is drawn, metres.
         mark_rgb: its colour.
@@ -124,6 +126,7 @@ class Push(TaskModule):
         farthest: float = 1.5,
         apart: float = 0.4,
         ahead_deg: float = 40.0,
+        turn_deg: float = 180.0,
         clearance: float = 0.4,
         mark_radius: float = 0.15,
         mark_rgb: Sequence[float] = (0.85, 0.1, 0.75),
@@ -139,6 +142,7 @@ class Push(TaskModule):
         for name, value in {"apart": apart, "clearance": clearance, "leeway": leeway, "nearest": nearest}.items():
             require_number(f"task.{name}", value, 0.0, 1e6)
         require_number("task.ahead_deg", ahead_deg, 0.0, 180.0)
+        require_number("task.turn_deg", turn_deg, 0.0, 180.0)
         if not success_distance < nearest < farthest:
             raise ValueError(
                 f"task.nearest: expected success_distance < nearest < farthest, got {success_distance}, {nearest} and "
@@ -147,6 +151,7 @@ class Push(TaskModule):
         self.ball, self.rewards = motion.thing(ball), rewards or PushRewards()
         self.success_distance, self.nearest, self.farthest = success_distance, nearest, farthest
         self.apart, self.ahead, self.clearance = apart, math.radians(ahead_deg), clearance
+        self.turn = math.cos(math.radians(turn_deg)) - 1e-9
         self.leeway, self.drawn = leeway, Models([disc(mark_radius, mark_rgb)])
         self.rest = float(motion.home[self.ball][2])  # of the ball's centre above the ground
         self.register_buffer("places", torch.zeros(0, 2, dtype=torch.float64), persistent=False)
@@ -180,13 +185,8 @@ class Push(TaskModule):
 
     def connected(self, planar: Tensor) -> Tensor:
         """Whether robots can go round balls from where they stand, and one can lie ahead: [N, 3] -> [N] bool."""
-        some = self.places[:: 1 + len(self.places) // TRIES]
-        found = [
-            (self._ahead(some.expand(len(rows), -1, -1), rows) & self._open(some.expand(len(rows), -1, -1), rows)).any(
-                1
-            )
-            for rows in planar.split(CHUNK)
-        ]
+        some = self.places[:: 1 + len(self.places) // TRIES].unsqueeze(0)
+        found = [(self._ahead(some, rows) & self._open(rows[:, None, :2], some)).any(1) for rows in planar.split(CHUNK)]
         return self._free(planar[:, :2]) & torch.cat(found)
 
     def _free(self, places: Tensor) -> Tensor:
@@ -195,11 +195,17 @@ class Push(TaskModule):
         cell = ((places - self.motion.twin.lower.double()) / CELL).round().long().clamp_min(0).minimum(last)
         return self.way[cell[..., 0], cell[..., 1]]
 
-    def _open(self, places: Tensor, origin: Tensor) -> Tensor:
-        """Whether nothing stands between places [B, K, 2] and origins [B, 2 or more]: [B, K] bool."""
-        share = torch.linspace(0.0, 1.0, SIGHT, dtype=torch.float64, device=places.device)[:, None]
-        start = origin[:, None, None, :2]
-        return self._free(start + share * (places.unsqueeze(2) - start)).all(2)
+    def _open(self, start: Tensor, end: Tensor) -> Tensor:
+        """Whether nothing stands between places: [B, K, 2], [B, K, 2], broadcast -> [B, K] bool."""
+        share = torch.linspace(0.0, 1.0, SIGHT, dtype=torch.float64, device=end.device)[:, None]
+        return self._free(start.unsqueeze(2) + share * (end - start).unsqueeze(2)).all(2)
+
+    def _onward(self, robot: Tensor, ball: Tensor, mark: Tensor) -> tuple[Tensor, Tensor]:
+        """Whether a mark could belong to a ball, and the cosine of the turn there: [B, K, 2] each, broadcast."""
+        way, came = mark - ball, ball - robot
+        far = way.norm(dim=2)
+        cosine = (way * came).sum(2) / (far * came.norm(dim=2)).clamp_min(1e-9)
+        return (far >= self.nearest) & (far <= self.farthest) & self._open(ball, mark), cosine
 
     def _ahead(self, places: Tensor, planar: Tensor) -> Tensor:
         """Whether a ball could begin at places [B, K, 2] of robots [B, 3]: [B, K] bool."""
@@ -225,14 +231,10 @@ class Push(TaskModule):
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
         """Draw a mark for the ball of each state; see ``Task.begin``."""
-        ball = self._ball(state)
+        ball, robot = self._ball(state), self.motion.planar(state)
         drawn = self._drawn(len(state), anywhere.generator)
-        far = (drawn - ball[:, None, :2]).norm(dim=2)
-        place = _first(
-            drawn,
-            self._open(drawn, ball) & (far >= self.nearest) & (far <= self.farthest),
-            -(far - self.nearest).abs(),
-        )
+        fits, cosine = self._onward(robot[:, None, :2], ball[:, None, :2], drawn)
+        place = _first(drawn, fits & (cosine >= self.turn), fits * (2.0 + cosine))
         return {"mark": self._on_ground(place, LIFT).float(), "ball": ball.float()}
 
     def episodes(self, starts: Tensor, count: int, seed: int) -> dict[str, Tensor]:
@@ -259,12 +261,14 @@ class Push(TaskModule):
         memory = {"mark": step.memory["mark"], "ball": ball.float()}
         return Verdict(reward.float().unsqueeze(1), (reached | lost).unsqueeze(1), outcome.unsqueeze(1), memory)
 
-    def teacher(self, state: Tensor, memory: Memory) -> Tensor | None:
+    def teach(self, state: Tensor, memory: Memory) -> Tensor | None:
         """What one does who knows where everything is, if the robot takes velocities; see ``push_teacher``."""
         if not self.motion.driven:
             return None
         mark = memory["mark"][:, :2].to(state)
-        return pushing(self.motion.planar(state), self._ball(state)[:, :2], mark, self._room)
+        action = pushing(self.motion.planar(state), self._ball(state)[:, :2], mark, self._room)
+        low, high = self.motion.limits
+        return action.clamp(low, high)
 
     def _room(self, places: Tensor) -> Tensor:
         """Distance of places from what is solid and from where a robot is lost: [N, 2] -> [N] metres."""
@@ -307,10 +311,12 @@ class Push(TaskModule):
     def _with_ball(self, state: Tensor, generator: torch.Generator) -> Tensor:
         """States with the ball at a place that is drawn: [B, n] -> [B, n]."""
         robot = self.motion.planar(state)
-        drawn = self._drawn(len(state), generator)
-        apart = (drawn - robot[:, None, :2]).norm(dim=2)
-        fits = self._ahead(drawn, robot) & self._open(drawn, robot)
-        place = _first(drawn, fits, apart.clamp_max(self.apart))
+        drawn, marks = (self._drawn(len(state), generator) for _ in range(2))
+        place = robot[:, None, :2]
+        apart = (drawn - place).norm(dim=2) >= self.apart
+        clear, (onward, cosine) = apart & self._open(place, drawn), self._onward(place, drawn, marks)
+        fits = clear & self._ahead(drawn, robot) & onward & (cosine >= self.turn)
+        place = _first(drawn, fits, apart + 2.0 * clear + 4.0 * (clear & self._ahead(drawn, robot)))
         state = state.clone()
         state[:, self.ball.start : self.ball.start + 3] = self._on_ground(place, self.rest)
         return state

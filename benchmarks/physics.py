@@ -1,0 +1,153 @@
+"""Measures what robots with physics cost: the physics alone, with the picture, and their links in the picture.
+
+    python benchmarks/physics.py                                        # the backyard, a minute
+    python benchmarks/physics.py --scene kitchen=kitchen.spz --rounds 9
+
+Seconds are those of the processor, on one thread. What is compared takes turns, round by round, in one process: trust
+ratios.
+"""
+
+import argparse
+from dataclasses import dataclass
+from functools import partial
+from statistics import median
+from time import process_time
+from typing import Any
+
+import torch
+from machine import measured_machine
+from record import print_markdown, write_json
+from timing import take_turns
+from torch import Tensor
+
+from splatrl.build import build_world
+from splatrl.configuration import load_config
+from splatrl.envs.world import World
+from splatrl.motions import PhysicsMotion
+from splatrl.physics import level_ground
+from splatrl.renderers import Parts
+
+BATCH = 64
+LINKS, GAUSSIANS = 13, 800
+"""Of the robot whose picture is measured, and of each link."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure: medians over the rounds.
+
+    Attributes:
+        scene: where.
+        what: what was measured.
+        value: the figure.
+        unit: of the figure.
+        fastest: the best round, as the same figure.
+    """
+
+    scene: str
+    what: str
+    value: float
+    unit: str
+    fastest: float
+
+
+def drawn(world: World, state: Tensor, memory: dict[str, Tensor], motion: PhysicsMotion) -> Tensor:
+    """The picture of some states, with all that moves in it."""
+    cameras = world.robot.cameras(motion.body_to_world(state))
+    return world.drawing.draw(cameras, memory, world.task.parts(state, memory)).pixels
+
+
+def alone(world: World, state: Tensor, motion: PhysicsMotion) -> Tensor:
+    """The picture of the scene alone from the same places."""
+    return world.drawing.draw(world.robot.cameras(motion.body_to_world(state))).pixels
+
+
+def with_links(world: World, cameras: Any, parts: Parts | None) -> Tensor:
+    """The picture of links that hang in the view."""
+    return world.drawing.renderer.pixels(cameras, parts)
+
+
+def links_ahead(world: World, motion: PhysicsMotion, state: Tensor) -> Parts:
+    """Thirteen links of a robot half a metre ahead of each camera, beside and above one another."""
+    poses = motion.body_to_world(state)
+    model = torch.cat([torch.zeros(len(state), 1), torch.ones(len(state), LINKS)], 1).long()
+    stands = torch.eye(4).repeat(len(state), 1 + LINKS, 1, 1)
+    for link in range(LINKS):
+        offset = torch.tensor([0.6, 0.12 * (link % 4) - 0.18, 0.1 * (link // 4) - 0.2, 1.0])
+        stands[:, 1 + link] = poses
+        stands[:, 1 + link, :3, 3] = (poses @ offset)[:, :3]
+    return Parts(model, stands)
+
+
+def measure(name: str, overrides: list[str], rounds: int) -> list[Row]:
+    """All rows of one scene."""
+    settings = ["task=push", "device=cpu", "renderer.threads=1", "task.motion.threads=1", *overrides]
+    timing = ["task.motion.time_step=0.1", "task.motion.substep=0.005"]
+    world = build_world(load_config([*settings, *timing]))
+    assert isinstance(world, World) and isinstance(world.task.motion, PhysicsMotion)
+    motion = world.task.motion
+    episodes = world.task.episodes(world.plan.starts, BATCH, 0)  # type: ignore[attr-defined]
+    state = episodes.pop("state")
+    action = motion.action_spec.rand((BATCH,))
+    plain = PhysicsMotion("wheels", "eye", {"ball": "ball"}, ["ball"], threads=1)
+    plain.settle(level_ground())
+    cameras, links = world.robot.cameras(motion.body_to_world(state)), links_ahead(world, motion, state)
+
+    def both() -> None:
+        after = motion.move(state, action, world.checker).state
+        drawn(world, after, episodes, motion)
+
+    measured = take_turns(
+        {
+            "physics": partial(motion.move, state, action, world.checker),
+            "plane": partial(plain.move, state, action, world.checker),
+            "physics and picture": both,
+            "picture": partial(drawn, world, state, episodes, motion),
+            "scene": partial(alone, world, state, motion),
+            "links": partial(with_links, world, cameras, links),
+            "no links": partial(with_links, world, cameras, None),
+        },
+        rounds,
+        process_time,
+    )
+    steps = motion.physics.substeps * BATCH
+
+    def ratio(one: str, other: str, what: str) -> Row:
+        pairs = [a / b for a, b in zip(measured[one], measured[other], strict=True)]
+        return Row(name, what, median(pairs), "×", min(pairs))
+
+    physics = measured["physics"]
+    return [
+        Row(name, "env steps of physics, 10 Hz in 5 ms", BATCH / median(physics), "1/s", BATCH / min(physics)),
+        Row(name, "a substep", 1e6 * median(physics) / steps, "µs", 1e6 * min(physics) / steps),
+        ratio("physics", "plane", "a step here against a plane alone"),
+        ratio("physics and picture", "picture", "physics and picture against the picture"),
+        ratio("picture", "scene", "robot, ball and mark in the picture against the scene"),
+        ratio("links", "no links", f"{LINKS} links × {GAUSSIANS} in view against the scene"),
+    ]
+
+
+def main() -> None:
+    """Measure and write the results."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", nargs="*", default=["backyard"], help="backyard, or kitchen=<path of kitchen.spz>")
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--json", action="store_true", help="write benchmarks/results/<date>-cpu-physics.json")
+    chosen = parser.parse_args()
+    torch.set_num_threads(1)
+    rows: list[Row] = []
+    for scene in chosen.scene:
+        name, _, path = scene.partition("=")
+        place = [f"scene={name}", f"scene.path={path}", *KITCHEN] if path else [f"scene={name}"]
+        rows += measure(name, place, chosen.rounds)
+    figures = [(row.scene, row.what, f"{row.value:.3g} {row.unit}", f"{row.fastest:.3g} {row.unit}") for row in rows]
+    print_markdown(["scene", "what", "median", "best round"], figures)
+    if chosen.json:
+        print(write_json("physics", measured_machine(), rows))
+
+
+KITCHEN = ["task.motion.lower=[-0.95,-0.25]", "task.motion.upper=[0.95,1.3]", "task.clearance=0.3"]
+"""Where the kitchen's floor is."""
+
+if __name__ == "__main__":
+    main()
