@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from pathlib import Path
 
 import mujoco
 import pytest
@@ -74,8 +75,12 @@ def test_each_row_obeys_its_own_model() -> None:
     assert torch.equal(run(again, start), after), "the same seed draws the same models"
 
 
-def test_a_row_that_loses_its_numbers_stays_and_says_so() -> None:
-    physics = Physics(model(), 10, 1)
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_row_that_loses_its_numbers_stays_and_says_so(
+    threads: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    physics = Physics(model(), 10, threads)
     start = scattered(physics, 3)
     start[1, BANK + 1 + physics.model.nq] = 1e12  # metres per second
     after, sensed, sound = physics.step(start, torch.zeros(3, 2))
@@ -83,6 +88,7 @@ def test_a_row_that_loses_its_numbers_stays_and_says_so() -> None:
     assert torch.equal(after[1], start[1]) and sensed.isfinite().all()
     alone = physics.step(start[:1], torch.zeros(1, 2))
     assert torch.equal(alone.state[0], after[0])
+    assert not list(tmp_path.iterdir()), "MuJoCo leaves no log"
 
 
 def test_models_of_different_sizes_are_refused() -> None:
