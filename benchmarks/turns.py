@@ -58,11 +58,12 @@ def steps(batch: int) -> Iterator[tuple[str, Turn]]:
     yield f"step {batch}", repeated(lambda: env.step(given.clone()))
     yield f"step with resets {batch}", repeated(lambda: env.step_and_maybe_reset(given.clone()))
     base = getattr(env, "base_env", env)
-    poses = base.task.motion.body_to_world(given["state"])
-    cameras = base.robot.cameras(poses)
+    motion, state = base.task.motion, given["state"]
+    start, end = motion.body_to_world(state), motion.body_to_world(motion.advance(state, given["action"]))
+    cameras = base.robot.cameras(start)
 
     def alone() -> None:
-        base.checker.free_fraction(poses, poses)
+        base.checker.free_fraction(start, end)
         base.drawing.renderer.pixels(cameras)
 
     yield f"step, its renderer and checker alone {batch}", repeated(alone)

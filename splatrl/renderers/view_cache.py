@@ -82,8 +82,9 @@ class LatticeRenderer:
     def _recalled(self, cameras: Cameras, parts: Parts | None) -> Tensor:
         album = self._albums.setdefault((cameras.width, cameras.height), _Album())
         views = _keys(cameras, parts)
-        if album.images is not None and all(view in album.slots for view in views):
-            return _take(album.images, [album.slots[view] for view in views])
+        slots = [slot for slot in map(album.slots.get, views) if slot is not None]
+        if album.images is not None and len(slots) == len(views):
+            return _take(album.images, slots)
 
         first_rows: dict[bytes, int] = {}
         for row, view in enumerate(views):
