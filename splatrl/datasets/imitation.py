@@ -38,8 +38,9 @@ def imitate(
         ppo.frames += frames
         yield {"loss_cloning": cloner.fit(_together(parts))}
     env, plans = world.env(ppo.env.numel(), seed=seed), [one.plan for one in world.worlds]
-    for _ in range(dagger.rounds):
-        parts.append(visited(env, ppo.learner, plans, dagger.frames_per_round, cloner.reads))
+    for number in range(dagger.rounds):
+        guided = 1.0 if number < dagger.shown_rounds else dagger.guided
+        parts.append(visited(env, ppo.learner, plans, dagger.frames_per_round, cloner.reads, guided))
         ppo.frames += dagger.frames_per_round
         yield {"loss_cloning": cloner.fit(_together(parts), dagger.epochs)}
 

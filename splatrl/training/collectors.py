@@ -59,7 +59,8 @@ class HostCollector:
     """
 
     def __init__(self, env: EnvBase, model: ActorValueOperator, steps: int):
-        self.env, self.actor, self.steps = env, Actor(model), steps
+        self.env, self.steps = env, steps
+        self.actor: Callable[[TensorDictBase], TensorDictBase] = Actor(model)
         self.carried = env.reset()
 
     @torch.no_grad()

@@ -1,10 +1,11 @@
-"""Dataset aggregation (DAgger, Ross et al. 2011): the policy acts, and the planner says what would have been right.
+"""Dataset aggregation (DAgger, Ross et al. 2011): the policy acts, and a teacher, the planner, says what was right.
 
 A task with a teacher of its own is asked in place of the planner.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from tensordict import TensorDictBase
@@ -27,6 +28,9 @@ class DaggerSettings:
         rounds: how often the policy acts for a while and then learns from all frames so far; 0 is off.
         frames_per_round: frames in which it acts, a multiple of ``env.num_envs``.
         epochs: passes over all frames so far in each round.
+        shown_rounds: the first rounds, in which the teacher acts in place of the policy.
+        guided: share of the robots that the teacher drives in the other rounds, so that the policy's frames are joined
+            by some from further along the way.
 
     Raises:
         ValueError: names the value that is out of range.
@@ -35,15 +39,24 @@ class DaggerSettings:
     rounds: int
     frames_per_round: int
     epochs: int
+    shown_rounds: int = 0
+    guided: float = 0.0
 
     def __post_init__(self) -> None:
-        require_number("dagger.rounds", self.rounds, 0, whole=True)
+        for name in ("rounds", "shown_rounds"):
+            require_number(f"dagger.{name}", getattr(self, name), 0, whole=True)
+        require_number("dagger.guided", self.guided, 0.0, 1.0)
         for name in ("frames_per_round", "epochs"):
             require_number(f"dagger.{name}", getattr(self, name), 1, whole=True)
 
 
 def visited(
-    env: EnvBase, learner: Learner, plans: Sequence[Plan], frames: int, reads: Sequence[str] = ("pixels",)
+    env: EnvBase,
+    learner: Learner,
+    plans: Sequence[Plan],
+    frames: int,
+    reads: Sequence[str] = ("pixels",),
+    guided: float = 0.0,
 ) -> dict[str, Tensor]:
     """Let the policy act in new episodes, and label every state that it visits.
 
@@ -55,23 +68,49 @@ def visited(
         plans: know the actions that begin a shortest path, one for each of the env's scenes.
         frames: N, a multiple of B.
         reads: keys that the policy reads.
+        guided: share of the robots that the teacher drives in its place.
 
     Returns:
         Frames as ``Cloner.fit`` takes them, one robot after the other.
     """
-    batch = HostCollector(env, learner.model, frames // env.numel()).collect()
+    collector = HostCollector(env, learner.model, frames // env.numel())
+    if guided:
+        drives = torch.rand(env.numel()) < guided
+        collector.actor = partial(_guided, collector.actor, env, plans, drives.to(env.device))
+    batch = collector.collect()
     with torch.no_grad():
         _, value = learner.advantages(batch)
     rows = batch.flatten(0, 1)
-    task = env.task
-    taught = task.teach(rows["state"], {key: rows[key] for key in task.memory_spec})
-    target = _planned(rows, plans, env.action_spec) if taught is None else taught.to(env.action_spec.dtype)
     return {
         **{key: rows[key] for key in reads},
-        "target": target.to(value.device),
+        "target": _taught(rows, env, plans).to(value.device),
         "value_target": value.flatten(),
         "frame": rows["step_count"].flatten(),
     }
+
+
+def _guided(
+    actor: Callable[[TensorDictBase], TensorDictBase],
+    env: EnvBase,
+    plans: Sequence[Plan],
+    drives: Tensor,
+    td: TensorDictBase,
+) -> TensorDictBase:
+    """What an actor writes, with the teacher's actions for the robots [B] that it drives, where it knows one."""
+    td = actor(td)
+    target = _taught(td, env, plans).to(td["action"].device)
+    knows = drives & ~target.isnan().any(1)
+    if isinstance(env.action_spec, Categorical):
+        target = torch.multinomial(torch.where(knows.unsqueeze(1), target, 1.0), 1).squeeze(1)
+    chosen = knows if td["action"].ndim == 1 else knows.unsqueeze(1)
+    return td.set("action", torch.where(chosen, target.to(td["action"].dtype), td["action"]))
+
+
+def _taught(rows: TensorDictBase, env: EnvBase, plans: Sequence[Plan]) -> Tensor:
+    """What the task's teacher, or else the planner, would have done in some frames: [N, D]; see ``targets``."""
+    task = env.task
+    taught = task.teach(rows["state"], {key: rows[key] for key in task.memory_spec})
+    return _planned(rows, plans, env.action_spec) if taught is None else taught.to(env.action_spec.dtype)
 
 
 def _planned(rows: TensorDictBase, plans: Sequence[Plan], spec: TensorSpec) -> Tensor:

@@ -90,6 +90,23 @@ def test_it_may_begin_with_a_policy_that_knows_nothing(made: tuple[DictConfig, W
     assert ppo.frames == 64 and row["loss_cloning"] < 1.8
 
 
+@pytest.mark.parametrize("guided", [1.0, 0.5])
+def test_the_teacher_drives_a_share_of_the_robots(
+    made: tuple[DictConfig, World], guided: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cfg, world = made
+    ppo, batches = make_ppo(cfg, world), []
+    collect = HostCollector.collect
+    monkeypatch.setattr(HostCollector, "collect", lambda self: batches.append(collect(self)) or batches[-1])
+    torch.manual_seed(2)
+    visited(world.env(16, seed=5), ppo.learner, [world.plan], 320, guided=guided)
+    (batch,) = batches
+    right = world.plan.optimal(batch["state"].flatten(0, 1)).gather(1, batch["action"].flatten().unsqueeze(1))
+    by_robot = right.view(16, 20).float().mean(1)
+    drives = by_robot == 1.0
+    assert drives.all() if guided == 1.0 else 3 < drives.sum() < 14 and by_robot[~drives].mean() < 0.7
+
+
 def test_equal_shares_of_all_right_actions() -> None:
     optimal = torch.tensor([[True, False, True], [False, True, False], [False, False, False]])
     found = targets(optimal, torch.tensor([3, 0, 1]), Categorical(4))
