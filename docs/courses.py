@@ -1,22 +1,28 @@
-"""Makes docs/physics/gates.jpg: a quadrotor in a track of gates, from beside it and as it sees them.
+"""Makes the pictures in docs/physics: the ground of the backyard, and a quadrotor and a car on their ways.
 
-python docs/gates.py
+python docs/courses.py
 """
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import torch
 from PIL import Image
 
 from splatrl.build import build_world
 from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.collision import Occupancy
 from splatrl.configuration import load_config
 from splatrl.envs.tasks import Gates, Route
 from splatrl.envs.tasks.base import Anywhere, Step
 from splatrl.envs.world import World
+from splatrl.evaluation.terrain_pictures import draw_terrain
+from splatrl.physics.survey import survey_terrain
+from splatrl.scenes import backyard
 
+FOLDER = Path(__file__).parent / "physics"
 SIDE, SMALL = (900, 600), 200
 """Pixels of the view from beside, and of the robot's own."""
 
@@ -44,15 +50,27 @@ class Course:
 
 COURSES = (
     Course("gates", 7, 15, (0.3, -2.75, 1.6), (-0.7, 0.1, 0.7), 0.5),
-    Course("route", 5, 12, (0.3, -2.75, 1.6), (-0.1, 0.0, 0.0), 0.5),
+    Course("route", 20, 12, (2.1, -2.3, 1.5), (0.1, -0.2, 0.0), 0.42),
 )
 FOV = math.radians(85.0)
 
 
 def main() -> None:
-    """Let the teachers do their tasks, and put views of that side by side."""
+    """Draw the ground, let the teachers do their tasks, and put views of that side by side."""
+    FOLDER.mkdir(exist_ok=True)
+    draw_ground()
     for course in COURSES:
         draw(course)
+
+
+def draw_ground() -> None:
+    """Draw what physics sees of the backyard, as ``splatrl-scene`` does."""
+    scene, lower, upper = backyard(), (-1.0, -1.0), (1.0, 1.0)
+    occupancy = Occupancy.from_scene(scene, [[0.6, 0.4, 0.4]], ((-1.3, -1.3, 0.0), (1.3, 1.3, 1.2)), fill=0.2)
+    surveyed = survey_terrain(scene, occupancy, lower, upper, reach=0.3, top=0.6)
+    with TemporaryDirectory() as folder:
+        draw_terrain(scene.gaussians, surveyed, lower, upper, Path(folder) / "ground.png")
+        Image.open(Path(folder) / "ground.png").convert("RGB").save(FOLDER / "ground.jpg", quality=86)
 
 
 def draw(course: Course) -> None:
@@ -83,9 +101,7 @@ def draw(course: Course) -> None:
     picture.paste(Image.fromarray(beside.numpy()), (0, 0))
     for number, ego in enumerate(egos[:6]):
         picture.paste(Image.fromarray(ego.numpy()), (SIDE[0] + SMALL * (number % 2), SMALL * (number // 2)))
-    folder = Path(__file__).parent / "physics"
-    folder.mkdir(exist_ok=True)
-    picture.save(folder / f"{course.task}.jpg", quality=86)
+    picture.save(FOLDER / f"{course.task}.jpg", quality=86)
 
 
 if __name__ == "__main__":
