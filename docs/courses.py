@@ -87,7 +87,7 @@ def draw(course: Course) -> None:
         if step % course.every == 0:
             cameras = world.robot.cameras(task.motion.body_to_world(state))
             egos.append(renderer.pixels(cameras, task.parts(state, memory))[0])
-        action = task.teacher(state, memory)
+        action = task.teach(state, memory)
         move = task.motion.move(state, action, world.checker)
         verdict = task.judge(Step(state, action, move, memory, torch.empty(0)), anywhere)
         flown.append((state, memory))

@@ -202,7 +202,7 @@ class Gates(TaskModule):
         reward = (reward + rewards.slack).float().unsqueeze(1)
         return Verdict(reward, terminated.unsqueeze(1), outcome.unsqueeze(1), self._memory(after, passed))
 
-    def teacher(self, state: Tensor, memory: Memory) -> Tensor:
+    def teach(self, state: Tensor, memory: Memory) -> Tensor:
         """What a pilot that knows the state would do: [B, n] -> [B, 4]; see ``fly_through``."""
         velocity = FIRST + int(self.motion.physics.model.nq)
         flying = Flying(state[:, FIRST : FIRST + 3], state[:, FIRST + 3 : FIRST + 7], state[:, velocity : velocity + 3])

@@ -198,7 +198,7 @@ class Route(TaskModule):
         reward = (reward + rewards.slack).float().unsqueeze(1)
         return Verdict(reward, terminated.unsqueeze(1), outcome.unsqueeze(1), self._memory(after, passed))
 
-    def teacher(self, state: Tensor, memory: Memory) -> Tensor:
+    def teach(self, state: Tensor, memory: Memory) -> Tensor:
         """What a driver that knows the state would do: [B, n] -> [B, 2]; see ``drive_to``."""
         passed = memory["passed"].squeeze(1)
         last, goal = self._waypoint(state, passed - 1), self._waypoint(state, passed)

@@ -129,7 +129,7 @@ def test_the_pilot_flies_through_all_gates_of_tracks_that_no_one_trained_on() ->
     assert state[:, 0].tolist() == [1, 2, 3, 4, 5, 6]
     outcomes: dict[int, int] = {}
     for _ in range(200):
-        action = task.teacher(state, memory)
+        action = task.teach(state, memory)
         move = task.motion.move(state, action, NOTHING)
         verdict = task.judge(Step(state, action, move, memory, torch.zeros(0)), anywhere(task, 6))
         for row in verdict.terminated.squeeze(1).nonzero().flatten().tolist():

@@ -121,7 +121,7 @@ def test_a_driver_that_knows_the_state_finishes_routes_that_no_one_trained_on() 
     assert state[:, 0].tolist() == [1, 2, 3, 4, 5, 6]
     outcomes: dict[int, int] = {}
     for _ in range(120):
-        action = task.teacher(state, memory)
+        action = task.teach(state, memory)
         move = task.motion.move(state, action, NOTHING)
         verdict = task.judge(Step(state, action, move, memory, torch.zeros(0)), anywhere(task, 6))
         for row in verdict.terminated.squeeze(1).nonzero().flatten().tolist():
