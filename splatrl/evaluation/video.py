@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import av
 import torch
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from splatrl.envs.drawing import Drawing
@@ -118,7 +118,7 @@ def _caption(page: Image.Image, facts: list[tuple[str, str]], outcome: Outcome) 
     for number, (name, value) in enumerate([*facts, ("outcome", "")]):
         left = number * column + 2 * GAP
         pen.text((left, top), name, fill="#aaaaaa", font=font(12), anchor="lt")
-        pen.text((left, top + 36), value, fill="white", font=font(18), anchor="ls")
+        pen.text((left, top + 36), value, fill="white", font=fitting(value, column - GAP), anchor="ls")
     if outcome is Outcome.RUNNING:
         pen.text((left, top + 36), "running", fill="white", font=font(18), anchor="ls")
         return
@@ -126,6 +126,14 @@ def _caption(page: Image.Image, facts: list[tuple[str, str]], outcome: Outcome) 
     wide = pen.textlength(words, font=font(16))
     pen.rounded_rectangle((left - 6, top + 17, left + wide + 6, top + 44), 5, fill=COLORS[outcome])
     pen.text((left, top + 30), words, fill="white", font=font(16), anchor="lm")
+
+
+def fitting(words: str, width: float) -> ImageFont.FreeTypeFont:
+    """The font of 18 pixels, or a smaller one in which words take no more than a width in pixels."""
+    size = 18
+    while size > 8 and font(size).getlength(words) > width:
+        size -= 1
+    return font(size)
 
 
 def encode(

@@ -16,7 +16,7 @@ from splatrl.envs.tasks.base import NOTHING, Memory
 from splatrl.evaluation.figures import BLUE, MISSED, REACHED
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView, TopDown
-from splatrl.evaluation.video import rollout_video
+from splatrl.evaluation.video import fitting, rollout_video
 from splatrl.renderers import Parts, ReferenceRenderer
 from tests.tiny import tiny_gaussians, tiny_motion, tiny_robot
 
@@ -154,6 +154,11 @@ def test_the_action_that_led_to_a_frame_is_named_or_shown_as_numbers(tmp_path: P
     for other in second[2:]:
         changed = (np.abs(second[0] - other).max(-1) > 60).nonzero()
         assert len(changed[0]) > 10 and changed[0].min() >= STRIP.start
+
+
+def test_what_a_caption_says_stays_in_its_column() -> None:
+    assert fitting("+x", 150).size == 18
+    assert fitting("1.31 -2.08 -0.41 0.52", 150).getlength("1.31 -2.08 -0.41 0.52") <= 150
 
 
 def test_a_failure_leaves_what_was_there(tmp_path: Path) -> None:
