@@ -11,7 +11,6 @@ from torchrl.modules import ActorValueOperator
 
 from splatrl.envs.nesting import layers
 from splatrl.envs.restart import restart
-from splatrl.training.actor import Actor
 from splatrl.training.cuda_graph import CudaGraph
 from splatrl.training.memory import STATE
 
@@ -50,17 +49,15 @@ class Collector(Protocol):
 class HostCollector:
     """TorchRL's rollout, in which the host checks after each step which robots are done, and stacks the steps.
 
-    The model acts on plain tensors (``Actor``), since half of a rollout on a CPU would go into TensorDicts.
-
     Args:
         env: batched env.
-        model: actor and critic.
+        actor: writes actions; an ``Actor`` does so on plain tensors, since half of a rollout on a CPU would go into
+            TensorDicts.
         steps: T, the length of each batch.
     """
 
-    def __init__(self, env: EnvBase, model: ActorValueOperator, steps: int):
-        self.env, self.steps = env, steps
-        self.actor: Callable[[TensorDictBase], TensorDictBase] = Actor(model)
+    def __init__(self, env: EnvBase, actor: Callable[[TensorDictBase], TensorDictBase], steps: int):
+        self.env, self.actor, self.steps = env, actor, steps
         self.carried = env.reset()
 
     @torch.no_grad()

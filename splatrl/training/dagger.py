@@ -15,6 +15,7 @@ from torchrl.data import Categorical, TensorSpec
 from torchrl.envs import EnvBase
 
 from splatrl.curriculum import Plan
+from splatrl.training.actor import Actor
 from splatrl.training.collectors import HostCollector
 from splatrl.training.learner import Learner
 from splatrl.values import require_number
@@ -73,11 +74,11 @@ def visited(
     Returns:
         Frames as ``Cloner.fit`` takes them, one robot after the other.
     """
-    collector = HostCollector(env, learner.model, frames // env.numel())
+    actor: Callable[[TensorDictBase], TensorDictBase] = Actor(learner.model)
     if guided:
         drives = torch.rand(env.numel()) < guided
-        collector.actor = partial(_guided, collector.actor, env, plans, drives.to(env.device))
-    batch = collector.collect()
+        actor = partial(_guided, actor, env, plans, drives.to(env.device))
+    batch = HostCollector(env, actor, frames // env.numel()).collect()
     with torch.no_grad():
         _, value = learner.advantages(batch)
     rows = batch.flatten(0, 1)

@@ -10,6 +10,7 @@ from torchrl.modules import ActorValueOperator
 from splatrl.envs.nesting import check_layers, layers
 from splatrl.envs.tasks import Outcome
 from splatrl.faults import Faulty
+from splatrl.training.actor import Actor
 from splatrl.training.collectors import Collector, HostCollector, device_collector
 from splatrl.training.learner import Learner
 from splatrl.training.settings import LossSettings, OptimSettings
@@ -69,7 +70,7 @@ class PPO:
         if on_device or cuda_graph:
             self.collector = device_collector(env, model, steps, cuda_graph)
         else:
-            self.collector = HostCollector(env, model, steps)
+            self.collector = HostCollector(env, Actor(model), steps)
 
     @property
     def finished(self) -> bool:

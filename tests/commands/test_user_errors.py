@@ -37,7 +37,10 @@ ERRORS = [
     ("train scene=kitchen", "scene.path: expected a value, got none; type scene.path=<a splat file or a folder>"),
     ("train scene=nowhere", "scene: expected one of backyard, file, kitchen, "),
     ("train scene=nowhere.ply", "scene: expected backyard, file, kitchen, "),
-    ("train scene=empty", "scene: expected a splat file, or a folder with scene.yaml, got empty; splatrl-scene"),
+    (
+        "train scene=empty",
+        "scene: expected a splat file, or a folder with scene.yaml or blocks.yaml, got empty; splatrl-scene",
+    ),
     ("train scene=text.ply robot.height=0.5 landmarks.goal=[0,0,0]", "scene: text.ply: expected a PLY file"),
     ("train scene=bad robot.height=0.5 landmarks.goal=[0,0,0]", "scene: bad/gone.ply: no such splat file"),
     ("train scene.path=room.ply", "scene.path: no such key, did you mean scene=<the path>?"),

@@ -189,6 +189,7 @@ def test_every_scene_composes_and_sets_the_goal_and_the_height(path: Path) -> No
     several = {"many": ["scene.paths=[backyard]"], "yards": ["scene.count=1"]}
     cfg = place_configs(load_config([f"scene={path.stem}", *several.get(path.stem, [])]))[0]
     made = {"backyard": "splatrl.backyard", "many": "splatrl.backyard", "yard": "splatrl.yard", "yards": "splatrl.yard"}
+    made |= {"town": "splatrl.town"}
     assert cfg.scene._target_ == made.get(path.stem, "splatrl.read_scene")
     if path.stem != "file":
         assert len(cfg.task.goal) == 3

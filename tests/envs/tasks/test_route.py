@@ -168,6 +168,4 @@ def test_a_robot_with_other_actions_is_refused() -> None:
 class TestRoute(ConfiguredContract):
     @classmethod
     def overrides(cls) -> tuple[str, ...]:
-        small = ("task.routes=3", "task.test_routes=2", "task.route.waypoints=2", "task.route.clearance=0.2")
-        where = ("task.motion.lower=[-1.3,-1.8]", "task.motion.upper=[1.3,1.8]", "task.motion.threads=1")
-        return ("route", *small, *where)
+        return ("route",)
