@@ -217,13 +217,21 @@ class PhysicsMotion(nn.Module):
         state[:, FIRST : FIRST + 7] = torch.cat([torch.stack([x, y, z], 1), turn], 1)
         return state
 
+    def model_of(self, state: Tensor) -> Tensor:
+        """The number of the model of the bank that states obey, of lost states any: [B, n] -> [B] int64."""
+        return state[:, 0].nan_to_num().long().clamp(0, len(self.physics.models) - 1)
+
+    def with_model(self, state: Tensor, number: Tensor) -> Tensor:
+        """States that obey other models of the bank: [B, n], [B] -> [B, n]."""
+        return torch.cat([number.unsqueeze(1).to(state), state[:, BANK:]], 1)
+
     def varied(self, state: Tensor, generator: torch.Generator) -> Tensor:
         """States that obey models of the bank, drawn evenly: [B, n] -> [B, n]."""
         count = len(self.physics.models)
         if count == 1:
             return state
         drawn = torch.randint(count, (len(state), 1), generator=generator, device=state.device)
-        return torch.cat([drawn.to(state), state[:, BANK:]], 1)
+        return self.with_model(state, drawn.squeeze(1))
 
     def thing(self, name: str) -> slice:
         """The columns of a state that hold the place and orientation of a thing with a free joint, [7].

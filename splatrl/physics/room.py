@@ -63,6 +63,31 @@ def between(start: Floats, end: Floats) -> Floats:
     return start + np.linspace(0.0, 1.0, steps)[:, None] * (end - start)
 
 
+def drawn_each(
+    count: int, seed: int, tries: int, draw: Callable[[np.random.Generator], Floats | None], complaint: str
+) -> Floats:
+    """Draw some things, each of which depends on the seed and its own number alone: [N, ...].
+
+    Args:
+        count: how many, N.
+        seed: of all of them.
+        tries: how often each is tried, at most.
+        draw: draws one, or None where what came does not fit.
+        complaint: what to say where none fits.
+
+    Raises:
+        ValueError: where none fits.
+    """
+    found = []
+    for number in range(count):
+        rng = np.random.default_rng([seed, number])
+        one = next((each for _ in range(tries) if (each := draw(rng)) is not None), None)
+        if one is None:
+            raise ValueError(complaint)
+        found.append(one)
+    return np.stack(found)
+
+
 def drawn_once(kind: str, terrain: Terrain, settings: Sequence[Any], build: Callable[[], Floats]) -> Floats:
     """What is drawn in a terrain by some settings, from the cache where it was drawn before.
 

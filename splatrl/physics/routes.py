@@ -3,10 +3,11 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from splatrl.physics.room import Floats, Room, ahead, between
+from splatrl.physics.room import Floats, Room, ahead, between, drawn_each
 from splatrl.physics.terrain import Terrain
 from splatrl.values import require_number
 
@@ -68,17 +69,11 @@ def draw_routes(
     Raises:
         ValueError: where there is no room.
     """
-    room, routes = Room(terrain, lower, upper, math.inf), []
-    for number in range(count):
-        draw = np.random.default_rng([seed, number])
-        found = next((route for _ in range(TRIES) if (route := _route(room, settings, draw)) is not None), None)
-        if found is None:
-            raise ValueError(
-                f"task.route: expected room for {settings.waypoints} waypoints, found none in {TRIES} tries; "
-                "type wider task.motion.lower and upper, or fewer task.route.waypoints"
-            )
-        routes.append(found)
-    return np.stack(routes)
+    complaint = (
+        f"task.route: expected room for {settings.waypoints} waypoints, found none in {TRIES} tries; "
+        "type wider task.motion.lower and upper, or fewer task.route.waypoints"
+    )
+    return drawn_each(count, seed, TRIES, partial(_route, Room(terrain, lower, upper, math.inf), settings), complaint)
 
 
 def _route(room: Room, settings: RouteSettings, draw: np.random.Generator) -> Floats | None:

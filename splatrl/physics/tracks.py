@@ -6,13 +6,10 @@ from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from splatrl.physics.room import Room, ahead, between
+from splatrl.physics.room import Floats, Room, ahead, between, drawn_each
 from splatrl.physics.terrain import Terrain
 from splatrl.values import require_number
-
-Floats = NDArray[np.float64]
 
 TRIES = 400
 """Tracks that are begun for each that is asked for, at most."""
@@ -90,18 +87,12 @@ def draw_tracks(
     Raises:
         ValueError: where there is no room.
     """
-    drawn = _Tracks(Room(terrain, lower, upper, ceiling), settings)
-    tracks = []
-    for number in range(count):
-        draw = np.random.default_rng([seed, number])
-        found = next((track for _ in range(TRIES) if (track := drawn.track(draw)) is not None), None)
-        if found is None:
-            raise ValueError(
-                f"task.track: expected room for {settings.gates} gates, found none in {TRIES} tries; type wider "
-                "task.motion.lower and upper, a higher task.motion.ceiling, or fewer task.track.gates"
-            )
-        tracks.append(found)
-    return np.stack(tracks)
+    complaint = (
+        f"task.track: expected room for {settings.gates} gates, found none in {TRIES} tries; type wider "
+        "task.motion.lower and upper, a higher task.motion.ceiling, or fewer task.track.gates"
+    )
+    tracks = _Tracks(Room(terrain, lower, upper, ceiling), settings)
+    return drawn_each(count, seed, TRIES, tracks.track, complaint)
 
 
 class _Tracks:

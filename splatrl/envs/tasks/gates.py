@@ -2,19 +2,20 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 
 import torch
 from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, TaskModule, Verdict
+from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.geometry import axis_rotations, rigid
 from splatrl.motions.physics import FIRST, PhysicsMotion
 from splatrl.physics.bank import bank
 from splatrl.physics.pilot import Flying, fly_through
 from splatrl.physics.room import drawn_once
-from splatrl.physics.stepping import BANK, Physics
+from splatrl.physics.stepping import Physics
 from splatrl.physics.tracks import TrackSettings, draw_tracks
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
@@ -30,7 +31,7 @@ TURNED = 0.2
 
 
 @dataclass(frozen=True)
-class GatesRewards:
+class GatesRewards(FiniteRewards):
     """The reward of a step, which adds up.
 
     Attributes:
@@ -47,10 +48,6 @@ class GatesRewards:
     gate: float = 1.0
     crash: float = -3.0
     slack: float = -0.01
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            require_number(f"task.rewards.{field.name}", getattr(self, field.name), -1e9, 1e9)
 
 
 class Gates(TaskModule):
@@ -211,7 +208,7 @@ class Gates(TaskModule):
     def parts(self, state: Tensor, memory: Memory) -> Parts:
         """The scene, the robot and the gates of its track, the next one lit; see ``Task.parts``."""
         moving, gates, own = self.motion.parts(state), self.track.gates, len(self.motion.models) - self.track.gates
-        x, y, z, yaw = self.places.to(state.device)[self._row(state), 1:].unbind(2)
+        x, y, z, yaw = self.places.to(state.device)[self.motion.model_of(state), 1:].unbind(2)
         poses = rigid(axis_rotations(2, yaw), torch.stack([x, y, z], 2)).float()
         next_one = torch.arange(gates, device=state.device) == memory["gate"]
         model = torch.where(next_one, own + 2, own + 1)
@@ -233,18 +230,12 @@ class Gates(TaskModule):
         planar = start[:, [0, 1, 3]] + off[:, [0, 1, 3]] * off.new_tensor([JITTER, JITTER, TURNED])
         state = self.motion.placed(planar)
         state[:, FIRST + 2] = start[:, 2] + JITTER * off[:, 2]
-        state[:, 0] = rows.to(state)
-        assert BANK == 1
-        return state
-
-    def _row(self, state: Tensor) -> Tensor:
-        """The track of each state: [B] int64."""
-        return state[:, 0].nan_to_num().long().clamp(0, len(self.places) - 1)
+        return self.motion.with_model(state, rows)
 
     def _gate(self, state: Tensor, passed: Tensor) -> Tensor:
         """Centre and yaw of the next gate of each state, the last one after it was passed: [B, 4] float64."""
         number = 1 + passed.clamp(0, self.track.gates - 1)
-        return self.places[self._row(state), number]
+        return self.places[self.motion.model_of(state), number]
 
     def _memory(self, state: Tensor, passed: Tensor) -> Memory:
         return {"gate": passed.unsqueeze(1), "gate_place": self._gate(state, passed).float()}

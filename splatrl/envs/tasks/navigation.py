@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -11,6 +11,7 @@ from torchrl.data import TensorSpec, Unbounded
 from splatrl.collision.base import Checker
 from splatrl.curriculum.geodesics import Geodesics, ground
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, TaskModule, Verdict
+from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.motions.planar import StoppingMotion
 from splatrl.values import require_number
 
@@ -18,7 +19,7 @@ TRIES = 50
 
 
 @dataclass(frozen=True)
-class NavigationRewards:
+class NavigationRewards(FiniteRewards):
     """The reward of a step, as in habitat-baselines' ``NavRLEnv`` (Savva et al. 2019): progress + slack + success.
 
     Attributes:
@@ -33,10 +34,6 @@ class NavigationRewards:
     progress: float = 1.0
     slack: float = -0.01
     success: float = 2.5
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            require_number(f"task.rewards.{field.name}", getattr(self, field.name), -1e9, 1e9)
 
 
 class NavigationTask(TaskModule):

@@ -12,7 +12,20 @@ from splatrl.values import require_number
 
 
 @dataclass(frozen=True)
-class Rewards:
+class FiniteRewards:
+    """Rewards by name, each of which is a finite number.
+
+    Raises:
+        ValueError: for a reward that is not; names its key.
+    """
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            require_number(f"task.rewards.{field.name}", getattr(self, field.name), -1e9, 1e9)
+
+
+@dataclass(frozen=True)
+class Rewards(FiniteRewards):
     """The reward of a step, by its outcome; a goal, a collision or leaving the bounds replaces ``step``.
 
     Attributes:
@@ -29,10 +42,6 @@ class Rewards:
     goal: float = 50.0
     collision: float = -10.0
     out_of_bounds: float = -10.0
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            require_number(f"task.rewards.{field.name}", getattr(self, field.name), -1e9, 1e9)
 
 
 PUBLISHED = Rewards()

@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 
 import torch
 from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, TaskModule, Verdict
+from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.geometry import rigid
 from splatrl.motions.physics import PhysicsMotion
 from splatrl.physics.bank import bank
@@ -29,7 +30,7 @@ JITTER = (0.05, 0.05, 0.2)
 
 
 @dataclass(frozen=True)
-class RouteRewards:
+class RouteRewards(FiniteRewards):
     """The reward of a step, which adds up.
 
     Attributes:
@@ -46,10 +47,6 @@ class RouteRewards:
     waypoint: float = 1.0
     crash: float = -3.0
     slack: float = -0.01
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            require_number(f"task.rewards.{field.name}", getattr(self, field.name), -1e9, 1e9)
 
 
 class Route(TaskModule):
@@ -231,13 +228,11 @@ class Route(TaskModule):
         start = self.places[rows, 0]
         off = 2.0 * torch.rand(len(rows), 3, generator=generator, device=start.device, dtype=torch.float64) - 1.0
         state = self.motion.placed(start + off * off.new_tensor(JITTER))
-        state[:, 0] = rows.to(state)
-        return state
+        return self.motion.with_model(state, rows)
 
     def _waypoint(self, state: Tensor, passed: Tensor) -> Tensor:
         """The next waypoint of each state, the last one after it was reached; -1 is the start: [B, 2] float64."""
-        route = state[:, 0].nan_to_num().long().clamp(0, len(self.places) - 1)
-        return self.places[route, 1 + passed.clamp(-1, self.route.waypoints - 1), :2]
+        return self.places[self.motion.model_of(state), 1 + passed.clamp(-1, self.route.waypoints - 1), :2]
 
     def _on_ground(self, places: Tensor) -> Tensor:
         """Places [B, 2] where balls hover: [B, 3] float64."""
