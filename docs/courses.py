@@ -15,7 +15,7 @@ from splatrl.build import build_world
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.collision import Occupancy
 from splatrl.configuration import load_config
-from splatrl.envs.tasks import Gates, Route
+from splatrl.envs.tasks import Course
 from splatrl.envs.tasks.base import Anywhere, Step
 from splatrl.envs.world import World
 from splatrl.evaluation.terrain_pictures import draw_terrain
@@ -28,7 +28,7 @@ SIDE, SMALL = (900, 600), 200
 
 
 @dataclass(frozen=True)
-class Course:
+class Shown:
     """What a picture shows.
 
     Attributes:
@@ -49,8 +49,8 @@ class Course:
 
 
 COURSES = (
-    Course("gates", 7, 15, (0.3, -2.75, 1.6), (-0.7, 0.1, 0.7), 0.5),
-    Course("route", 20, 12, (2.1, -2.3, 1.5), (0.1, -0.2, 0.0), 0.42),
+    Shown("gates", 7, 15, (0.3, -2.75, 1.6), (-0.7, 0.1, 0.7), 0.5),
+    Shown("route", 20, 12, (2.1, -2.3, 1.5), (0.1, -0.2, 0.0), 0.42),
 )
 FOV = math.radians(85.0)
 
@@ -73,11 +73,11 @@ def draw_ground() -> None:
         Image.open(Path(folder) / "ground.png").convert("RGB").save(FOLDER / "ground.jpg", quality=86)
 
 
-def draw(course: Course) -> None:
+def draw(course: Shown) -> None:
     """Draw the picture of a course."""
     cfg = load_config([f"task={course.task}", f"robot.image_width={SMALL}", f"robot.image_height={SMALL}"])
     world = build_world(cfg)
-    assert isinstance(world, World) and isinstance(world.task, Gates | Route)
+    assert isinstance(world, World) and isinstance(world.task, Course)
     task, renderer, row = world.task, world.drawing.renderer, course.number
     begun = task.episodes(world.plan.starts, row + 1, 0)
     state, memory = begun["state"][row:], {key: begun[key][row:] for key in task.memory_spec}

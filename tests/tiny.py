@@ -217,11 +217,11 @@ def tiny_overrides(folder: Path, task: str = "grid") -> list[str]:
     if task in ("gates", "route"):
         bounds = ["task.motion.lower=[-1.3,-1.8]", "task.motion.upper=[1.3,1.8]", "task.motion.threads=1"]
     if task == "gates":
-        bounds += ["task.tracks=3", "task.test_tracks=2", "task.track.gates=2", "task.track.clearance=0.15"]
-        bounds += ["task.track.height=[0.6,0.8]", "task.track.distance=[0.8,1.4]", "task.motion.ceiling=1.5"]
+        bounds += ["task.courses=3", "task.test_courses=2", "task.course.gates=2", "task.course.clearance=0.15"]
+        bounds += ["task.course.height=[0.6,0.8]", "task.course.distance=[0.8,1.4]", "task.motion.ceiling=1.5"]
         bounds += ["~task.motion.things.gate3", "~task.motion.things.gate4"]
     if task == "route":
-        bounds += ["task.routes=3", "task.test_routes=2", "task.route.waypoints=2", "task.route.clearance=0.2"]
+        bounds += ["task.courses=3", "task.test_courses=2", "task.course.waypoints=2", "task.course.clearance=0.2"]
     if task in ("pointnav", "imagenav"):
         bounds += ["task.goals=5", "task.test_goals=4", "task.nearest=0.3", "task.cell=0.1", "robot.body.radius=0.1"]
     return overrides if task in ("circle", "polar_plane", "hemisphere") else [*overrides, *bounds]

@@ -2,13 +2,14 @@
 
 from splatrl.physics.bank import Variation, bank
 from splatrl.physics.compose import Composed, compose
+from splatrl.physics.courses import draw_courses
 from splatrl.physics.gaussians import BodyGaussians, gaussians_from_mjcf
 from splatrl.physics.kinematics import Kinematics
 from splatrl.physics.mjcf import read_mjcf
-from splatrl.physics.routes import RouteSettings, draw_routes
+from splatrl.physics.routes import RouteSettings
 from splatrl.physics.stepping import Physics, Stepped
 from splatrl.physics.terrain import Terrain, level_ground
-from splatrl.physics.tracks import TrackSettings, draw_tracks
+from splatrl.physics.tracks import TrackSettings
 
 __all__ = [
     "BodyGaussians",
@@ -22,8 +23,7 @@ __all__ = [
     "Variation",
     "bank",
     "compose",
-    "draw_routes",
-    "draw_tracks",
+    "draw_courses",
     "gaussians_from_mjcf",
     "level_ground",
     "read_mjcf",

@@ -1,18 +1,12 @@
 """Where there is room in a scene for what tasks place in it."""
 
-import json
 import math
-from collections.abc import Callable, Sequence
-from hashlib import blake2b
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splatrl.files import digest_of
 from splatrl.physics.terrain import Terrain
-from splatrl.scenes.cache import cached_arrays
 
 Floats = NDArray[np.float64]
 
@@ -61,44 +55,3 @@ def between(start: Floats, end: Floats) -> Floats:
     """Points of a straight way, both ends among them: [P, 3]."""
     steps = max(2, math.ceil(float(np.linalg.norm(end - start)) / SAMPLES) + 1)
     return start + np.linspace(0.0, 1.0, steps)[:, None] * (end - start)
-
-
-def drawn_each(
-    count: int, seed: int, tries: int, draw: Callable[[np.random.Generator], Floats | None], complaint: str
-) -> Floats:
-    """Draw some things, each of which depends on the seed and its own number alone: [N, ...].
-
-    Args:
-        count: how many, N.
-        seed: of all of them.
-        tries: how often each is tried, at most.
-        draw: draws one, or None where what came does not fit.
-        complaint: what to say where none fits.
-
-    Raises:
-        ValueError: where none fits.
-    """
-    found = []
-    for number in range(count):
-        rng = np.random.default_rng([seed, number])
-        one = next((each for _ in range(tries) if (each := draw(rng)) is not None), None)
-        if one is None:
-            raise ValueError(complaint)
-        found.append(one)
-    return np.stack(found)
-
-
-def drawn_once(kind: str, terrain: Terrain, settings: Sequence[Any], build: Callable[[], Floats]) -> Floats:
-    """What is drawn in a terrain by some settings, from the cache where it was drawn before.
-
-    Args:
-        kind: the module that draws it, in this package.
-        terrain: where.
-        settings: all else that it depends on, as JSON can write it.
-        build: draws it.
-    """
-    code = digest_of([Path(__file__), Path(__file__).with_name(f"{kind}.py")])
-    digest = blake2b(json.dumps([list(settings), code], default=list).encode(), digest_size=16)
-    for part in (terrain.plane, terrain.boxes):
-        digest.update(part.numpy().tobytes())
-    return cached_arrays(f"{kind}-{digest.hexdigest()}", lambda: {kind: build()})[kind]

@@ -1,18 +1,14 @@
-"""Routes of waypoints on the ground, drawn where a scene has room for a car."""
+"""Routes of waypoints on the ground."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from splatrl.physics.room import Floats, Room, ahead, between, drawn_each
-from splatrl.physics.terrain import Terrain
-from splatrl.values import require_number
+from splatrl.physics.courses import CourseSettings
+from splatrl.physics.room import Floats, Room, ahead, between
 
-TRIES = 2000
-"""Routes that are begun for each that is asked for, at most."""
 BRANCHES = 4
 """Places that are tried for each waypoint."""
 ABOVE = 0.1
@@ -20,8 +16,11 @@ ABOVE = 0.1
 
 
 @dataclass(frozen=True)
-class RouteSettings:
+class RouteSettings(CourseSettings):
     """What routes are like.
+
+    A route begins at a free place, heading for its first waypoint; the straight ways from one to the next are free.
+    Waypoints are on the ground, and their yaw is that of the way to them.
 
     Attributes:
         waypoints: number of waypoints.
@@ -38,65 +37,29 @@ class RouteSettings:
     turn_deg: float = 75.0
     clearance: float = 0.25
 
-    def __post_init__(self) -> None:
-        require_number("task.route.waypoints", self.waypoints, 1, 64, whole=True)
-        require_number("task.route.turn_deg", self.turn_deg, 0.0, 120.0)
-        require_number("task.route.clearance", self.clearance, 0.0, 10.0)
-        low, high = self.distance
-        if not 0.0 < low <= high <= 1e3:
-            raise ValueError(f"task.route.distance: expected 0 < lowest ≤ highest, got {list(self.distance)}")
+    tries = 2000
+    places = "waypoints"
 
+    def drawn(self, room: Room, draw: np.random.Generator) -> Floats | None:
+        """See ``CourseSettings.drawn``."""
+        x, y = draw.uniform(room.lower + self.clearance, room.upper - self.clearance)
+        route = [np.array([x, y, room.ground(x, y), draw.uniform(-math.pi, math.pi)])]
+        return np.stack(route) if self._led_on(route, room, draw) else None
 
-def draw_routes(
-    terrain: Terrain, lower: Sequence[float], upper: Sequence[float], settings: RouteSettings, count: int, seed: int
-) -> Floats:
-    """Draw routes between bounds; each one depends on the seed and its own number alone.
-
-    A route begins at a free place, heading for its first waypoint; the straight ways from one to the next are free.
-
-    Args:
-        terrain: ground and boxes.
-        lower: smallest x and y, metres.
-        upper: largest x and y, metres.
-        settings: what routes are like.
-        count: how many, N.
-        seed: of what is drawn.
-
-    Returns:
-        [N, 1 + W, 3] float64: x and y in metres, world, and the yaw of the way to each; the start's is that of the way
-        to the first waypoint.
-
-    Raises:
-        ValueError: where there is no room.
-    """
-    complaint = (
-        f"task.route: expected room for {settings.waypoints} waypoints, found none in {TRIES} tries; "
-        "type wider task.motion.lower and upper, or fewer task.route.waypoints"
-    )
-    return drawn_each(count, seed, TRIES, partial(_route, Room(terrain, lower, upper, math.inf), settings), complaint)
-
-
-def _route(room: Room, settings: RouteSettings, draw: np.random.Generator) -> Floats | None:
-    """A start and waypoints [1 + W, 3], or None where no way leads on."""
-    x, y = draw.uniform(room.lower + settings.clearance, room.upper - settings.clearance)
-    route = [np.array([x, y, draw.uniform(-math.pi, math.pi)])]
-    return np.stack(route) if _led_on(route, room, settings, draw) else None
-
-
-def _led_on(route: list[Floats], room: Room, settings: RouteSettings, draw: np.random.Generator) -> bool:
-    """Lead a route on to its end, if one of the ways that are tried does, and else leave it as it was."""
-    if len(route) > settings.waypoints:
-        return True
-    (x, y, heading), margin = route[-1].tolist(), settings.clearance
-    turn = math.radians(settings.turn_deg) if len(route) > 1 else 0.0
-    for _ in range(BRANCHES):
-        yaw = heading + draw.uniform(-turn, turn)
-        begin = np.array([x, y, room.ground(x, y) + ABOVE])
-        end = begin + draw.uniform(settings.distance[0], settings.distance[1]) * ahead(yaw)
-        inside = (end[:2] >= room.lower + margin) & (end[:2] <= room.upper - margin)
-        if inside.all() and room.beside(between(begin, end), margin).all():
-            route.append(np.append(end[:2], yaw))
-            if _led_on(route, room, settings, draw):
-                return True
-            route.pop()
-    return False
+    def _led_on(self, route: list[Floats], room: Room, draw: np.random.Generator) -> bool:
+        """Lead a route on to its end, if one of the ways that are tried does, and else leave it as it was."""
+        if len(route) > self.waypoints:
+            return True
+        begin, heading = route[-1][:3], route[-1][3]
+        turn = math.radians(self.turn_deg) if len(route) > 1 else 0.0
+        for _ in range(BRANCHES):
+            yaw = heading + draw.uniform(-turn, turn)
+            end = begin + draw.uniform(self.distance[0], self.distance[1]) * ahead(yaw)
+            inside = (end[:2] >= room.lower + self.clearance) & (end[:2] <= room.upper - self.clearance)
+            way = between(begin, end) + np.array([0.0, 0.0, ABOVE])
+            if inside.all() and room.beside(way, self.clearance).all():
+                route.append(np.array([*end[:2], room.ground(*end[:2]), yaw]))
+                if self._led_on(route, room, draw):
+                    return True
+                route.pop()
+        return False

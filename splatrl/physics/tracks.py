@@ -1,25 +1,26 @@
-"""Tracks of gates to fly through, drawn where a scene has room for them."""
+"""Tracks of gates to fly through."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from splatrl.physics.room import Floats, Room, ahead, between, drawn_each
-from splatrl.physics.terrain import Terrain
+from splatrl.physics.courses import CourseSettings
+from splatrl.physics.room import Floats, Room, ahead, between
 from splatrl.values import require_number
 
-TRIES = 400
-"""Tracks that are begun for each that is asked for, at most."""
 BRANCHES = 12
 """Places that are tried for each gate."""
 
 
 @dataclass(frozen=True)
-class TrackSettings:
+class TrackSettings(CourseSettings):
     """What tracks are like.
+
+    A track begins at a free place, heading for its first gate. Each gate stands off the boxes, the ground and the other
+    gates, and the straight way to it and half a metre beyond it is free. Gates are passed along their yaw.
 
     Attributes:
         gates: number of gates.
@@ -44,55 +45,19 @@ class TrackSettings:
     frame: float = 0.86
     clearance: float = 0.25
 
+    tries = 400
+    places = "gates"
+
     def __post_init__(self) -> None:
-        require_number("task.track.gates", self.gates, 1, 64, whole=True)
-        for name in ("turn_deg", "skew_deg"):
-            require_number(f"task.track.{name}", getattr(self, name), 0.0, 90.0)
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name in ("distance", "height") and not (len(value) == 2 and 0.0 < value[0] <= value[1] <= 1e3):
-                raise ValueError(f"task.track.{field.name}: expected 0 < lowest ≤ highest, got {list(value)}")
+        super().__post_init__()
+        require_number("task.course.skew_deg", self.skew_deg, 0.0, 90.0)
+        self._require_range("height")
         if not 0.0 < self.opening < self.frame:
-            raise ValueError(f"task.track.opening: expected metres below frame, {self.frame}, got {self.opening}")
-        require_number("task.track.clearance", self.clearance, 0.0, 10.0)
+            raise ValueError(f"task.course.opening: expected metres below frame, {self.frame}, got {self.opening}")
 
-
-def draw_tracks(
-    terrain: Terrain,
-    lower: Sequence[float],
-    upper: Sequence[float],
-    ceiling: float,
-    settings: TrackSettings,
-    count: int,
-    seed: int,
-) -> Floats:
-    """Draw tracks between bounds; each one depends on the seed and its own number alone.
-
-    A track begins at a free place, heading for its first gate. Each gate stands off the boxes, the ground and the other
-    gates, and the straight way to it and half a metre beyond it is free.
-
-    Args:
-        terrain: ground and boxes.
-        lower: smallest x and y, metres.
-        upper: largest x and y, metres.
-        ceiling: height above the ground below which tracks stay, metres.
-        settings: what tracks are like.
-        count: how many, N.
-        seed: of what is drawn.
-
-    Returns:
-        [N, 1 + G, 4] float64: x, y, z in metres, world, and yaw of the start and of each gate, which is passed along
-        its yaw.
-
-    Raises:
-        ValueError: where there is no room.
-    """
-    complaint = (
-        f"task.track: expected room for {settings.gates} gates, found none in {TRIES} tries; type wider "
-        "task.motion.lower and upper, a higher task.motion.ceiling, or fewer task.track.gates"
-    )
-    tracks = _Tracks(Room(terrain, lower, upper, ceiling), settings)
-    return drawn_each(count, seed, TRIES, tracks.track, complaint)
+    def drawn(self, room: Room, draw: np.random.Generator) -> Floats | None:
+        """See ``CourseSettings.drawn``."""
+        return _Tracks(room, self).track(draw)
 
 
 class _Tracks:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatrl.physics import RouteSettings, Terrain, draw_routes
+from splatrl.physics import RouteSettings, Terrain, draw_courses
 
 LOWER, UPPER = (-2.0, -2.4), (2.2, 2.0)
 PLANE = torch.tensor([0.0, 0.0, 1.0, 0.1], dtype=torch.float64)
@@ -15,25 +15,25 @@ POSTS = torch.tensor([[0.0, 0.0, 0.3, 0.1, 0.5, 0.3], [1.2, -1.0, 0.3, 0.2, 0.2,
 
 
 def drawn(count: int, seed: int = 0) -> np.ndarray:
-    return draw_routes(Terrain(PLANE, POSTS), LOWER, UPPER, RouteSettings(waypoints=4), count, seed)
+    return draw_courses(Terrain(PLANE, POSTS), LOWER, UPPER, RouteSettings(waypoints=4), count, seed)
 
 
 def test_a_route_depends_on_the_seed_and_its_number_alone() -> None:
     five = drawn(5)
-    assert five.shape == (5, 5, 3)
+    assert five.shape == (5, 5, 4)
     assert drawn(3).tobytes() == five[:3].tobytes()
     assert not np.array_equal(drawn(1, seed=1), five[:1])
 
 
 def test_ways_are_free_and_turn_no_further_than_asked() -> None:
     for route in drawn(12):
-        assert route[0, 2] == route[1, 2], "the start heads for the first waypoint"
+        assert route[0, 3] == route[1, 3], "the start heads for the first waypoint"
         for number, (last, waypoint) in enumerate(pairwise(route)):
             assert 0.7 <= math.dist(last[:2], waypoint[:2]) <= 1.3
             assert math.atan2(*(waypoint[:2] - last[:2])[::-1]) == pytest.approx(
-                math.remainder(waypoint[2], math.tau), abs=1e-9
+                math.remainder(waypoint[3], math.tau), abs=1e-9
             )
-            assert number == 0 or abs(waypoint[2] - last[2]) <= math.radians(75.0) + 1e-9
+            assert number == 0 or abs(waypoint[3] - last[3]) <= math.radians(75.0) + 1e-9
             for share in np.linspace(0.0, 1.0, 40):
                 at = last[:2] + share * (waypoint[:2] - last[:2])
                 outside = np.maximum(np.abs(at - POSTS[:, :2].numpy()) - POSTS[:, 3:5].numpy(), 0.0)
@@ -42,16 +42,16 @@ def test_ways_are_free_and_turn_no_further_than_asked() -> None:
 
 
 def test_a_place_without_room_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"task\.route: expected room for 4 waypoints, found none"):
-        draw_routes(Terrain(PLANE, POSTS), (-0.5, -0.5), (0.5, 0.5), RouteSettings(waypoints=4), 1, 0)
+    with pytest.raises(ValueError, match=r"task\.course: expected room for 4 waypoints, found none"):
+        draw_courses(Terrain(PLANE, POSTS), (-0.5, -0.5), (0.5, 0.5), RouteSettings(waypoints=4), 1, 0)
 
 
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"waypoints": 0}, r"task\.route\.waypoints"),
-        ({"distance": (2.0, 1.0)}, r"task\.route\.distance: expected 0 < lowest"),
-        ({"turn_deg": 130.0}, r"task\.route\.turn_deg"),
+        ({"waypoints": 0}, r"task\.course\.waypoints"),
+        ({"distance": (2.0, 1.0)}, r"task\.course\.distance: expected 0 < lowest"),
+        ({"turn_deg": 130.0}, r"task\.course\.turn_deg"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(wrong: dict[str, object], said: str) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatrl.physics import Terrain, TrackSettings, draw_tracks
+from splatrl.physics import Terrain, TrackSettings, draw_courses
 
 LOWER, UPPER, CEILING = (-2.0, -2.4), (2.2, 2.0), 2.0
 PLANE = torch.tensor([0.0, 0.0, 1.0, 0.1], dtype=torch.float64)
@@ -16,7 +16,7 @@ TRACK = TrackSettings(gates=3)
 
 
 def drawn(count: int, seed: int = 0, settings: TrackSettings = TRACK) -> np.ndarray:
-    return draw_tracks(Terrain(PLANE, POSTS), LOWER, UPPER, CEILING, settings, count, seed)
+    return draw_courses(Terrain(PLANE, POSTS), LOWER, UPPER, settings, count, seed, CEILING)
 
 
 def test_a_track_depends_on_the_seed_and_its_number_alone() -> None:
@@ -57,17 +57,17 @@ def test_a_gate_is_met_from_its_front() -> None:
 
 
 def test_a_place_without_room_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"task\.track: expected room for 3 gates, found none"):
-        draw_tracks(Terrain(PLANE, POSTS), (-0.6, -0.6), (0.6, 0.6), CEILING, TRACK, 1, 0)
+    with pytest.raises(ValueError, match=r"task\.course: expected room for 3 gates, found none"):
+        draw_courses(Terrain(PLANE, POSTS), (-0.6, -0.6), (0.6, 0.6), TRACK, 1, 0, CEILING)
 
 
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"gates": 0}, "task.track.gates"),
-        ({"distance": (2.0, 1.0)}, "task.track.distance: expected 0 < lowest"),
-        ({"opening": 0.9}, "task.track.opening: expected metres below frame"),
-        ({"turn_deg": 100.0}, "task.track.turn_deg"),
+        ({"gates": 0}, "task.course.gates"),
+        ({"distance": (2.0, 1.0)}, "task.course.distance: expected 0 < lowest"),
+        ({"opening": 0.9}, "task.course.opening: expected metres below frame"),
+        ({"turn_deg": 130.0}, "task.course.turn_deg"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(wrong: dict[str, object], said: str) -> None:

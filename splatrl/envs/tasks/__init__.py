@@ -2,25 +2,27 @@
 
 from splatrl.envs.tasks.apple import Apple
 from splatrl.envs.tasks.base import Mark, Memory, Outcome, Step, Task, TaskModule, Verdict
+from splatrl.envs.tasks.course import Course, CourseRewards
 from splatrl.envs.tasks.drive import Drive
 from splatrl.envs.tasks.fps import Fps
-from splatrl.envs.tasks.gates import Gates, GatesRewards
+from splatrl.envs.tasks.gates import Gates
 from splatrl.envs.tasks.grid import Grid
 from splatrl.envs.tasks.navigation import ImageNav, NavigationRewards, NavigationTask, PointNav
 from splatrl.envs.tasks.orbit import Orbit
 from splatrl.envs.tasks.poster import Poster
 from splatrl.envs.tasks.push import Push, PushRewards
 from splatrl.envs.tasks.rewards import OutcomeTask, Rewards
-from splatrl.envs.tasks.route import Route, RouteRewards
+from splatrl.envs.tasks.route import Route
 from splatrl.envs.tasks.sim2real import Sim2Real
 from splatrl.envs.tasks.snake import Snake
 
 __all__ = [
     "Apple",
+    "Course",
+    "CourseRewards",
     "Drive",
     "Fps",
     "Gates",
-    "GatesRewards",
     "Grid",
     "ImageNav",
     "Mark",
@@ -36,7 +38,6 @@ __all__ = [
     "PushRewards",
     "Rewards",
     "Route",
-    "RouteRewards",
     "Sim2Real",
     "Snake",
     "Step",
