@@ -41,13 +41,13 @@ def check_settings(runs: Sequence[Run], fresh: bool) -> None:
             shutil.rmtree(run.folder)
 
 
-def train_all(experiments: Sequence[Experiment], jobs: int, threads: int, program: Sequence[str]) -> list[Run]:
+def train_all(experiments: Sequence[Experiment], jobs: int, cores: int, program: Sequence[str]) -> list[Run]:
     """Train what is not finished, with all experiments in one queue, and record the machine.
 
     Args:
         experiments: the experiments to train.
         jobs: number of trainings at a time.
-        threads: renderer threads of each training.
+        cores: of each training.
         program: the command that trains; see ``running.command``.
 
     Returns:
@@ -58,7 +58,7 @@ def train_all(experiments: Sequence[Experiment], jobs: int, threads: int, progra
         experiment.folder.mkdir(parents=True, exist_ok=True)
         write_json(experiment.folder / MACHINE, {"machine": machine(jobs)})
         (experiment.folder / SCORES).unlink(missing_ok=True)
-    return train([run for experiment in experiments for run in experiment.runs], jobs, threads, program)
+    return train([run for experiment in experiments for run in experiment.runs], jobs, cores, program)
 
 
 def score(experiment: Experiment, scored_by: Score) -> bool:

@@ -14,6 +14,7 @@ from tqdm import tqdm
 from splatrl.configuration import quoted
 from splatrl.experiments.experiment import Run
 from splatrl.experiments.folders import frames_done, status
+from splatrl.native.threads import CORES
 
 LOG = "log.txt"
 POLL = 0.5
@@ -26,39 +27,35 @@ class BusyError(RuntimeError):
     """Another process is training in the run folder."""
 
 
-def command(run: Run, threads: int, program: Sequence[str]) -> list[str]:
+def command(run: Run, program: Sequence[str]) -> list[str]:
     """The command that starts or resumes a training.
 
     Args:
         run: the training.
-        threads: renderer threads.
         program: the command that trains and takes Hydra's overrides as arguments, such as ``splatrl-train``.
     """
-    line = list(program)
     if status(run) == "new":
-        line += [*run.overrides, f"hydra.run.dir={quoted(run.folder)}"]
-    else:
-        line += [f"resume={quoted(run.folder)}"]
-    return [*line, f"renderer.threads={threads}"] if "threads" in run.config.get("renderer", {}) else line
+        return [*program, *run.overrides, f"hydra.run.dir={quoted(run.folder)}"]
+    return [*program, f"resume={quoted(run.folder)}"]
 
 
-def start(run: Run, threads: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
+def start(run: Run, cores: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
     """Start a training that writes its output to a log and locks its folder until it ends.
 
     Args:
         run: the training.
-        threads: renderer threads.
+        cores: that it may use, at most.
         program: the command that trains.
 
     Raises:
         BusyError: if another process is training in the folder, such as one that outlived its command.
     """
     run.folder.mkdir(parents=True, exist_ok=True)
-    settings = os.environ | {"OMP_NUM_THREADS": "1", "TQDM_DISABLE": "1"}
+    settings = os.environ | {"OMP_NUM_THREADS": "1", "TQDM_DISABLE": "1", CORES: str(cores)}
     with (run.folder / LOG).open("ab") as log:
         _hold(run, log)
         return subprocess.Popen(
-            command(run, threads, program),
+            command(run, program),
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
@@ -78,7 +75,7 @@ def _hold(run: Run, log: BinaryIO) -> None:
 def train(
     runs: Sequence[Run],
     jobs: int,
-    threads: int,
+    cores: int,
     program: Sequence[str],
     begin: Callable[[Run, int, Sequence[str]], subprocess.Popen[bytes]] = start,
     poll: float = POLL,
@@ -88,7 +85,7 @@ def train(
     Args:
         runs: the trainings.
         jobs: number of trainings at a time.
-        threads: renderer threads of each training.
+        cores: of each training.
         program: the command that trains.
         begin: starts a training.
         poll: seconds between polls.
@@ -111,7 +108,7 @@ def train(
                 while waiting and len(running) < jobs:
                     run = waiting.popleft()
                     try:
-                        running[run] = begin(run, threads, program)
+                        running[run] = begin(run, cores, program)
                     except BusyError as error:
                         failed.append(run)
                         bar.write(f"failed: {error}")

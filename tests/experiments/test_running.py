@@ -24,21 +24,18 @@ def python(code: str) -> subprocess.Popen[bytes]:
 def test_a_new_run_is_begun_and_a_begun_one_gone_on_with(tmp_path: Path) -> None:
     new, begun, *_ = made_up(tmp_path / "it's here").runs
     begin(begun, 40)
-    assert command(new, 3, PROGRAM) == [*PROGRAM, *new.overrides, f"hydra.run.dir={quoted(new)}"]
-    assert command(begun, 3, PROGRAM) == [*PROGRAM, f"resume={quoted(begun)}"]
+    assert command(new, PROGRAM) == [*PROGRAM, *new.overrides, f"hydra.run.dir={quoted(new)}"]
+    assert command(begun, PROGRAM) == [*PROGRAM, f"resume={quoted(begun)}"]
 
 
 def quoted(run: Run) -> str:
     return "'" + str(run.folder).replace("'", r"\'") + "'"
 
 
-def test_the_renderer_has_the_threads_where_it_knows_them(tmp_path: Path) -> None:
+def test_a_training_may_use_its_share_of_the_cores(tmp_path: Path) -> None:
     run = made_up(tmp_path).runs[0]
-    assert isinstance(run.config, dict)
-    run.config["renderer"] = {"threads": None}
-    assert command(run, 3, PROGRAM)[-1] == "renderer.threads=3"
-    run.config["renderer"] = {"background": [0, 0, 0]}
-    assert command(run, 3, PROGRAM)[-1] != "renderer.threads=3"
+    share = "import os, sys; assert os.environ['SPLATRL_CORES'] == '3', os.environ"
+    assert start(run, 3, [sys.executable, "-c", share]).wait() == 0
 
 
 def test_only_what_is_not_finished_is_trained_and_at_most_so_many_at_a_time(tmp_path: Path) -> None:
@@ -47,9 +44,9 @@ def test_only_what_is_not_finished_is_trained_and_at_most_so_many_at_a_time(tmp_
     begun: list[Run] = []
     most = 0
 
-    def one(run: Run, threads: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
+    def one(run: Run, cores: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
         nonlocal most
-        assert (threads, program) == (2, PROGRAM)
+        assert (cores, program) == (2, PROGRAM)
         begun.append(run)
         most = max(most, sum(status(run) != "finished" for run in begun))
         finish(run, 0.5)
@@ -63,7 +60,7 @@ def test_only_what_is_not_finished_is_trained_and_at_most_so_many_at_a_time(tmp_
 def test_a_run_that_fails_is_named_and_the_others_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     runs = made_up(tmp_path).runs[:3]
 
-    def one(run: Run, threads: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
+    def one(run: Run, cores: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
         return python("raise SystemExit(1)" if run is runs[1] else "pass")
 
     assert train(runs, 2, 1, PROGRAM, one, poll=0.01) == [runs[1]]
@@ -78,7 +75,7 @@ def hears_interrupts() -> None:
 def test_an_interrupt_ends_the_trainings(tmp_path: Path) -> None:
     children: list[subprocess.Popen[bytes]] = []
 
-    def one(run: Run, threads: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
+    def one(run: Run, cores: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
         if children:
             raise KeyboardInterrupt
         children.append(subprocess.Popen(SLEEP, preexec_fn=hears_interrupts))

@@ -168,6 +168,17 @@ def test_there_are_no_more_threads_than_cores() -> None:
             threads_of(wrong)  # type: ignore[arg-type]
 
 
+def test_an_environment_variable_bounds_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPLATRL_CORES", "1")
+    assert usable_cores() == threads_of(None) == threads_of(8) == 1
+    monkeypatch.setenv("SPLATRL_CORES", "1000000")
+    assert usable_cores() <= (os.cpu_count() or 1)
+    for wrong in ("0", "-1", "", "two", "1.5"):
+        monkeypatch.setenv("SPLATRL_CORES", wrong)
+        with pytest.raises(ValueError, match="SPLATRL_CORES: expected a whole number of at least 1"):
+            usable_cores()
+
+
 @pytest.mark.parametrize("place", [3.4e38, -3.4e38, 1e30, 1e-45])
 @pytest.mark.parametrize("resolution", [1e-4, 1e3])
 def test_places_far_away_are_free_and_near_nothing(place: float, resolution: float) -> None:
