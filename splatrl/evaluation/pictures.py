@@ -1,6 +1,7 @@
 """All pictures of a finished training, drawn into its run folder."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -8,13 +9,16 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
+from splatrl.cameras import Cameras
 from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Plan
+from splatrl.evaluation.chase import chase_cameras
 from splatrl.evaluation.figures import start_map, success_map
-from splatrl.evaluation.recording import record_episodes
+from splatrl.evaluation.recording import Recording, record_episodes
 from splatrl.evaluation.rollouts import Chosen, Episodes
 from splatrl.evaluation.topdown import MapView, footprint, map_window, top_down
-from splatrl.evaluation.video import rollout_video
+from splatrl.evaluation.video import PANEL, rollout_video
+from splatrl.motions import PhysicsMotion
 from splatrl.scenes.gaussians import Gaussians
 
 HEADROOM = 0.4
@@ -79,9 +83,15 @@ class Pictures:
         spread = (torch.arange(1, count + 1) * len(ordered) // count - 1).clamp_min(0)
         states, memory = (self.plan.states[ordered[spread]], {}) if chosen is None else (chosen.state, chosen.memory)
         recordings = record_episodes(env, policy, states, seed=seed, memory=memory)
-        names = env.task.motion.action_names
-        rollout_video(recordings, env.robot, self.view, path, env.drawing, names)
+        motion = env.task.motion
+        outside = partial(self._outside, env) if isinstance(motion, PhysicsMotion) else None
+        rollout_video(recordings, env.robot, self.view, path, env.drawing, motion.action_names, outside=outside)
         return path
+
+    def _outside(self, env: EnvBase, recording: Recording) -> Cameras:
+        """Cameras that follow the robot of a recording, whose body is in the picture."""
+        place, radius = recording.body_to_world[:, :3, 3], env.robot.body.radius
+        return chase_cameras(recording.planar, place, radius, env.checker, (PANEL, PANEL), env.device)
 
     def _planar(self, states: Tensor) -> Tensor:
         """Positions and headings of states, wherever the env is: [N, D] -> [N, 3], on the CPU."""

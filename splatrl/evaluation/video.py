@@ -1,16 +1,19 @@
-"""Videos of episodes: what the robot sees, beside a map of where it is."""
+"""Videos of episodes: what the robot sees, beside the robot itself if it has a body, and a map of where it is."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
 
 import av
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
+from splatrl.cameras import Cameras
 from splatrl.envs.drawing import Drawing
 from splatrl.envs.robot import Robot
 from splatrl.envs.tasks import Outcome
@@ -38,6 +41,7 @@ def rollout_video(
     drawing: Drawing | None = None,
     action_names: Sequence[str] = (),
     fps: int = 6,
+    outside: Callable[[Recording], Cameras] | None = None,
 ) -> None:
     """Write episodes to an mp4, one after another: the ego view beside a map with the robot and its trail.
 
@@ -49,6 +53,7 @@ def rollout_video(
         drawing: draws the ego view large, with the policy's own pixels in its corner; None enlarges those pixels.
         action_names: names of the actions, by index; empty where actions are continuous.
         fps: steps per second of video.
+        outside: cameras that look at the robot of a recording, one a step, for a third panel; needs ``drawing``.
 
     Raises:
         ValueError: if there are no recordings.
@@ -56,7 +61,7 @@ def rollout_video(
     if not recordings:
         raise ValueError("recordings: expected at least one episode, got none")
     chart = Chart(view, robot.body, (WIDEST, PANEL))
-    encode(_frames(recordings, robot, chart, drawing, action_names, fps), path, fps)
+    encode(_frames(recordings, robot, chart, drawing, action_names, fps, outside), path, fps)
 
 
 def _frames(
@@ -66,14 +71,21 @@ def _frames(
     drawing: Drawing | None,
     action_names: Sequence[str],
     fps: int,
+    outside: Callable[[Recording], Cameras] | None,
 ) -> Iterator[Image.Image]:
     for number, recording in enumerate(recordings, 1):
         last = len(recording.action)
-        for step, view in enumerate(_views(recording, robot, drawing)):
-            width = view.width + chart.size[0] + 3 * GAP
+        panels = [_views(recording, robot, drawing)]
+        if outside is not None and drawing is not None:
+            panels.append(map(Image.fromarray, _drawn(recording, drawing, outside(recording))))
+        for step, views in enumerate(zip(*panels, strict=True)):
+            drawn = [*views, chart.draw(recording, step)]
+            width = sum(panel.width + GAP for panel in drawn) + GAP
             page = Image.new("RGB", (width + width % 2, PANEL + 2 * GAP + STRIP), INK)
-            page.paste(view, (GAP, GAP))
-            page.paste(chart.draw(recording, step), (view.width + 2 * GAP, GAP + (PANEL - chart.size[1]) // 2))
+            left = GAP
+            for panel in drawn:
+                page.paste(panel, (left, GAP + (PANEL - panel.height) // 2))
+                left += panel.width + GAP
             facts = [
                 ("episode", f"{number} of {len(recordings)}"),
                 ("step", str(step)),
@@ -88,21 +100,24 @@ def _frames(
 def _views(recording: Recording, robot: Robot, drawing: Drawing | None) -> Iterator[Image.Image]:
     """Yield the ego view at each step, PANEL pixels high."""
     large = replace(robot, image_height=PANEL, image_width=round(PANEL * robot.image_width / robot.image_height))
-    size = (large.image_width, PANEL)
-    for rows in torch.arange(len(recording.pixels)).split(BATCH):
-        seen = views = recording.pixels[rows]
+    size, seen = (large.image_width, PANEL), recording.pixels.numpy()
+    views = seen if drawing is None else _drawn(recording, drawing, large.cameras(recording.body_to_world))
+    for own, view in zip(seen, views, strict=True):
+        image = Image.fromarray(view).resize(size, Image.Resampling.NEAREST)
         if drawing is not None:
-            memory = {key: value[rows] for key, value in recording.memory.items()}
-            parts = None if recording.parts is None else recording.parts.rows(rows)
-            views = drawing.draw(large.cameras(recording.body_to_world[rows]), memory, parts).pixels.cpu()
-        for own, view in zip(seen.numpy(), views.numpy(), strict=True):
-            image = Image.fromarray(view).resize(size, Image.Resampling.NEAREST)
-            if drawing is not None:
-                small = Image.fromarray(own).resize((size[0] // 3, PANEL // 3), Image.Resampling.NEAREST)
-                corner = (size[0] - small.width - 6, PANEL - small.height - 6)
-                image.paste("white", (corner[0] - 2, corner[1] - 2, size[0] - 4, PANEL - 4))
-                image.paste(small, corner)
-            yield image
+            small = Image.fromarray(own).resize((size[0] // 3, PANEL // 3), Image.Resampling.NEAREST)
+            corner = (size[0] - small.width - 6, PANEL - small.height - 6)
+            image.paste("white", (corner[0] - 2, corner[1] - 2, size[0] - 4, PANEL - 4))
+            image.paste(small, corner)
+        yield image
+
+
+def _drawn(recording: Recording, drawing: Drawing, cameras: Cameras) -> Iterator[NDArray[np.uint8]]:
+    """Yield what cameras see, one a step: [H, W, 3]."""
+    for rows in torch.arange(len(cameras)).split(BATCH):
+        memory = {key: value[rows] for key, value in recording.memory.items()}
+        parts = None if recording.parts is None else recording.parts.rows(rows)
+        yield from drawing.draw(cameras[rows], memory, parts).pixels.cpu().numpy()
 
 
 def _action(action: Tensor, names: Sequence[str]) -> str:

@@ -97,6 +97,19 @@ def test_the_large_view_shows_what_the_task_remembered_and_placed_at_each_step(t
     assert torch.equal(targets, memory["target"]) and torch.equal(models, parts.model)
 
 
+def test_a_camera_outside_adds_a_panel_that_shows_its_views(tmp_path: Path) -> None:
+    parts = Parts(torch.zeros(3, 1, dtype=torch.int64), torch.eye(4).repeat(3, 1, 1, 1))
+    one = replace(recording(60, Outcome.GOAL, steps=2), memory={"target": torch.zeros(3, 3)}, parts=parts)
+    drawing = Kept()
+    eyes = tiny_robot().cameras(one.body_to_world.flip(0))
+    rollout_video([one], tiny_robot(), VIEW, tmp_path / "wide.mp4", drawing=drawing, outside=lambda _: eyes)
+    rollout_video([one], tiny_robot(), VIEW, tmp_path / "clip.mp4", drawing=drawing)
+    wide, narrow = (frames(tmp_path / name)[0].shape[1] for name in ("wide.mp4", "clip.mp4"))
+    assert abs(wide - narrow - eyes.width - 8) <= 1
+    asked = [poses for poses, *_ in drawing.asked]
+    assert any(torch.equal(poses, eyes.camera_to_world) for poses in asked)
+
+
 class Kept(SceneDrawing):
     """Draws black, and remembers what it was asked to draw."""
 
