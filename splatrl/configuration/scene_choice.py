@@ -5,7 +5,6 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from hydra import compose
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
@@ -13,7 +12,7 @@ from tqdm import tqdm
 
 from splatrl.configuration.grammar import last_typed, nested, quoted, unquoted
 from splatrl.configuration.scene_overrides import scene_overrides
-from splatrl.configuration.search_path import composed, config_loader, group_node, is_group, options
+from splatrl.configuration.search_path import composed, group_node, is_group, options
 from splatrl.native.threads import usable_cores
 from splatrl.scenes import yards
 from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, read_blocks_description
@@ -197,5 +196,4 @@ def _choices(overrides: Sequence[str], name: str) -> list[DictConfig]:
             swept = parsed.is_sweep_override()
             values = list(parsed.sweep_string_iterator()) if swept else [parsed.get_value_element_as_str()]
             groups.append([f"{key}={value}" for value in values])
-    with config_loader():
-        return [compose(name, list(chosen)) for chosen in itertools.product(*groups)]
+    return [composed(chosen, name) for chosen in itertools.product(*groups)]

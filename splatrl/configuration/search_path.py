@@ -1,5 +1,7 @@
 """The configs on Hydra's search path: ours, and those of plugins."""
 
+import functools
+import pickle
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,7 +10,10 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, OverrideType
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 
 def conf_dir() -> Path:
@@ -31,15 +36,51 @@ def config_loader() -> Iterator[ConfigLoader]:
 
 
 def composed(overrides: Sequence[str], name: str) -> DictConfig:
-    """Compose a config of what Hydra itself understands."""
+    """Compose a config of what Hydra itself understands.
+
+    Hydra composes what is chosen from groups, once in a process, which takes a tenth of a second. Values are set in a
+    copy of it, as Hydra would set them.
+
+    Raises:
+        HydraException: for overrides that do not fit the configs.
+    """
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    if all(map(_is_change, parsed)):
+        cfg: DictConfig = pickle.loads(_chosen(name, *(str(one.input_line) for one in parsed if _is_choice(one))))
+        try:
+            for value in parsed:
+                if not _is_choice(value):
+                    OmegaConf.update(cfg, value.key_or_group, value.value())
+            return cfg
+        except OmegaConfBaseException:
+            pass  # Hydra says what is wrong
     with config_loader():
         return compose(name, list(overrides))
 
 
-def options(group: str) -> list[str]:
+def _is_choice(override: Override) -> bool:
+    return is_group(override.key_or_group)
+
+
+def _is_change(override: Override) -> bool:
+    """Whether an override chooses from a group, or gives a value other than a dictionary to a key that is there."""
+    if override.type != OverrideType.CHANGE or override.is_sweep_override() or isinstance(override.value(), dict):
+        return False
+    return override.package is None or _is_choice(override)
+
+
+@functools.cache
+def _chosen(name: str, *choices: str) -> bytes:
+    """A config with choices from groups alone, pickled, which is the quickest way to copy it."""
+    with config_loader():
+        return pickle.dumps(compose(name, list(choices)))
+
+
+@functools.cache
+def options(group: str) -> tuple[str, ...]:
     """The options of a config group, including those of plugins; empty if there is no such group."""
     with config_loader() as loader:
-        return list(loader.get_group_options(group))
+        return tuple(loader.get_group_options(group))
 
 
 def is_group(key: str) -> bool:
