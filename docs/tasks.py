@@ -1,42 +1,51 @@
 """Makes ``docs/tasks/<task>.jpg``: what a robot sees along a shortest path, one picture for each task.
 
-Of push it is what the robot sees as the task's own teacher drives it, with a second row that shows robot and ball.
+Of push it is what the robot sees as the task's own teacher drives it, with a second row that shows robot and ball. Of
+tasks whose goal belongs to the episode it is an episode along shortest paths to that goal: pointnav has the depth in a
+second row, and imagenav ends with the image of its goal.
 
 Usage: python docs/tasks.py [task ...]
 """
 
+import math
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from PIL import Image
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from splatrl.build import build_world
 from splatrl.cameras import Cameras, look_at
 from splatrl.configuration import load_config
+from splatrl.curriculum import plan
 from splatrl.datasets import planner_episodes
+from splatrl.envs.tasks import Apple, ImageNav, Outcome, Snake
+from splatrl.envs.world import World
 
-TASKS = ("grid", "fps", "apple", "sim2real", "drive", "circle", "polar_plane", "hemisphere")
+TASKS = ("grid", "fps", "apple", "sim2real", "drive", "circle", "polar_plane", "hemisphere", "poster")
 """Those with goals to which the planner can walk."""
+WANDERING = ("snake", "pointnav", "imagenav")
+"""Those whose goal belongs to the episode."""
 TAUGHT = "push"
 """A task with a teacher of its own."""
 SIDE, VIEWS, GAP = 176, 5, 4
 SETTINGS = [f"robot.image_width={SIDE}", f"robot.image_height={SIDE}", "device=cpu", "renderer.cache=null"]
-EPISODES, SEED = 8, 3
+EPISODES, SEED, APPLES = 8, 3, 2
 
 
 def main() -> None:
     """Draw one of a few episodes of each task."""
     folder = Path(__file__).with_name("tasks")
     folder.mkdir(exist_ok=True)
-    for task in sys.argv[1:] or (*TASKS, TAUGHT):
-        if task == TAUGHT:
-            _page(_taught(), folder / f"{task}.jpg")
+    for task in sys.argv[1:] or (*TASKS, *WANDERING, TAUGHT):
+        if task == TAUGHT or task in WANDERING:
+            _page(_taught() if task == TAUGHT else _wandered(task), folder / f"{task}.jpg")
             continue
         world = build_world(load_config([f"task={task}", *SETTINGS]))
         frames = planner_episodes(world, EPISODES, SEED).frames
@@ -53,9 +62,60 @@ def _page(films: Sequence[NDArray[np.uint8]], path: Path) -> None:
     """Write a few frames of each film [T, SIDE, SIDE, 3], one film below the other."""
     page = Image.new("RGB", (VIEWS * (SIDE + GAP) - GAP, len(films) * (SIDE + GAP) - GAP), "white")
     for row, views in enumerate(films):
-        for column, step in enumerate(np.linspace(0, len(views) - 1, VIEWS).round().astype(int)):
+        for column, step in enumerate(_evenly(len(views), VIEWS)):
             page.paste(Image.fromarray(views[step]), (column * (SIDE + GAP), row * (SIDE + GAP)))
     page.save(path, quality=82)
+
+
+def _evenly(count: int, chosen: int) -> list[int]:
+    """Numbers of frames from the first of ``count`` to the last."""
+    return np.linspace(0, count - 1, chosen).round().astype(int).tolist()
+
+
+def _wandered(name: str) -> list[NDArray[np.uint8]]:
+    """The longest of a few episodes along shortest paths to goals of their own; of snake, to two apples."""
+    world = build_world(load_config([f"task={name}", *SETTINGS]))
+    episodes = [_walk(world, seed) for seed in range(EPISODES)]
+    steps = max((steps for steps in episodes if int(steps[-1]["next", "outcome"]) == Outcome.GOAL), key=len)
+    print(f"{name}: {len(steps)} steps")
+    views = torch.cat([*(step["pixels"] for step in steps), steps[-1]["next", "pixels"]])
+    if name == "pointnav":
+        depth = torch.cat([*(step["depth"] for step in steps), steps[-1]["next", "depth"]])
+        return [views.numpy(), (255 * depth).byte().expand(-1, -1, -1, 3).numpy()]
+    if name == "imagenav":
+        views = torch.cat([views[_evenly(len(views), VIEWS - 1)], steps[0]["imagegoal"]])
+    return [views.numpy()]
+
+
+def _walk(world: World, seed: int) -> list[TensorDictBase]:
+    """The steps of one robot to the end of its episode, or to its second apple."""
+    env = world.env(1, seed=seed)
+    now, task, steps, way, aim = env.reset(), world.task, [], None, torch.empty(0)
+    while len(steps) < task.max_steps:
+        target = now["target" if isinstance(task, Snake) else "goal"][0]
+        if way is None or not torch.equal(target, aim):
+            way, aim = plan(task.motion, world.checker, partial(_there, world, target)), target.clone()
+        done = bool(_there(world, target, now["state"]))
+        best = way.optimal(now["state"])[0].nonzero()
+        arrived = done and not isinstance(task, Snake)  # stop is the first action of navigation
+        now["action"] = torch.zeros(1, dtype=torch.int64) if arrived else way.actions[best[0] if len(best) else [0]]
+        step = env.step(now)
+        steps.append(step.clone())
+        now = env.step_mdp(step)
+        apples = sum(int(each["next", "outcome"]) == Outcome.GOAL for each in steps)
+        if bool(step["next", "done"]) or apples == APPLES:
+            break
+    return steps
+
+
+def _there(world: World, target: Tensor, state: Tensor) -> Tensor:
+    """Whether robots [B, 3] are where an episode's goal is reached: [B] bool."""
+    task = world.task
+    if isinstance(task, Snake):
+        return Apple(task.motion, target.tolist(), task.reach / task.motion.step).reached(state)
+    away = (state[:, :2] - target[:2]).norm(dim=1)
+    turn = torch.cos(state[:, 2] - target[2]) if isinstance(task, ImageNav) else torch.ones(len(state))
+    return (away < 0.15) & (turn > math.cos(math.radians(16)))
 
 
 def _taught() -> list[NDArray[np.uint8]]:
