@@ -1,11 +1,11 @@
-"""Demonstrations in the layout of LeRobotDataset v3.0: parquet, one video, and JSON about them.
+"""Demonstrations in the layout of LeRobotDataset v3.0: parquet, videos, and JSON about them.
 
-The layout is documented at https://huggingface.co/docs/lerobot/lerobot-dataset-v3. States and actions keep their bytes,
-and views are compressed as H.264. Tables and video have one file each, whatever their size.
+The layout is documented at https://huggingface.co/docs/lerobot/lerobot-dataset-v3. States, actions and what sensors
+sense keep their bytes, and views are compressed as H.264. Tables and each video have one file, whatever their size.
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,10 @@ from splatrl.evaluation.report import write_json
 from splatrl.evaluation.video import encode
 
 VIEW = "observation.images.front"
+KNOWN = {"episode", "frame", "pixels", "state", "action", "optimal", "next"}
+"""Keys of frames that are written under names of their own, and ``optimal``, which LeRobot has no word for."""
 DATA, EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
-VIDEO = f"videos/{VIEW}/chunk-000/file-000.mp4"
+VIDEO = "videos/{key}/chunk-000/file-000.mp4"
 CHUNKS = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 KEYFRAMES = 2
 """Frames from one that stands alone to the next, so that readers find any frame quickly."""
@@ -31,7 +33,8 @@ def write_lerobot(folder: Path, demonstrations: Demonstrations, task: str, robot
     """Write demonstrations into an existing folder, which ``LeRobotDataset(..., root=folder)`` reads.
 
     Features: ``observation.images.front``, ``observation.state``, ``action``, ``next.reward``, ``next.done`` and
-    ``next.success``.
+    ``next.success``; and ``observation.<key>`` for what else is sensed or remembered, which is a video
+    ``observation.images.<key>`` where it is an image of three channels.
 
     Args:
         folder: to write to; make it with ``new_folder``, so that it appears whole or not at all.
@@ -52,28 +55,43 @@ def write_lerobot(folder: Path, demonstrations: Demonstrations, task: str, robot
     height, width = frames["pixels"].shape[1:3]
     if height % 2 or width % 2:
         raise ValueError(f"robot.image_width, robot.image_height: expected even numbers, got {width} and {height}")
-    columns = _columns(demonstrations)
+    columns, videos = _columns(demonstrations), _videos(demonstrations)
     tables = {
         DATA: pyarrow.table({key: _array(pyarrow, value) for key, value in columns.items()}),
-        EPISODES: pyarrow.table(_episodes(demonstrations, task)),
+        EPISODES: pyarrow.table(_episodes(demonstrations, task, videos)),
         "meta/tasks.parquet": _tasks(pyarrow, task),
     }
     for name, table in tables.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         parquet.write_table(table, folder / name)
-    write_json(folder / "meta/info.json", _info(demonstrations, columns, robot))
-    write_json(folder / "meta/stats.json", _statistics(columns, frames["pixels"]))
-    (folder / VIDEO).parent.mkdir(parents=True)
-    encode(_images(frames["pixels"]), folder / VIDEO, fps, {"g": str(KEYFRAMES)})
+    write_json(folder / "meta/info.json", _info(demonstrations, columns, videos, robot))
+    write_json(folder / "meta/stats.json", _statistics(columns, videos))
+    for key, pixels in videos.items():
+        path = folder / VIDEO.format(key=key)
+        path.parent.mkdir(parents=True)
+        encode(_images(pixels), path, fps, {"g": str(KEYFRAMES)})
+
+
+def _is_image(values: Tensor) -> bool:
+    return values.ndim == 4 and values.shape[-1] == 3 and values.dtype == torch.uint8
+
+
+def _videos(demonstrations: Demonstrations) -> dict[str, Tensor]:
+    """What the robot sees, and other images that it is given: [N, H, W, 3] uint8 by feature."""
+    frames = demonstrations.frames
+    others = [key for key in sorted(frames.keys() - KNOWN) if _is_image(frames[key])]
+    return {VIEW: frames["pixels"]} | {f"observation.images.{key}": frames[key] for key in others}
 
 
 def _columns(demonstrations: Demonstrations) -> dict[str, Tensor]:
-    """The columns of the table of frames: [N] or [N, D]."""
+    """The columns of the table of frames: [N], or [N, ...] of more than one number."""
     frames, count = demonstrations.frames, len(demonstrations)
     after = frames["next"]
+    others = {key: frames[key] for key in sorted(frames.keys() - KNOWN) if not _is_image(frames[key])}
     return {
         "observation.state": frames["state"].reshape(count, -1),
         "action": frames["action"],
+        **{f"observation.{key}": value.squeeze(1) if value[0].numel() == 1 else value for key, value in others.items()},
         "next.reward": after["reward"].squeeze(1),
         "next.done": after["done"].squeeze(1),
         "next.success": (after["outcome"] == Outcome.GOAL).squeeze(1),
@@ -86,15 +104,28 @@ def _columns(demonstrations: Demonstrations) -> dict[str, Tensor]:
 
 
 def _array(pyarrow: Any, values: Tensor) -> Any:
-    """A column; rows of several numbers are lists of that length."""
-    flat = pyarrow.array(values.reshape(-1).numpy())
-    return flat if values.ndim == 1 else pyarrow.FixedSizeListArray.from_arrays(flat, values.shape[1])
+    """A column; rows of several numbers are lists of that length, and of lists where they have several axes."""
+    result = pyarrow.array(values.reshape(-1).numpy())
+    for side in reversed(values.shape[1:]):
+        result = pyarrow.FixedSizeListArray.from_arrays(result, side)
+    return result
 
 
-def _episodes(demonstrations: Demonstrations, task: str) -> dict[str, Any]:
-    """Columns of the table of episodes: where each is in tables and video."""
+def _episodes(demonstrations: Demonstrations, task: str, videos: Iterable[str]) -> dict[str, Any]:
+    """Columns of the table of episodes: where each is in tables and videos."""
     starts, lengths = demonstrations.starts, demonstrations.lengths
     ends, zeros = starts + lengths, [0] * len(starts)
+    begin, end = ((at.double() / demonstrations.fps).tolist() for at in (starts, ends))
+    filmed = {
+        f"videos/{key}/{name}": values
+        for key in videos
+        for name, values in (
+            ("chunk_index", zeros),
+            ("file_index", zeros),
+            ("from_timestamp", begin),
+            ("to_timestamp", end),
+        )
+    }
     return {
         "episode_index": list(range(len(starts))),
         "tasks": [[task]] * len(starts),
@@ -103,10 +134,7 @@ def _episodes(demonstrations: Demonstrations, task: str) -> dict[str, Any]:
         "data/file_index": zeros,
         "dataset_from_index": starts.tolist(),
         "dataset_to_index": ends.tolist(),
-        f"videos/{VIEW}/chunk_index": zeros,
-        f"videos/{VIEW}/file_index": zeros,
-        f"videos/{VIEW}/from_timestamp": (starts.double() / demonstrations.fps).tolist(),
-        f"videos/{VIEW}/to_timestamp": (ends.double() / demonstrations.fps).tolist(),
+        **filmed,
         "meta/episodes/chunk_index": zeros,
         "meta/episodes/file_index": zeros,
     }
@@ -128,27 +156,30 @@ def _tasks(pyarrow: Any, task: str) -> Any:
     return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
 
 
-def _info(demonstrations: Demonstrations, columns: Mapping[str, Tensor], robot: str) -> dict[str, Any]:
-    height, width = demonstrations.frames["pixels"].shape[1:3]
+def _info(
+    demonstrations: Demonstrations, columns: Mapping[str, Tensor], videos: Mapping[str, Tensor], robot: str
+) -> dict[str, Any]:
     features: dict[str, Any] = {
         key: {"dtype": str(value.dtype).removeprefix("torch."), "shape": list(value.shape[1:] or [1]), "names": None}
         for key, value in columns.items()
     }
-    features[VIEW] = {
-        "dtype": "video",
-        "shape": [height, width, 3],
-        "names": ["height", "width", "channels"],
-        "info": {
-            "video.height": height,
-            "video.width": width,
-            "video.channels": 3,
-            "video.codec": "h264",
-            "video.pix_fmt": "yuv420p",
-            "video.is_depth_map": False,
-            "video.fps": demonstrations.fps,
-            "has_audio": False,
-        },
-    }
+    for key, pixels in videos.items():
+        height, width = pixels.shape[1:3]
+        features[key] = {
+            "dtype": "video",
+            "shape": [height, width, 3],
+            "names": ["height", "width", "channels"],
+            "info": {
+                "video.height": height,
+                "video.width": width,
+                "video.channels": 3,
+                "video.codec": "h264",
+                "video.pix_fmt": "yuv420p",
+                "video.is_depth_map": False,
+                "video.fps": demonstrations.fps,
+                "has_audio": False,
+            },
+        }
     return {
         "codebase_version": "v3.0",
         "robot_type": robot,
@@ -167,13 +198,18 @@ def _info(demonstrations: Demonstrations, columns: Mapping[str, Tensor], robot: 
     }
 
 
-def _statistics(columns: Mapping[str, Tensor], pixels: Tensor) -> dict[str, Any]:
+def _statistics(columns: Mapping[str, Tensor], videos: Mapping[str, Tensor]) -> dict[str, Any]:
     """Least, largest, mean, standard deviation and number of each feature; views in [0, 1], by channel: [3, 1, 1]."""
     result: dict[str, Any] = {}
     for key, value in columns.items():
-        rows = value.double().reshape(len(value), -1)
+        rows = value.double().reshape(len(value), *(value.shape[1:] or [1]))
         found = {"min": rows.amin(0), "max": rows.amax(0), "mean": rows.mean(0), "std": rows.std(0, correction=0)}
         result[key] = {name: numbers.tolist() for name, numbers in found.items()} | {"count": [len(value)]}
+    return result | {key: _colors(pixels) for key, pixels in videos.items()}
+
+
+def _colors(pixels: Tensor) -> dict[str, Any]:
+    """The statistics of a video [N, H, W, 3]."""
     colors = torch.zeros(4, 3, dtype=torch.float64)  # sums of values and squares, one image at a time
     colors[2] = 255.0
     for image in pixels:
@@ -184,9 +220,8 @@ def _statistics(columns: Mapping[str, Tensor], pixels: Tensor) -> dict[str, Any]
     mean = colors[0] / len(pixels)
     std = (colors[1] / len(pixels) - mean.square()).clamp_min(0).sqrt()
     named = {"min": colors[2], "max": colors[3], "mean": mean, "std": std}
-    result[VIEW] = {name: (numbers / 255.0).reshape(3, 1, 1).tolist() for name, numbers in named.items()}
-    result[VIEW]["count"] = [len(pixels)]
-    return result
+    result = {name: (numbers / 255.0).reshape(3, 1, 1).tolist() for name, numbers in named.items()}
+    return result | {"count": [len(pixels)]}
 
 
 def _images(pixels: Tensor) -> Iterator[Image.Image]:

@@ -25,6 +25,7 @@ from splatrl.envs.world import World
 from tests.tiny import tiny_overrides
 
 EPISODES = 40
+SENSING = ["sensors=[rgb,depth,gps,compass,contact,lidar]"]
 SHAKEN = ["transforms/pose_noise=unsteady", "memory=stack"]
 
 
@@ -111,7 +112,9 @@ def test_a_replay_finds_what_was_changed(
         assert different == [] and views == len(frames) - 1
 
 
-@pytest.mark.parametrize(("task", "more"), [("drive", []), ("fps", []), ("apple", []), ("grid", SHAKEN)])
+@pytest.mark.parametrize(
+    ("task", "more"), [("drive", []), ("fps", []), ("apple", []), ("grid", SHAKEN), ("grid", SENSING)]
+)
 def test_other_tasks_are_recorded_and_replayed(task: str, more: list[str], tmp_path: Path) -> None:
     coarse = ["task.motion.spacing=0.5"] if task != "grid" else []
     turns = ["task.motion.angle_step_deg=45.0", "task.motion.step=0.25"] if task in ("fps", "apple") else []
@@ -121,7 +124,9 @@ def test_other_tasks_are_recorded_and_replayed(task: str, more: list[str], tmp_p
     assert shown.frames["pixels"].shape[1:] == (12, 16, 3)
     write_demonstrations(tmp_path, shown)
     different, views = replay(world, read_demonstrations(tmp_path))
-    assert different == [] and (views == len(shown)) == (not more), "an unsteady hand shakes anew"
+    assert different == [] and (views == len(shown)) == (more != SHAKEN), "an unsteady hand shakes anew"
+    if more == SENSING:
+        assert {"depth", "gps", "compass", "contact", "lidar"} <= set(read_demonstrations(tmp_path).frames.keys())
 
 
 def test_a_stack_is_what_the_env_stacks(tmp_path: Path) -> None:

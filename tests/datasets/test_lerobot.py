@@ -19,11 +19,16 @@ parquet = pytest.importorskip("pyarrow.parquet", reason="needs the extra lerobot
 KEY = "observation.images.front"
 
 
-@pytest.fixture(scope="module", params=["grid", "drive"])
+SENSING = ["sensors=[rgb,depth,gps,compass,contact,lidar]", "sensors.lidar.beams=5"]
+RECORDED = {"plain": ("grid", []), "continuous": ("drive", ["task.motion.spacing=0.5"]), "sensing": ("grid", SENSING)}
+
+
+@pytest.fixture(scope="module", params=list(RECORDED))
 def shown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Demonstrations:
-    coarse = ["task.motion.spacing=0.5"] if request.param == "drive" else []
-    overrides = [*tiny_overrides(tmp_path_factory.mktemp("room"), request.param), *coarse]
-    return planner_episodes(build_world(load_config(overrides)), 9)
+    task, more = RECORDED[request.param]
+    return planner_episodes(
+        build_world(load_config([*tiny_overrides(tmp_path_factory.mktemp("room"), task), *more])), 9
+    )
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +47,11 @@ def table(folder: Path, pattern: str) -> Any:
     return parquet.read_table(folder / pattern.format(chunk_index=0, file_index=0))
 
 
+def sensed(shown: Demonstrations) -> dict[str, torch.Tensor]:
+    """What is sensed besides the view."""
+    return {key: shown.frames[key] for key in ("depth", "gps", "compass", "contact", "lidar") if key in shown.frames}
+
+
 def test_tables_hold_the_bytes_of_states_and_actions(shown: Demonstrations, folder: Path) -> None:
     found = table(folder, info(folder)["data_path"])
     for key, expected in (
@@ -51,6 +61,7 @@ def test_tables_hold_the_bytes_of_states_and_actions(shown: Demonstrations, fold
         ("next.done", shown.frames["next", "done"].squeeze(1)),
         ("episode_index", shown.frames["episode"]),
         ("frame_index", shown.frames["frame"]),
+        *((f"observation.{key}", values) for key, values in sensed(shown).items()),
     ):
         values = np.array(found[key].to_pylist(), expected.numpy().dtype)
         assert values.tobytes() == expected.contiguous().numpy().tobytes(), key
@@ -58,6 +69,33 @@ def test_tables_hold_the_bytes_of_states_and_actions(shown: Demonstrations, fold
     assert np.allclose(found["timestamp"].to_numpy(), shown.frames["frame"] / 10)
     success = np.array(found["next.success"].to_pylist())
     assert success.sum() == 9 and np.array_equal(success, found["next.done"].to_numpy())
+
+
+def test_each_sensor_is_a_feature(shown: Demonstrations, folder: Path) -> None:
+    features = info(folder)["features"]
+    for key, values in sensed(shown).items():
+        feature = features[f"observation.{key}"]
+        dtype = str(values.dtype).removeprefix("torch.")
+        assert (feature["dtype"], feature["shape"]) == (dtype, list(values.shape[1:] or [1]))
+
+
+def test_an_image_that_a_sensor_gives_is_a_video(shown: Demonstrations, tmp_path: Path) -> None:
+    frames = shown.frames.clone()
+    frames["imagegoal"] = frames["pixels"].flip(2)
+    write_lerobot(tmp_path, Demonstrations(frames, shown.action_names), "x")
+    feature = info(tmp_path)["features"]["observation.images.imagegoal"]
+    assert (feature["dtype"], feature["shape"]) == ("video", [12, 16, 3])
+    path = tmp_path / info(tmp_path)["video_path"].format(
+        video_key="observation.images.imagegoal", chunk_index=0, file_index=0
+    )
+    with open_video(path) as video:
+        views = np.stack([image.to_ndarray(format="rgb24") for image in video.decode(video=0)])
+    assert len(views) == len(shown)
+    error = np.square(views - frames["imagegoal"].numpy().astype(float)).mean()
+    assert -10 * np.log10(error / 255**2) > 25, "the loss of the codec"
+    episodes = table(tmp_path, "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet")
+    for name in ("from_timestamp", "to_timestamp", "chunk_index", "file_index"):
+        assert episodes[f"videos/observation.images.imagegoal/{name}"] == episodes[f"videos/{KEY}/{name}"]
 
 
 def test_features_say_what_the_columns_are(shown: Demonstrations, folder: Path) -> None:
@@ -70,7 +108,9 @@ def test_features_say_what_the_columns_are(shown: Demonstrations, folder: Path) 
         first = np.atleast_1d(found[key][0].as_py())
         assert feature["shape"] == list(first.shape)
         kind = found.schema.field(key).type
-        named = str(getattr(kind, "value_type", kind)).replace("float", "float32").replace("double", "float64")
+        while hasattr(kind, "value_type"):
+            kind = kind.value_type
+        named = str(kind).replace("float", "float32").replace("double", "float64")
         assert feature["dtype"] == named
 
 

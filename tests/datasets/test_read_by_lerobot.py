@@ -14,6 +14,7 @@ import torch
 from splatrl.build import build_world
 from splatrl.configuration import load_config
 from splatrl.datasets import planner_episodes, write_lerobot
+from tests.datasets.test_lerobot import RECORDED, sensed
 from tests.tiny import tiny_overrides
 
 NEEDED = ["datasets>=4,<5", "huggingface-hub<0.36", "jsonlines", "draccus==0.10.0", "deepdiff", "einops"]
@@ -38,10 +39,10 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", ["grid", "drive"])
-def test_lerobot_reads_the_same(python: Path, task: str, tmp_path: Path) -> None:
-    coarse = ["task.motion.spacing=0.5"] if task == "drive" else []
-    shown = planner_episodes(build_world(load_config([*tiny_overrides(tmp_path, task), *coarse])), 9)
+@pytest.mark.parametrize("recorded", list(RECORDED))
+def test_lerobot_reads_the_same(python: Path, recorded: str, tmp_path: Path) -> None:
+    task, more = RECORDED[recorded]
+    shown = planner_episodes(build_world(load_config([*tiny_overrides(tmp_path, task), *more])), 9)
     write_lerobot(tmp_path / "demos", shown, "Grid in room")
     out = tmp_path / "read.npz"
     settings = os.environ | {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "home")}
@@ -54,6 +55,7 @@ def test_lerobot_reads_the_same(python: Path, task: str, tmp_path: Path) -> None
         ("next.done", frames["next", "done"].squeeze(1)),
         ("episode_index", frames["episode"]),
         ("frame_index", frames["frame"]),
+        *((f"observation.{key}", values) for key, values in sensed(shown).items()),
     ):
         assert found[key].dtype == expected.numpy().dtype, key
         assert found[key].tobytes() == expected.contiguous().numpy().tobytes(), key
