@@ -1,11 +1,14 @@
 """The page itself: the splats, the layers over them, and a camera that begins inside the place."""
 
+import math
 import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from splatrl.collision.occupancy import Occupancy
 from splatrl.curriculum import Plan
@@ -13,7 +16,7 @@ from splatrl.scenes.description import PATH
 from splatrl.scenes.scene import Bounds, Scene
 from splatrl.viewer.layers import box_lines, free_places, path_lines, surface
 from splatrl.viewer.server import address, close, open_server
-from splatrl.viewer.splats import BYTES, parts_of, show_splats
+from splatrl.viewer.splats import BYTES, Splats, parts_of
 
 if TYPE_CHECKING:
     import viser
@@ -21,6 +24,9 @@ if TYPE_CHECKING:
 SOLID, FREE, NO_WAY, WALKED, LIMITS = (88, 110, 150), (46, 160, 67), (227, 179, 65), (31, 111, 235), (130, 80, 223)
 AWAY, ABOVE = 0.8, 0.7
 """How far to the side of the scene's middle the camera begins, and above, in lengths of its longer side."""
+AS_MANY = "as many as are quick"
+SIDES = 8
+"""Places around the scene, as far away, from which its colours are taken."""
 
 
 class Page:
@@ -39,11 +45,13 @@ class Page:
     def __init__(self, scene: Scene, host: str = "127.0.0.1", port: int = 8080):
         self.scene = scene
         self.turn = threading.RLock()  # held by who draws or steps: the page's callbacks come from many threads
-        parts = parts_of(scene.gaussians)
+        parts = parts_of(scene.gaussians, around(scene.bounds))
         self.server: viser.ViserServer = open_server(host, port, scene.name)
         self._aim(scene)
         self.layers = self.server.gui.add_folder("layers")
-        self._layer("splats", show_splats(self.server, parts), True)
+        self.splats = Splats(self.server, parts)
+        self._layer("splats", self.splats.root, True)
+        self._offer_fewer()
         self._lines("bounds", box_lines(scene.bounds), LIMITS)
         self.bytes = BYTES * len(scene.gaussians)
 
@@ -90,6 +98,19 @@ class Page:
         """Draw other bounds."""
         self._bounds.points = box_lines(bounds)
 
+    def _offer_fewer(self) -> None:
+        """Let visitors choose how many splats are drawn, where they come in more parts than one."""
+        counts = [f"{count:,}" for count in self.splats.counts]
+        if len(counts) < 2:
+            return
+        hint = "the most important ones; more look better, fewer are drawn more quickly"
+        with self.layers:
+            choice = self.server.gui.add_dropdown("splats drawn", [AS_MANY, *counts], initial_value=AS_MANY, hint=hint)
+
+        @choice.on_update
+        def choose(_: object) -> None:
+            self.splats.show(None if choice.value == AS_MANY else 1 + counts.index(choice.value))
+
     def _lines(self, name: str, lines: Any, color: tuple[int, int, int], visible: bool = False) -> None:
         node = self.server.scene.add_line_segments(f"/{name}", lines, color, thickness=2, thickness_units="screen")
         if name == "bounds":
@@ -127,3 +148,11 @@ class Page:
         camera = self.server.initial_camera
         camera.position = middle + side * np.array([*(-AWAY * ahead), ABOVE])
         camera.look_at, camera.up = middle, np.array([0.0, 0.0, 1.0])
+
+
+def around(bounds: Bounds) -> Tensor:
+    """Places around a scene from which a visitor looks at it: [SIDES, 3], metres."""
+    lower, upper = torch.tensor(bounds)
+    turn = math.tau * torch.arange(SIDES) / SIDES
+    away = torch.stack([AWAY * turn.cos(), AWAY * turn.sin(), torch.full_like(turn, ABOVE)], 1)
+    return 0.5 * (lower + upper) + (upper - lower)[:2].max() * away

@@ -1,5 +1,7 @@
 """Gaussians for the browser: the most important ones first, so that a picture is there before all have arrived."""
 
+import itertools
+import threading
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -7,10 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from splatrl.geometry import quats_to_rotations
 from splatrl.scenes.gaussians import Gaussians
-from splatrl.spherical_harmonics import C0
+from splatrl.spherical_harmonics import C0, sh_colors
 
 if TYPE_CHECKING:
     import viser
@@ -19,8 +22,8 @@ FIRST = 2**15
 """Gaussians of the first part, 1 MB; each part holds twice as many as the one before."""
 BYTES = 32
 """Of a Gaussian, as viser sends it."""
-PAUSE = 0.5
-"""Seconds between parts, in which a browser draws what it has."""
+ARRIVES, SLOW = 60.0, 1.0
+"""Seconds for which the picture of a part is waited for, and for which a picture may take if more are to come."""
 LARGEST = 6e4
 """Covariance that half precision holds, square metres."""
 
@@ -32,7 +35,7 @@ class Part:
     Attributes:
         centers: [N, 3] float32, world, metres.
         covariances: [N, 3, 3] float16, square metres.
-        colors: [N, 3] uint8, what is seen from all sides.
+        colors: [N, 3] uint8, the same from all sides.
         opacities: [N, 1] uint8.
     """
 
@@ -42,13 +45,15 @@ class Part:
     opacities: NDArray[np.uint8]
 
 
-def parts_of(gaussians: Gaussians, first: int = FIRST) -> list[Part]:
+def parts_of(gaussians: Gaussians, eyes: Tensor | None = None, first: int = FIRST) -> list[Part]:
     """Split Gaussians into parts, the most important first: by opacity times the largest area that is seen of them.
 
-    Spherical harmonics above degree 0, which change colours with the side, are left out.
+    The browser draws one colour from all sides. Of spherical harmonics above degree 0 that is the mean of what is seen
+    from ``eyes``, which is nearer to what they show from there than the harmonics of degree 0 alone.
 
     Args:
         gaussians: in the world frame.
+        eyes: [E, 3] places from which they are looked at, metres; None takes degree 0 alone.
         first: number of Gaussians of the first part.
     """
     g = gaussians.detach().cpu()
@@ -56,7 +61,7 @@ def parts_of(gaussians: Gaussians, first: int = FIRST) -> list[Part]:
     order = (g.opacities * area).argsort(descending=True, stable=True)
     rotations = quats_to_rotations(g.quats) * g.scales.unsqueeze(1)
     covariances = (rotations @ rotations.mT).clamp(-LARGEST, LARGEST)
-    colors = (255 * (0.5 + C0 * g.sh[:, 0]).clamp(0, 1)).round().to(torch.uint8)
+    colors = (255 * _colors(g, eyes).clamp(0, 1)).round().to(torch.uint8)
     opacities = (255 * g.opacities.unsqueeze(1)).round().to(torch.uint8)
     ends = [min(first * (2**number - 1), len(g)) for number in range(1, 64)]
     spans = [(start, end) for start, end in zip([0, *ends], ends, strict=False) if start < end]
@@ -67,20 +72,81 @@ def parts_of(gaussians: Gaussians, first: int = FIRST) -> list[Part]:
     ]
 
 
-def show_splats(server: "viser.ViserServer", parts: list[Part]) -> "viser.FrameHandle":
-    """Send parts to everyone who opens the page, one after another; returns the node that they all hang on."""
-    root = server.scene.add_frame("/splats", show_axes=False)
+def _colors(g: Gaussians, eyes: Tensor | None) -> Tensor:
+    """The mean colour of Gaussians as some places see them: [N, 3], 0 to 1 where it can be shown."""
+    if eyes is None or g.sh.shape[1] == 1:
+        return 0.5 + C0 * g.sh[:, 0]
+    seen = [sh_colors(g.sh, torch.nn.functional.normalize(g.means - eye, dim=1)) for eye in eyes]
+    return torch.stack(seen).mean(0)
 
-    @server.on_client_connect
-    def send(client: "viser.ClientHandle") -> None:
-        for number, part in enumerate(parts):
-            if client.client_id not in server.get_clients():
-                return
-            client.scene.add_gaussian_splats(
-                f"/splats/{number}", part.centers, part.covariances, part.colors, part.opacities
-            )
-            client.flush()
-            if number + 1 < len(parts):
-                time.sleep(PAUSE)
 
-    return root
+class Splats:
+    """The splats of a page, which are sent to everyone who opens it, one part after another.
+
+    Unless a number of parts is asked for, a browser gets more as long as it draws what it has in ``SLOW``.
+
+    Args:
+        server: of the page.
+        parts: of the scene.
+
+    Attributes:
+        root: the node that all of them hang on.
+    """
+
+    def __init__(self, server: "viser.ViserServer", parts: list[Part]):
+        self._parts, self._server = parts, server
+        self._wanted: int | None = None
+        self.root = server.scene.add_frame("/splats", show_axes=False)
+        self._shown: dict[int, list[viser.GaussianSplatHandle]] = {}
+        self._turns: dict[int, threading.Lock] = {}
+
+        @server.on_client_connect
+        def come(client: "viser.ClientHandle") -> None:
+            self._shown[client.client_id], self._turns[client.client_id] = [], threading.Lock()
+            self._bring(client)
+
+        @server.on_client_disconnect
+        def leave(client: "viser.ClientHandle") -> None:
+            self._shown.pop(client.client_id, None)
+            self._turns.pop(client.client_id, None)
+
+    @property
+    def counts(self) -> list[int]:
+        """How many Gaussians are shown with one part, two and so on."""
+        return list(itertools.accumulate(len(part.centers) for part in self._parts))
+
+    def show(self, wanted: int | None) -> None:
+        """Show so many parts to everyone; None shows as many as a browser is quick with."""
+        self._wanted = wanted
+        for client in self._server.get_clients().values():
+            self._bring(client)
+
+    def _bring(self, client: "viser.ClientHandle") -> None:
+        """Send a client what is wanted and take from it what is not."""
+        shown, turn = self._shown.get(client.client_id), self._turns.get(client.client_id)
+        if shown is None or turn is None:
+            return
+        with turn:
+            while self._wanted is not None and len(shown) > self._wanted:
+                shown.pop().remove()
+            while len(shown) < (self._wanted or len(self._parts)):
+                if shown and self._wanted is None and not _is_quick(client):
+                    return
+                part = self._parts[len(shown)]
+                name = f"/splats/{len(shown)}"
+                shown.append(
+                    client.scene.add_gaussian_splats(name, part.centers, part.covariances, part.colors, part.opacities)
+                )
+                client.flush()
+
+
+def _is_quick(client: "viser.ClientHandle") -> bool:
+    """Whether a browser is still there and draws what it was sent in ``SLOW``."""
+    height, width = client.camera.image_height, client.camera.image_width
+    try:
+        client.get_render(height, width, timeout=ARRIVES)  # the first picture waits until all has arrived
+        began = time.monotonic()
+        client.get_render(height, width, timeout=ARRIVES)
+    except (RuntimeError, TimeoutError):  # it left, or says nothing
+        return False
+    return time.monotonic() - began < SLOW

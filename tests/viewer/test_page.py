@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from splatrl.collision.point_clouds import write_points
@@ -16,7 +17,7 @@ from splatrl.viewer.driving import Driving
 from splatrl.viewer.page import Page
 from splatrl.viewer.placing import Placing
 from splatrl.viewer.robot import BLUE, tone
-from splatrl.viewer.splats import BYTES
+from splatrl.viewer.splats import BYTES, Splats, parts_of
 from tests.viewer.visitor import Visitor, until
 
 Visit = Callable[[], Visitor]
@@ -38,12 +39,41 @@ def test_each_visitor_is_sent_the_splats(page: Page, visit: Visit) -> None:
 
 
 def test_large_scenes_come_in_parts(world: World, visit: Visit, page: Page) -> None:
-    from splatrl.viewer.splats import parts_of, show_splats
-
-    show_splats(page.server, parts_of(page.scene.gaussians, 40))
+    splats = Splats(page.server, parts_of(page.scene.gaussians, first=40))
     visitor = visit()
     for number in range(3):
         visitor.find("GaussianSplatsMessage", lambda m: m["name"] == f"/splats/{number}")  # noqa: B023
+    assert splats.counts == [40, 120, len(page.scene.gaussians)]
+
+
+def test_fewer_splats_are_drawn_where_that_is_chosen(visit: Visit, page: Page) -> None:
+    page.splats = Splats(page.server, parts_of(page.scene.gaussians, first=40))
+    page._offer_fewer()
+    visitor = visit()
+    visitor.find("GaussianSplatsMessage", lambda m: m["name"] == "/splats/2")
+    visitor.click("splats drawn", "40")
+    for number in (1, 2):
+        visitor.find("RemoveSceneNodeMessage", lambda m: m["name"] == f"/splats/{number}")  # noqa: B023
+    assert not [m for m in visitor.messages if m["type"] == "RemoveSceneNodeMessage" and m["name"] == "/splats/0"]
+    before = len(visitor.messages)
+    visitor.click("splats drawn", "120")
+    again = until(lambda: [m for m in visitor.messages[before:] if m["type"] == "GaussianSplatsMessage"], "a part")
+    assert [m["name"] for m in again] == ["/splats/1"]
+    late = visit()
+    late.find("GaussianSplatsMessage", lambda m: m["name"] == "/splats/1")
+    assert not [m for m in late.messages if m.get("name") == "/splats/2"]
+
+
+def test_a_browser_that_draws_slowly_gets_no_more_until_it_asks(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("splatrl.viewer.splats.SLOW", 0.0)
+    page.splats = Splats(page.server, parts_of(page.scene.gaussians, first=40))
+    page._offer_fewer()
+    visitor = Visitor(page.address)
+    until(lambda: len([m for m in visitor.messages if m["type"] == "GetRenderRequestMessage"]) == 2, "two pictures")
+    visitor.click("splats drawn", f"{len(page.scene.gaussians):,}")
+    visitor.find("GaussianSplatsMessage", lambda m: m["name"] == "/splats/2")
+    assert len([m for m in visitor.messages if m["type"] == "GetRenderRequestMessage"]) == 2
+    visitor.close()
 
 
 def test_layers_are_sent_when_they_are_asked_for(page: Page, world: World, visit: Visit, tmp_path: Path) -> None:

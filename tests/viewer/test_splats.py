@@ -5,13 +5,14 @@ import pytest
 import torch
 
 from splatrl.geometry import quats_to_rotations
+from splatrl.viewer.page import around
 from splatrl.viewer.splats import parts_of
 from tests.tiny import tiny_gaussians
 
 
 def test_parts_hold_every_gaussian_once_and_double_in_size() -> None:
     gaussians = tiny_gaussians()
-    parts = parts_of(gaussians, 40)
+    parts = parts_of(gaussians, first=40)
     assert [len(part.centers) for part in parts] == [40, 80, len(gaussians) - 120]
     assert sum(len(part.centers) for part in parts) == len(gaussians)
     centers = np.concatenate([part.centers for part in parts])
@@ -46,3 +47,20 @@ def test_a_sky_is_within_half_precision() -> None:
     gaussians = tiny_gaussians()[:1].clone()
     gaussians.scales = torch.tensor([[900.0, 900.0, 1.0]])
     assert np.isfinite(parts_of(gaussians)[0].covariances).all()
+
+
+def test_one_colour_is_the_mean_of_what_is_seen_from_around() -> None:
+    gaussians = tiny_gaussians()[:1].clone()
+    gaussians.sh = torch.zeros(1, 4, 3)
+    gaussians.sh[0, 2] = 0.4  # brighter the more one looks upwards
+    eyes = gaussians.means + torch.tensor([[0.0, 0.0, 5.0], [3.0, 0.0, 4.0]])
+    (part,) = parts_of(gaussians, eyes)
+    mean = 0.5 - 0.48860251 * 0.4 * (1.0 + 0.8) / 2
+    assert part.colors[0].tolist() == [round(255 * mean)] * 3
+    assert parts_of(gaussians)[0].colors[0].tolist() == [128] * 3
+
+
+def test_colours_are_taken_from_around_and_above_the_scene() -> None:
+    eyes = around(((-2.0, -1.0, 0.0), (2.0, 3.0, 2.0)))
+    assert torch.allclose(eyes.mean(0), torch.tensor([0.0, 1.0, 1.0 + 0.7 * 4.0]), atol=1e-5)
+    assert torch.allclose((eyes - torch.tensor([0.0, 1.0, 1.0]))[:, :2].norm(dim=1), torch.tensor(0.8 * 4.0))

@@ -1,5 +1,6 @@
 """A browser without a picture: it opens the page's websocket, notes what is sent, and answers as a person would."""
 
+import io
 import threading
 import time
 from collections.abc import Callable
@@ -12,6 +13,7 @@ viser = pytest.importorskip("viser", reason="needs the extra view")
 
 import msgspec  # noqa: E402 - these come with viser
 import zstandard  # noqa: E402
+from PIL import Image  # noqa: E402
 from websockets.exceptions import ConnectionClosed  # noqa: E402
 from websockets.sync.client import ClientConnection, connect  # noqa: E402
 
@@ -88,6 +90,12 @@ class Visitor:
         self.send("TransformControlsUpdateMessage", name=handle, wxyz=wxyz, position=position)
         self.send("TransformControlsDragEndMessage", name=handle)
 
+    def _draw(self, message: dict[str, Any]) -> None:
+        """Answer with a picture."""
+        with io.BytesIO() as file:
+            Image.new("RGB", (message["width"], message["height"])).save(file, "JPEG")
+            self.send("GetRenderResponseMessage", payload=file.getvalue(), render_uuid=message["render_uuid"])
+
     def close(self) -> None:
         """Leave."""
         self.socket.close()
@@ -102,5 +110,8 @@ class Visitor:
                 packed = frame[16 : 16 + int.from_bytes(frame[8:16], "little")]
                 inner = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(packed))
                 self.messages.extend(inner["messages"])
+                for message in inner["messages"]:
+                    if message["type"] == "GetRenderRequestMessage":
+                        self._draw(message)
         except ConnectionClosed:
             pass
