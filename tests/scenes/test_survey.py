@@ -188,11 +188,17 @@ def degrees_between(a: np.ndarray, b: np.ndarray) -> float:
     return math.degrees(math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b)))
 
 
-@pytest.mark.parametrize("count", [25, pytest.param(200, marks=pytest.mark.slow)])
-def test_what_is_called_fairly_sure_is_right_in_generated_and_turned_places(count: int) -> None:
-    """Of 200 places half or more are called fairly sure, and at most 1 in 20 of them is off by more than 2°."""
+@pytest.mark.parametrize(
+    ("first", "count"),
+    [(0, 25), pytest.param(0, 200, marks=pytest.mark.slow), pytest.param(1000, 200, marks=pytest.mark.slow)],
+)
+def test_what_is_called_fairly_sure_is_right_in_generated_and_turned_places(first: int, count: int) -> None:
+    """Of 200 places half or more are called fairly sure, and at most 1 in 20 of them is off by more than 2°.
+
+    On the first 200 the words were calibrated, on those from 1000 on nothing was.
+    """
     sure, right = 0, 0
-    for seed in range(count):
+    for seed in range(first, first + count):
         rng = np.random.default_rng([seed, 99])
         kind, lies = KINDS[seed % len(KINDS)], rng.choice(["upright", "leaning", "anyhow"], p=[0.3, 0.45, 0.25])
         tilt = {"upright": 0.0, "leaning": rng.uniform(0.5, 14.0), "anyhow": None}[str(lies)]
