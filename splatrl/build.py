@@ -29,7 +29,7 @@ from splatrl.envs.drawing import Drawing
 from splatrl.envs.robot import Robot
 from splatrl.envs.sensors import Sensor
 from splatrl.envs.stateful_env import StatefulEnv
-from splatrl.envs.tasks import Course, NavigationTask, Push, Task
+from splatrl.envs.tasks import Course, NavigationTask, Push, Task, Walk
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.rollouts import run_episodes, spread_starts
 from splatrl.made_with import made_with
@@ -164,11 +164,13 @@ def _settle(task: Task, scene: Scene, occupancy: Occupancy, body: Body, antialia
     motion = task.motion
     assert isinstance(motion, PhysicsMotion)
     lower, upper = motion.twin.lower.tolist(), motion.twin.upper.tolist()
+    if motion.ground == "level":  # as it is already
+        return
     with _key("task.motion"):
         reach = body.radius + (BEYOND if motion.pushed else 0.0)
         terrain = survey_terrain(scene, occupancy, lower, upper, reach, motion.top, antialiased).terrain
         motion.settle(terrain)
-    if isinstance(task, (Push, Course)):
+    if isinstance(task, (Push, Course, Walk)):
         with _key("task"):
             task.settle()
 
@@ -270,6 +272,8 @@ def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
     image_shape = env.observation_spec["pixels"].shape[1:]
     inputs = inputs_of(cfg.get("inputs") or {}, env.observation_spec)
     given = {"inputs": inputs} if inputs else {}
+    if told := inputs_of(cfg.get("critic_inputs") or {}, env.observation_spec, "critic_inputs"):
+        given["critic_inputs"] = told
     return instantiate(cfg.network)(image_shape, env.action_spec, **given).to(env.device)
 
 

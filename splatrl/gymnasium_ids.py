@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 TASKS: tuple[str, ...] = (
     *("grid", "fps", "apple", "sim2real", "snake", "drive", "circle", "polar_plane", "hemisphere", "poster"),
-    *("pointnav", "imagenav", "push", "gates", "route"),
+    *("pointnav", "imagenav", "push", "gates", "route", "walk", "strides"),
 )
 """Tasks in conf/task, each with an id."""
 

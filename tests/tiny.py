@@ -214,12 +214,18 @@ def tiny_overrides(folder: Path, task: str = "grid") -> list[str]:
             "task.motion.step=0.5",
             "task.motion.angle_step_deg=45.0",
         ]
-    if task in ("gates", "route"):
+    if task == "strides":
+        overrides.remove("task.max_steps=20")
+        bounds += ["task.motion.commands=2", "task.motion.span=0.2", "task.motion.variation.models=2"]
+        bounds += ["task.motion.threads=1"]
+    if task in ("gates", "route", "walk"):
         bounds = ["task.motion.lower=[-1.3,-1.8]", "task.motion.upper=[1.3,1.8]", "task.motion.threads=1"]
     if task == "gates":
         bounds += ["task.courses=3", "task.test_courses=2", "task.course.gates=2", "task.course.clearance=0.15"]
         bounds += ["task.course.height=[0.6,0.8]", "task.course.distance=[0.8,1.4]", "task.motion.ceiling=1.5"]
         bounds += ["~task.motion.things.gate3", "~task.motion.things.gate4"]
+    if task == "walk":
+        bounds += ["task.ways=3", "task.test_ways=2", "task.way.clearance=0.2", "task.way.distance=[0.7,1.2]"]
     if task == "route":
         bounds += ["task.courses=3", "task.test_courses=2", "task.course.waypoints=2", "task.course.clearance=0.2"]
     if task in ("pointnav", "imagenav"):

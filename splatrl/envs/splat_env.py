@@ -223,7 +223,8 @@ class SplatEnv(EnvBase):
         if self.sensors:
             free = torch.ones(self.numel(), device=self.device)
             look = partial(self._look, task, scene, state, memory, only)
-            moment = Moment(task.motion.planar(state), poses, free, memory, view.depth, checker, look)
+            known = task.motion.planar(state), poses, free, memory, view.depth, checker, look
+            moment = Moment(*known, state, task.motion)
             begun = {key: value for sensor in self.sensors.values() for key, value in sensor.begin(moment).items()}
             if set_state:
                 begun |= {key: given[key].clone() for key in begun if given.get(key, None) is not None}
@@ -314,7 +315,9 @@ class SplatEnv(EnvBase):
             look = partial(self._look, task, scene, move.state, memory, None)
             known = {**memory, **remembered, **kept}
             where = task.motion.planar(move.state), move.body_to_world, move.free_fraction
-            sensed = self._sensed(Moment(*where, known, view.depth, checker, look))
+            sensed = self._sensed(
+                Moment(*where, known, view.depth, checker, look, move.state, task.motion, move.sensed)
+            )
         step_count = tensordict["step_count"] + 1
         truncated = (step_count >= task.max_steps) & ~terminated
         goals = tensordict["goals"] + (outcome == Outcome.GOAL)

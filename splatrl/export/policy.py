@@ -12,6 +12,7 @@ from torchrl.modules import ActorValueOperator
 
 from splatrl.envs.nesting import layers
 from splatrl.envs.transforms import Appearance, FrameStack, PoseNoise, Weather
+from splatrl.training.beside import actors_trunk
 from splatrl.training.heads import distribution
 from splatrl.training.memory import STATE, Memory, RecurrentReset
 
@@ -60,7 +61,7 @@ class StandalonePolicy(nn.Module):
     def __init__(self, model: ActorValueOperator, env: EnvBase):
         super().__init__()
         model = deepcopy(model).cpu().eval()
-        self.trunk, self.head = model.module[0], model.get_policy_head()
+        self.trunk, self.head = actors_trunk(model), model.get_policy_head()
         for module in self.trunk.modules():
             if isinstance(module, Memory):
                 module.stepwise = True

@@ -5,6 +5,7 @@ from splatrl.motions.drive import DriveMotion
 from splatrl.motions.finite import FiniteMotion
 from splatrl.motions.forward import ForwardMotion
 from splatrl.motions.lattice import LatticeMotion
+from splatrl.motions.legs import LegsMotion, StridesMotion, WalkMotion
 from splatrl.motions.navigate import NavigateMotion
 from splatrl.motions.orbit import OrbitMotion
 from splatrl.motions.physics import PhysicsMotion
@@ -16,6 +17,7 @@ __all__ = [
     "FiniteMotion",
     "ForwardMotion",
     "LatticeMotion",
+    "LegsMotion",
     "Motion",
     "Move",
     "NavigateMotion",
@@ -25,6 +27,8 @@ __all__ = [
     "PlannedMotion",
     "StepMotion",
     "StoppingMotion",
+    "StridesMotion",
     "SweptMotion",
     "Taps",
+    "WalkMotion",
 ]

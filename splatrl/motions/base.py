@@ -19,12 +19,14 @@ class Move(NamedTuple):
         free_fraction: [B] float32 in [0, 1], how much of the action was free before the body touched something; 1 where
             it touched nothing.
         inside: [B] bool, whether the action stayed within the motion's bounds.
+        sensed: [B, S, s] float64, what sensors of the physics said in each substep; None without physics.
     """
 
     state: Tensor
     body_to_world: Tensor
     free_fraction: Tensor
     inside: Tensor
+    sensed: Tensor | None = None
 
 
 class Taps(NamedTuple):

@@ -17,7 +17,7 @@ from splatrl.physics import Kinematics, Physics, Terrain, compose, gaussians_fro
 from splatrl.physics.bank import Variation, bank
 from splatrl.physics.compose import ROBOT, SCENE
 from splatrl.physics.gaussians import Models
-from splatrl.physics.kinematics import TIME, normalised
+from splatrl.physics.kinematics import TIME, normalised, rotated
 from splatrl.physics.optional import needed
 from splatrl.physics.robots import mjcf_path
 from splatrl.physics.standing import top_of
@@ -29,6 +29,7 @@ FIRST = BANK + TIME
 """Column of a state at which the positions begin; the robot's free joint comes first, three metres and a quaternion."""
 FORWARD, TURN = "forward", "turn"
 """Actuators that take metres and radians per second, by which shortest paths are followed."""
+GROUNDS = ("scene", "level")
 FAR = 1e9
 """No number of a state is larger."""
 
@@ -61,6 +62,8 @@ class PhysicsMotion(nn.Module):
             the robot's own where it stands.
         variation: how the physics of episodes differs.
         threads: that step robots side by side; None takes all cores.
+        ground: ``scene``, the ground and the boxes of the scene; ``level``, a level plane without an end and nothing on
+            it, for robots that do not look.
 
     Raises:
         FileNotFoundError: for MJCF that is not there.
@@ -90,13 +93,18 @@ class PhysicsMotion(nn.Module):
         ceiling: float | None = None,
         variation: Variation | None = None,
         threads: int | None = None,
+        ground: str = "scene",
     ):
         super().__init__()
+        if ground not in GROUNDS:
+            raise ValueError(f"task.motion.ground: expected {' or '.join(GROUNDS)}, got {ground!r}")
+        self.ground = ground
         self.path, self.camera, self.pushed = mjcf_path(str(path)), camera, tuple(pushed)
         self.thing_paths = {str(name): mjcf_path(str(place)) for name, place in (things or {}).items()}
         self.time_step, self.substep, self.threads = time_step, substep, threads
         self.variation, self.ceiling = variation or Variation(), ceiling
         self.models = Models()
+        self._single: Physics | None = None
         require_number("task.motion.time_step", time_step, 1e-4, 10.0)
         if ceiling is not None:
             require_number("task.motion.ceiling", ceiling, 0.2, 1e3)
@@ -133,11 +141,10 @@ class PhysicsMotion(nn.Module):
         joint = int(model.body_jntadr[model.body(world.robot).id])
         if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE or model.jnt_qposadr[joint] != 0:
             raise ValueError(f"{self.path}: body {world.robot!r}: expected a <freejoint/>, by which it moves")
-        substeps = self.time_step / model.opt.timestep
+        substeps = self.held / model.opt.timestep
         if round(substeps) < 1 or abs(substeps - round(substeps)) > 1e-6:
             raise ValueError(
-                f"task.motion.time_step: expected a multiple of the robot's {model.opt.timestep:g} s, "
-                f"got {self.time_step:g}"
+                f"task.motion.time_step: expected a multiple of the robot's {model.opt.timestep:g} s, got {self.held:g}"
             )
         self.physics = Physics(bank(model, self.variation), round(substeps), self.threads)
         self.terrain, self.world = terrain, world
@@ -147,6 +154,9 @@ class PhysicsMotion(nn.Module):
         if alone.nkey and alone.na:
             first = FIRST + model.nq + model.nv
             home[first : first + alone.na] = torch.from_numpy(alone.key_act[0].copy())
+        self.still = home.new_zeros(model.nu)
+        if alone.nkey:
+            self.still[: alone.nu] = torch.from_numpy(alone.key_ctrl[0].copy())
         device = self.home.device
         self.home = home.to(device)
         self.limits = self._control_limits(model).to(device)
@@ -155,6 +165,11 @@ class PhysicsMotion(nn.Module):
         self.kinematics = Kinematics(model, [self._eye(model), *self._shown])
         hits = [self.physics.sensor(f"touch/{name}") for name in (SCENE, *self.thing_paths) if name not in self.pushed]
         self.hits = [columns for columns in hits if columns is not None]
+
+    @property
+    def held(self) -> float:
+        """How long actuators are told the same, seconds."""
+        return self.time_step
 
     @property
     def action_spec(self) -> Bounded:
@@ -169,22 +184,52 @@ class PhysicsMotion(nn.Module):
     def move(self, state: Tensor, action: Tensor, checker: Checker) -> Move:
         """Step the physics; see ``Motion``. A robot whose physics is lost stays where it was, outside the bounds."""
         ctrl = action.clamp(self.limits[0], self.limits[1])
-        after, sensed, sound = self.physics.step(state, ctrl)
-        touched = torch.zeros(sensed.shape[:2], dtype=torch.bool, device=sensed.device)
+        after, sensed, sound = self.physics.step(self.of_physics(state), ctrl)
+        return self.moved(after, sensed, sound)
+
+    def touched(self, sensed: Tensor) -> Tensor:
+        """In which substeps a robot touches what it is not to touch: [B, S, s] -> [B, S] bool."""
+        found = torch.zeros(sensed.shape[:2], dtype=torch.bool, device=sensed.device)
         for columns in self.hits:
-            touched |= (sensed[..., columns] > 0).any(2)
+            found |= (sensed[..., columns] > 0).any(2)
+        return found
+
+    def moved(self, after: Tensor, sensed: Tensor, sound: Tensor) -> Move:
+        """What became of an action: states after it [B, n], what was sensed [B, S, s], whether the physics is sound."""
+        touched = self.touched(sensed)
         first = touched.int().argmax(1)  # of the substeps that touch
-        free = torch.where(touched.any(1), first / self.physics.substeps, 1.0).float()
-        return Move(after, self.body_to_world(after), free, self.inside(after) & sound)
+        free = torch.where(touched.any(1), first / touched.shape[1], 1.0).float()
+        return Move(after, self.body_to_world(after), free, self.inside(after) & sound, sensed)
 
     def clear(self, state: Tensor) -> Tensor:
         """Whether robots in some states touch nothing but ground and what they may push: [N, n] -> [N] bool."""
-        steps = Physics(self.physics.models, 1, self.threads)
-        _, sensed, sound = steps.step(state, torch.zeros(len(state), self.limits.shape[1]))
-        touched = torch.zeros(len(state), dtype=torch.bool)
-        for columns in self.hits:
-            touched |= (sensed[:, 0, columns] > 0).any(1).cpu()
-        return sound & ~touched.to(sound.device)
+        _, sensed, sound = self._once.step(self.of_physics(state), self._rest(state))
+        return sound & ~self.touched(sensed).squeeze(1)
+
+    def sensed(self, state: Tensor) -> Tensor:
+        """What MuJoCo's sensors say where robots begin, with actuators at rest: [B, n] -> [B, s] float64."""
+        return self._once.step(self.of_physics(state), self._rest(state)).sensed.squeeze(1)
+
+    def of_physics(self, state: Tensor) -> Tensor:
+        """The columns of states that the physics steps; subclasses may keep more behind them."""
+        return state[:, : self.physics.size]
+
+    @property
+    def _once(self) -> Physics:
+        """The physics, one substep at a time."""
+        if self._single is None or self._single.models is not self.physics.models:
+            self._single = Physics(self.physics.models, 1, self.threads)
+        return self._single
+
+    def _rest(self, state: Tensor) -> Tensor:
+        """What actuators are told where the robot stands at first: [B, nu] float64."""
+        return self.still.to(state).expand(len(state), -1)
+
+    def velocity(self, state: Tensor) -> Tensor:
+        """Velocity of the robot's first body in its own frame: [B, n] -> [B, 6] float64, per second."""
+        first, turn = FIRST + self.physics.model.nq, state[:, FIRST + 3 : FIRST + 7]
+        back = turn * turn.new_tensor([1.0, -1.0, -1.0, -1.0])
+        return torch.cat([rotated(back, state[:, first : first + 3]), state[:, first + 3 : first + 6]], 1)
 
     def planar(self, state: Tensor) -> Tensor:
         """Position and heading of the robot's first body: [B, n] -> [B, 3] float64, metres, and radians in [0, τ)."""

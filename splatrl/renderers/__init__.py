@@ -5,6 +5,7 @@ from splatrl.renderers.blocks import BlockRenderer
 from splatrl.renderers.cuda import CudaRenderer
 from splatrl.renderers.gsplat import GsplatRenderer
 from splatrl.renderers.native import Effort, NativeRenderer
+from splatrl.renderers.nothing import NoRenderer
 from splatrl.renderers.parts import ABSENT, Parts
 from splatrl.renderers.reference import ReferenceRenderer
 from splatrl.renderers.view_cache import LatticeRenderer
@@ -17,6 +18,7 @@ __all__ = [
     "GsplatRenderer",
     "LatticeRenderer",
     "NativeRenderer",
+    "NoRenderer",
     "Parts",
     "ReferenceRenderer",
     "RenderOutput",

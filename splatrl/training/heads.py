@@ -30,14 +30,34 @@ def orthogonal(layer: nn.Linear | nn.Conv2d, gain: float) -> nn.Linear | nn.Conv
     return layer
 
 
-def policy_head(action_spec: TensorSpec, features: int) -> ProbabilisticTensorDictSequential:
+class Leading(nn.Module):
+    """The first features of an output, whatever comes behind them.
+
+    Args:
+        features: how many.
+    """
+
+    def __init__(self, features: int):
+        super().__init__()
+        self.features = features
+
+    def forward(self, hidden: Tensor) -> Tensor:
+        """[..., F] -> [..., features]."""
+        return hidden[..., : self.features]
+
+
+def policy_head(
+    action_spec: TensorSpec, features: int, beside: bool = False, spread: float = FIRST_SCALE
+) -> ProbabilisticTensorDictSequential:
     """Make the head that maps ``hidden`` to ``action`` and ``action_log_prob``.
 
     Args:
         action_spec: spec of an env's action, batched or not. ``Categorical`` gives a categorical distribution.
             ``Bounded`` floats in the last axis give a normal one, squashed by a tanh to the limits of the spec, whose
             mean and standard deviation depend on ``hidden``.
-        features: size of ``hidden``.
+        features: size of ``hidden``, or of the part of it that is read.
+        beside: whether there is more behind that part, which the policy does not read.
+        spread: standard deviation of continuous actions before the tanh, in the beginning.
 
     Raises:
         ValueError: for any other spec.
@@ -50,12 +70,13 @@ def policy_head(action_spec: TensorSpec, features: int) -> ProbabilisticTensorDi
         parameters, kind, options = ["logits"], Choice, {}
     elif isinstance(action_spec, Bounded) and action_spec.dtype.is_floating_point and action_spec.ndim:
         linear = orthogonal(nn.Linear(features, 2 * action_spec.shape[-1]), FIRST_GAIN)
-        layer = nn.Sequential(linear, NormalParamExtractor(f"biased_softplus_{FIRST_SCALE}", LEAST_SCALE))
+        layer = nn.Sequential(linear, NormalParamExtractor(f"biased_softplus_{spread}", LEAST_SCALE))
         limits = {"low": action_spec.space.low, "high": action_spec.space.high}
         parameters, kind = ["loc", "scale"], Squashed
         options = {name: limit.reshape(-1, limit.shape[-1])[0] for name, limit in limits.items()}
     else:
         raise ValueError(f"action_spec: expected Categorical or Bounded floats, got {action_spec}")
+    layer = nn.Sequential(Leading(features), layer) if beside else layer
     return ProbabilisticTensorDictSequential(
         TensorDictModule(layer, in_keys=["hidden"], out_keys=parameters),
         ProbabilisticTensorDictModule(

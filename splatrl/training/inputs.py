@@ -33,12 +33,13 @@ class Input(NamedTuple):
         return math.prod(self.shape) * {"plain": 1, "angle": 2}.get(self.encoding, 1) + (self.encoding == "polar")
 
 
-def inputs_of(named: Mapping[str, str], spec: Composite) -> dict[str, Input]:
+def inputs_of(named: Mapping[str, str], spec: Composite, group: str = "inputs") -> dict[str, Input]:
     """The inputs that a config names, with the shapes that an env gives them.
 
     Args:
         named: encoding by key.
         spec: observation spec of the env, batched.
+        group: where it stands in the config.
 
     Raises:
         ValueError: for a key that is not observed, another encoding, or a shape that it does not fit.
@@ -46,17 +47,17 @@ def inputs_of(named: Mapping[str, str], spec: Composite) -> dict[str, Input]:
     found = {}
     for key, encoding in named.items():
         if encoding not in ENCODINGS:
-            raise ValueError(f"inputs.{key}: expected one of {', '.join(ENCODINGS)}, got {encoding}")
+            raise ValueError(f"{group}.{key}: expected one of {', '.join(ENCODINGS)}, got {encoding}")
         if key not in spec.keys():  # noqa: SIM118, a spec is no dict
-            raise ValueError(f"inputs.{key}: expected an observation, got none of that name; type sensors=[...]")
+            raise ValueError(f"{group}.{key}: expected an observation, got none of that name; type sensors=[...]")
         shape = tuple(spec[key].shape[1:])
         fits = {"image": len(shape) == 3, "polar": shape == (2,)}.get(encoding, len(shape) == 1)
         if not fits:
-            raise ValueError(f"inputs.{key}: expected what can be read as {encoding}, got a shape of {list(shape)}")
+            raise ValueError(f"{group}.{key}: expected what can be read as {encoding}, got a shape of {list(shape)}")
         found[key] = Input(encoding, shape)
     sides = {one.shape[:2] for one in found.values() if one.encoding == "image"}
     if len(sides) > 1:
-        raise ValueError(f"inputs: expected images of one size, got {sorted(sides)}")
+        raise ValueError(f"{group}: expected images of one size, got {sorted(sides)}")
     return found
 
 

@@ -7,7 +7,8 @@ from torch import nn
 from torchrl.data import TensorSpec
 from torchrl.modules import ActorValueOperator, ValueOperator
 
-from splatrl.training.heads import orthogonal, policy_head
+from splatrl.training.beside import PreparedBeside, TrunkBeside
+from splatrl.training.heads import FIRST_SCALE, orthogonal, policy_head
 from splatrl.training.inputs import Input, JoinedTrunk, Prepare
 from splatrl.training.memory import gru
 from splatrl.training.trunk import PoolPixels, Trunk
@@ -22,10 +23,14 @@ def actor_critic(
     features: int = 128,
     memory: int = 0,
     inputs: Mapping[str, Input] | None = None,
+    critic_inputs: Mapping[str, Input] | None = None,
+    spread: float = FIRST_SCALE,
 ) -> ActorValueOperator:
     """Actor and critic over one trunk: ``pixels`` -> ``image`` -> ``hidden`` -> ``action`` and ``state_value``.
 
     With ``inputs`` it reads those in place of ``pixels``, and from what they are encoded as, ``image`` and ``vector``.
+    With ``critic_inputs`` the critic is told more than the actor (Pinto et al. 2018, "Asymmetric Actor Critic"): where
+    robots really are, or what they cannot feel. The actor's output does not depend on them.
 
     Args:
         image_shape: (H, W, C), where C is 3 for each stacked frame.
@@ -36,19 +41,35 @@ def actor_critic(
         memory: size of a GRU's state between trunk and heads, for which the env needs ``memory_transforms(memory)``; 0
             is no GRU.
         inputs: what is read in place of pixels, by key; see ``inputs_of``.
+        critic_inputs: vectors that the critic alone reads besides, by key.
+        spread: of continuous actions in the beginning, see ``policy_head``.
 
     Returns:
         Operator whose ``get_policy_operator()`` acts, and whose heads share the trunk's ``hidden``.
 
     Raises:
-        ValueError: for sizes that are no whole numbers in their ranges.
+        ValueError: for sizes that are no whole numbers in their ranges; for a critic that is told images, what the
+            actor reads, or anything in a network with memory.
     """
     require_number("network.pool", pool, 1, whole=True)
     require_number("network.features", features, 1, whole=True)
     require_number("network.memory", memory, 0, whole=True)
+    require_number("network.spread", spread, 0.02, 10.0)
     for count in channels:
         require_number("network.channels", count, 1, whole=True)
     reads, prepared, prepare, trunk = _reader(image_shape, pool, channels, features, inputs)
+    known = wide = memory or features
+    if critic_inputs:
+        if memory:
+            raise ValueError(f"critic_inputs: expected none with a memory, got {', '.join(critic_inputs)}")
+        told = Prepare(critic_inputs, 1)
+        if twice := set(critic_inputs) & set(reads):
+            raise ValueError(f"critic_inputs: expected what the actor does not read, got {', '.join(sorted(twice))}")
+        if images := [key for key, one in critic_inputs.items() if one.encoding == "image"]:
+            raise ValueError(f"critic_inputs.{images[0]}: expected plain, angle or polar, got image")
+        reads, prepared, wide = [*reads, *critic_inputs], [*prepared, "critic_vector"], 2 * features
+        prepare = PreparedBeside(prepare, told)
+        trunk = TrunkBeside(trunk, sum(one.size for one in critic_inputs.values()), features)
     seen = "features" if memory else "hidden"
     layers: list[TensorDictModuleBase] = [
         TensorDictModule(prepare, in_keys=reads, out_keys=prepared),
@@ -56,9 +77,10 @@ def actor_critic(
     ]
     if memory:
         layers.append(gru(features, memory))
-    known = memory or features
-    value = ValueOperator(orthogonal(nn.Linear(known, 1), 1.0), in_keys=["hidden"])
-    return ActorValueOperator(TensorDictSequential(*layers), policy_head(action_spec, known), value)
+    value = ValueOperator(orthogonal(nn.Linear(wide, 1), 1.0), in_keys=["hidden"])
+    return ActorValueOperator(
+        TensorDictSequential(*layers), policy_head(action_spec, known, wide > known, spread), value
+    )
 
 
 def _reader(

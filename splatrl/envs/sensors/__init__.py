@@ -6,17 +6,22 @@ from splatrl.envs.sensors.depth import Depth
 from splatrl.envs.sensors.goals import ImageGoal, PointGoal
 from splatrl.envs.sensors.lidar import Lidar
 from splatrl.envs.sensors.odometry import Compass, Gps, Heading
+from splatrl.envs.sensors.physics import Felt, Joints, Measured, Velocity
 
 __all__ = [
     "Compass",
     "Contact",
     "Depth",
+    "Felt",
     "Gps",
     "Heading",
     "ImageGoal",
+    "Joints",
     "Lidar",
+    "Measured",
     "Moment",
     "PlainSensor",
     "PointGoal",
     "Sensor",
+    "Velocity",
 ]

@@ -8,6 +8,7 @@ from torchrl.data import TensorSpec
 
 from splatrl.collision.base import Checker
 from splatrl.envs.robot import Robot
+from splatrl.motions.base import Motion
 
 
 class Moment(NamedTuple):
@@ -22,6 +23,10 @@ class Moment(NamedTuple):
             asks for it.
         checker: what is solid.
         look: draws what cameras of bodies at other poses [B, 4, 4] see, [B, H, W, 3] uint8, for rows that begin.
+        state: [B, ...] the motion's states.
+        motion: how the robots move.
+        sensed: [B, S, s] float64, what sensors of the physics said in each substep of the last move; None where
+            episodes begin, and without physics.
     """
 
     planar: Tensor
@@ -31,6 +36,9 @@ class Moment(NamedTuple):
     depth: Tensor | None
     checker: Checker
     look: Callable[[Tensor], Tensor]
+    state: Tensor
+    motion: Motion
+    sensed: Tensor | None = None
 
 
 class Sensor(Protocol):

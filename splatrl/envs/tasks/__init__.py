@@ -15,6 +15,8 @@ from splatrl.envs.tasks.rewards import OutcomeTask, Rewards
 from splatrl.envs.tasks.route import Route
 from splatrl.envs.tasks.sim2real import Sim2Real
 from splatrl.envs.tasks.snake import Snake
+from splatrl.envs.tasks.strides import Strides, StridesRewards
+from splatrl.envs.tasks.walk import Walk, WalkRewards
 
 __all__ = [
     "Apple",
@@ -41,7 +43,11 @@ __all__ = [
     "Sim2Real",
     "Snake",
     "Step",
+    "Strides",
+    "StridesRewards",
     "Task",
     "TaskModule",
     "Verdict",
+    "Walk",
+    "WalkRewards",
 ]

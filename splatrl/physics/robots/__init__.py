@@ -1,4 +1,4 @@
-"""Robots and things that come with splatrl, as MJCF."""
+"""Robots and things that come with splatrl, as MJCF, and how they walk."""
 
 from pathlib import Path
 
@@ -11,10 +11,23 @@ def mjcf_path(name: str) -> Path:
     Raises:
         FileNotFoundError: for neither.
     """
-    own, path = FOLDER / f"{name}.xml", Path(name).expanduser()
+    return _own_or_path(name, "xml", "a file of MJCF")
+
+
+def gait_path(name: str) -> Path:
+    """The file of the weights by which a robot walks: one of splatrl's own by the robot's name, or a path.
+
+    Raises:
+        FileNotFoundError: for neither.
+    """
+    return _own_or_path(name, "npz", "a file of weights")
+
+
+def _own_or_path(name: str, kind: str, expected: str) -> Path:
+    own, path = FOLDER / f"{name}.{kind}", Path(name).expanduser()
     if path.is_file():
         return path
     if path.name == name and own.is_file():
         return own
-    known = ", ".join(sorted(each.stem for each in FOLDER.glob("*.xml")))
-    raise FileNotFoundError(f"{name}: expected a file of MJCF, or one of {known}; found neither")
+    known = ", ".join(sorted(each.stem for each in FOLDER.glob(f"*.{kind}")))
+    raise FileNotFoundError(f"{name}: expected {expected}, or one of {known}; found neither")

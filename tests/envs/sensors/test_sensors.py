@@ -56,7 +56,8 @@ def _renderer() -> ReferenceRenderer:
 def moment(planar: list[list[float]], **memory: Tensor) -> Moment:
     rows = torch.tensor(planar, dtype=torch.float64)
     unused = torch.zeros(len(rows), 4, 4)
-    return Moment(rows, unused, torch.ones(len(rows)), memory, None, block(), lambda poses: poses)
+    given = rows, unused, torch.ones(len(rows)), memory, None, block(), lambda poses: poses
+    return Moment(*given, rows, tiny_task().motion)
 
 
 class TestContract(EnvContract):

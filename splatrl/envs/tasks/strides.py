@@ -1,0 +1,166 @@
+"""The strides task: a robot on legs follows commanded velocities without looking."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torchrl.data import TensorSpec, Unbounded
+
+from splatrl.envs.tasks.base import Anywhere, Memory, Outcome, Step, TaskModule, Verdict
+from splatrl.envs.tasks.rewards import FiniteRewards
+from splatrl.motions.legs import ANGLES, JOINTS, STRIDE, StridesMotion
+from splatrl.motions.physics import FIRST
+from splatrl.physics.stepping import BANK
+from splatrl.physics.trot import FREQUENCY
+from splatrl.values import require_number
+
+NEAR, STRAIGHT = 0.25, 0.5
+"""Metres and radians per second: an error of the velocity at which what is paid for it has fallen to 1/e."""
+
+
+@dataclass(frozen=True)
+class StridesRewards(FiniteRewards):
+    """The reward of a step, which adds up.
+
+    Attributes:
+        speed: for velocities along the ground as commanded; exp(−(error / 0.25 m/s)²) of it is paid.
+        turn: for the angular velocity as commanded, likewise with 0.5 rad/s.
+        smooth: for each departure of a joint, the square of its change since the step before.
+        small: for each departure of a joint, its square.
+        bounce: for the squared velocity upwards, m²/s².
+        sway: for the squared angular velocity of roll and pitch, rad²/s².
+        fall: for a fall.
+
+    Raises:
+        ValueError: for a reward that is not a finite number.
+    """
+
+    speed: float = 1.0
+    turn: float = 0.5
+    smooth: float = -0.02
+    small: float = -0.01
+    bounce: float = -0.5
+    sway: float = -0.02
+    fall: float = -5.0
+
+
+class Strides(TaskModule):
+    """Follow commanded velocities on legs, blindly; the policy says by how much the joints depart from a trot.
+
+    Observation: by the sensor ``felt`` what the robot feels (``LegsMotion.felt``); ``pixels`` mean nothing.
+    Action: [B, 12] float32 in [-1, 1], see ``StridesMotion``.
+    Reward: [B, 1] float32, see ``StridesRewards``.
+    Termination: a fall; success, which is told at the end of the last command.
+    Truncation: then, too.
+    Success: no fall, and an error of the velocity along the ground of at most ``allowed`` on average.
+    State: [B, n] float64, see ``LegsMotion``; it holds the commands of the episode. Memory: ``strides`` [B, 1] int64,
+        how many were made; ``error`` [B, 1] float32, the sum of their errors, metres per second.
+
+    Robots begin standing, at any moment of the trot, turned and moved a little.
+
+    Example:
+        >>> import splatrl
+        >>> env = splatrl.make_env(["task=strides"], batch_size=[4])
+        >>> env.rollout(3, break_when_any_done=False)["felt"].shape
+        torch.Size([4, 3, 46])
+
+    Args:
+        motion: how the joints are told.
+        rewards: see ``StridesRewards``.
+        allowed: see above, metres per second.
+        forward: slowest and fastest command, metres per second; None takes the motion's.
+        shaken: by how much joints differ in the beginning, radians; velocities by three times as much, per second.
+
+    Raises:
+        ValueError: for a motion of another kind, or a number out of range.
+    """
+
+    chooses_episodes = True
+    motion: StridesMotion
+
+    def __init__(
+        self,
+        motion: StridesMotion,
+        rewards: StridesRewards | None = None,
+        allowed: float = 0.2,
+        shaken: float = 0.1,
+        forward: Sequence[float] | None = None,
+    ):
+        if not isinstance(motion, StridesMotion):
+            raise ValueError(f"task.motion: expected legs that make strides, got {type(motion).__name__}")
+        super().__init__(motion, round(motion.commands * motion.span / STRIDE))
+        require_number("task.allowed", allowed, 0.0, 10.0)
+        require_number("task.shaken", shaken, 0.0, 1.0)
+        low, high = motion.forward_limits if forward is None else forward
+        if not -2.0 <= low <= high <= 2.0:
+            raise ValueError(f"task.forward: expected lowest ≤ highest, at most 2 m/s, got {[low, high]}")
+        self.rewards, self.allowed, self.shaken = rewards or StridesRewards(), allowed, shaken
+        self.lowest, self.highest = (low, -motion.turn_limit), (high, motion.turn_limit)
+
+    @property
+    def memory_spec(self) -> Mapping[str, TensorSpec]:
+        """See the class."""
+        return {
+            "strides": Unbounded(shape=(1,), dtype=torch.int64),
+            "error": Unbounded(shape=(1,), dtype=torch.float32),
+        }
+
+    def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
+        """Stand at the origin, shaken, with commands to follow; see ``Task.start``."""
+        motion, count = self.motion, len(state)
+        options: dict[str, Any] = {"generator": anywhere.generator, "dtype": torch.float64, "device": state.device}
+        state = motion.varied(motion.placed(state.new_zeros(count, 3)), anywhere.generator)
+        drawn = self.shaken * (2.0 * torch.rand(count, 2 * JOINTS + 6, **options) - 1.0)
+        rates = FIRST + motion.physics.model.nq
+        state[:, ANGLES : ANGLES + JOINTS] += drawn[:, :JOINTS]
+        state[:, rates : rates + 6 + JOINTS] += 3.0 * drawn[:, JOINTS:]
+        state[:, BANK] = torch.rand(count, **options) / FREQUENCY
+        low, high = (
+            torch.tensor(limits, dtype=torch.float64, device=state.device) for limits in (self.lowest, self.highest)
+        )
+        commands = low + (high - low) * torch.rand(count, motion.commands, 2, **options)
+        return motion.commanded(state, commands.flatten(1))
+
+    def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
+        """Nothing was walked yet; see ``Task.begin``."""
+        none = torch.zeros(len(state), 1, device=state.device)
+        return {"strides": none.long(), "error": none}
+
+    def episodes(self, starts: Tensor, count: int, seed: int) -> dict[str, Tensor]:
+        """Starts and commands for tests; see ``ChoosingTask``."""
+        generator = torch.Generator().manual_seed(seed)
+        state = starts[:1].expand(count, -1)
+        anywhere = Anywhere(lambda: state, generator)
+        state = self.start(state, anywhere)
+        return {"state": state, **self.begin(state, anywhere)}
+
+    def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
+        """Judge a step; see ``Task.judge``."""
+        rewards, motion, after = self.rewards, self.motion, step.move.state
+        asked = motion.command(step.before)
+        moves, velocity = motion.level_velocity(after), motion.velocity(after)
+        error = (moves[:, 0] - asked[:, 0]).square() + moves[:, 1].square()
+        astray = (moves[:, 2] - asked[:, 1]).square()
+        departure = motion.departure(after)
+        change = (departure - motion.departure(step.before)).square().sum(1)
+        reward = rewards.speed * (-error / NEAR**2).exp() + rewards.turn * (-astray / STRAIGHT**2).exp()
+        reward += rewards.smooth * change + rewards.small * departure.square().sum(1)
+        reward += rewards.bounce * after[:, FIRST + motion.physics.model.nq + 2].square()
+        reward += rewards.sway * velocity[:, 3:5].square().sum(1)
+        fallen = motion.fallen(after)
+        reward = torch.where(fallen, rewards.fall, reward.nan_to_num())
+        strides, error = (
+            step.memory["strides"] + 1,
+            step.memory["error"] + error.sqrt().nan_to_num().float().unsqueeze(1),
+        )
+        over = (strides.squeeze(1) >= self.max_steps) & ~fallen
+        reached = over & (error.squeeze(1) / self.max_steps <= self.allowed)
+        outcome = torch.where(fallen, Outcome.COLLISION, torch.where(reached, Outcome.GOAL, Outcome.RUNNING))
+        memory = {"strides": strides, "error": error}
+        return Verdict(reward.float().unsqueeze(1), (fallen | reached).unsqueeze(1), outcome.unsqueeze(1), memory)
+
+    def teach(self, state: Tensor, memory: Memory) -> Tensor:
+        """The trot alone; see ``Task.teach``."""
+        return torch.zeros(len(state), JOINTS, device=state.device)

@@ -1,0 +1,55 @@
+"""Writes the policy of a run of ``task=strides`` as a gait, a small file of weights by which ``task=walk`` walks.
+
+Usage: python -m splatrl.export.gait RUN [OUTPUT]
+    python -m splatrl.export.gait outputs/2026-01-31/12-00-00 gait.npz
+    splatrl-train task=walk task.motion.gait=gait.npz
+
+``splatrl/physics/robots/quadruped.npz`` is that of ``splatrl-train task=strides``.
+"""
+
+import sys
+from pathlib import Path
+
+from torch import nn
+from torchrl.modules import ActorValueOperator
+
+from splatrl.motions.legs import FELT, JOINTS
+from splatrl.physics.dense import Dense
+from splatrl.runs import load_policy
+from splatrl.training.beside import actors_trunk
+from splatrl.training.inputs import JoinedTrunk
+
+
+def gait_of(model: ActorValueOperator) -> Dense:
+    """The most probable actions of a policy that reads one vector, as dense layers.
+
+    Raises:
+        ValueError: for a network that sees, remembers, or tells something else than the quadruped's joints.
+    """
+    trunk, head = actors_trunk(model).module, model.get_policy_head().module[0].module
+    linear = [layer for layer in head.modules() if isinstance(layer, nn.Linear)]
+    joined = trunk[-1].module
+    if not isinstance(joined, JoinedTrunk) or joined.seen is not None or joined.told is None or len(linear) != 1:
+        raise ValueError("gait: expected a policy that reads vectors alone and remembers nothing, got another")
+    dense = [layer for layer in joined.modules() if isinstance(layer, nn.Linear)]
+    layers = [(each.weight.detach(), each.bias.detach()) for each in dense]
+    weight, bias = linear[0].weight.detach(), linear[0].bias.detach()
+    found = Dense([*layers, (weight[: len(weight) // 2], bias[: len(bias) // 2])])  # without standard deviations
+    size: tuple[int, ...] = (found.layers[0][0].shape[0], found.layers[-1][0].shape[1])
+    if size != (FELT, JOINTS):
+        raise ValueError(f"gait: expected {FELT} inputs and {JOINTS} outputs, got {size[0]} and {size[1]}")
+    return found
+
+
+def main() -> None:
+    """Write the gait of a run folder."""
+    if not 2 <= len(sys.argv) <= 3:
+        raise SystemExit(__doc__)
+    folder = Path(sys.argv[1])
+    output = Path(sys.argv[2]) if len(sys.argv) > 2 else folder / "gait.npz"
+    gait_of(load_policy(folder, "last", "cpu").model).save(output)
+    print(output)
+
+
+if __name__ == "__main__":
+    main()

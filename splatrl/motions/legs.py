@@ -1,0 +1,228 @@
+"""A robot on four legs that trots, and is told either how its joints depart from that or where to go."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from splatrl.collision.base import Checker
+from splatrl.motions.base import Move
+from splatrl.motions.physics import FIRST, PhysicsMotion
+from splatrl.physics import Terrain
+from splatrl.physics.dense import Dense
+from splatrl.physics.kinematics import rotated
+from splatrl.physics.robots import gait_path
+from splatrl.physics.stepping import BANK, Stepped
+from splatrl.physics.trot import FREQUENCY, trot
+from splatrl.values import require_number
+
+STRIDE = 0.02
+"""Seconds for which the joints are told the same angles."""
+JOINTS = 12
+COMMAND = 2
+"""Numbers of a command: metres per second ahead and radians per second to the left."""
+ANGLES = FIRST + 7
+"""Column of a state at which the angles of the joints begin."""
+DEPARTURE = 0.25
+"""By how much a joint may depart from the trot, radians."""
+FELT = 46
+"""Numbers of proprioception."""
+SPIN, RATE = 0.25, 0.05
+"""Factors by which angular velocities of the torso and of the joints become about as large as the rest."""
+TILTED = 0.5
+"""Cosine of the torso's angle from upright at which a robot has fallen."""
+LOW = 0.14
+"""Height of the torso above the ground, metres, at which it has fallen."""
+
+
+class LegsMotion(PhysicsMotion):
+    """What motions on legs share: a trot and what is added to it, fifty times a second.
+
+    A state is [n + 12 + 2 K] float64: that of ``PhysicsMotion``; by how much the joints were last told to depart from
+    the trot, as shares of 0.25 radians; and K commands that are followed one after the other, metres per second ahead
+    and radians per second to the left. The trot's phase, and which command it is the turn of, follow from the physics'
+    time.
+
+    Args:
+        commands: number of commands, K.
+        span: seconds for which each of several commands is followed.
+        forward: lowest and highest commanded speed ahead, metres per second.
+        turn: highest commanded angular velocity in either direction, radians per second.
+        options: see ``PhysicsMotion``.
+
+    Raises:
+        ValueError: for a robot without the twelve joints of ``quadruped``, or what ``PhysicsMotion`` refuses.
+    """
+
+    def __init__(
+        self,
+        forward: Sequence[float] = (0.0, 0.8),
+        turn: float = 0.8,
+        commands: int = 1,
+        span: float = 2.5,
+        **options: Any,
+    ):
+        if len(forward) != 2 or not -2.0 <= forward[0] <= 0.0 < forward[1] <= 2.0:
+            raise ValueError(f"task.motion.forward: expected [from -2 to 0, from 0 to 2] m/s, got {list(forward)}")
+        require_number("task.motion.turn", turn, 0.01, 4.0)
+        require_number("task.motion.commands", commands, 1, 1000, whole=True)
+        require_number("task.motion.span", span, STRIDE, 1e3)
+        self.commands, self.span = commands, float(span)
+        self.forward_limits, self.turn_limit = tuple(float(value) for value in forward), float(turn)
+        given: dict[str, Any] = {"linear": forward, "angular_deg": math.degrees(turn)} | {
+            key: value for key, value in options.items() if value is not None
+        }
+        super().__init__(**given)
+
+    @property
+    def held(self) -> float:
+        """How long the joints are told the same angles, seconds."""
+        return STRIDE
+
+    def settle(self, terrain: Terrain) -> None:
+        """Put the robot into a scene; see ``PhysicsMotion``."""
+        super().settle(terrain)
+        if self.limits.shape[1] != JOINTS or self.physics.model.nq < 7 + JOINTS:
+            raise ValueError(f"{self.path}: expected the {JOINTS} joints of quadruped, got {self.limits.shape[1]}")
+        self.angles = self.limits
+        self.home = torch.cat([self.home, self.home.new_zeros(JOINTS + COMMAND * self.commands)])
+        self.stand = self.home[ANGLES : ANGLES + JOINTS]
+        self.limits = self.action_limits()
+
+    def action_limits(self) -> Tensor:
+        """Lowest and highest actions, [2, A] float32: by default departures from the trot."""
+        one = torch.ones(1, JOINTS, device=self.home.device)
+        return torch.cat([-one, one])
+
+    def departure(self, state: Tensor) -> Tensor:
+        """The last departures from the trot: [B, n] -> [B, 12] float64."""
+        return state[:, self.physics.size : self.physics.size + JOINTS]
+
+    def command(self, state: Tensor) -> Tensor:
+        """The command whose turn it is: [B, n] -> [B, 2] float64."""
+        each = state[:, self.physics.size + JOINTS :].unflatten(1, (self.commands, COMMAND))
+        turn = (state[:, BANK] / self.span).nan_to_num().long().clamp(0, self.commands - 1)
+        return each[torch.arange(len(state), device=state.device), turn]
+
+    def commanded(self, state: Tensor, commands: Tensor) -> Tensor:
+        """States whose legs follow other commands: [B, n], [B, 2 K] -> [B, n]."""
+        return torch.cat([state[:, : self.physics.size + JOINTS], commands.to(state)], 1)
+
+    def stride(self, state: Tensor, departure: Tensor) -> Stepped:
+        """Follow the command for 20 ms, with joints that depart from the trot: [B, n], [B, 12]."""
+        size, departure = self.physics.size, departure.to(state).clamp(-1.0, 1.0)
+        angles = trot(state[:, BANK], self.command(state)) + DEPARTURE * departure
+        low, high = self.angles.to(state)
+        after, sensed, sound = self.physics.step(
+            self.of_physics(state), torch.minimum(torch.maximum(angles, low), high)
+        )
+        return Stepped(torch.cat([after, departure, state[:, size + JOINTS :]], 1), sensed, sound)
+
+    def level_velocity(self, state: Tensor) -> Tensor:
+        """Velocity ahead and to the left, and of the yaw: [B, n] -> [B, 3] float64, metres and radians per second."""
+        first, yaw = FIRST + self.physics.model.nq, self.planar(state)[:, 2]
+        x, y = state[:, first], state[:, first + 1]
+        turn = rotated(self._turn(state), self._spin(state))[:, 2]
+        return torch.stack([x * yaw.cos() + y * yaw.sin(), y * yaw.cos() - x * yaw.sin(), turn], 1)
+
+    def felt(self, state: Tensor) -> Tensor:
+        """What a robot feels without looking: [B, n] -> [B, 46] float32.
+
+        The direction of gravity and the angular velocity in the torso's frame, angles of the joints from where it
+        stands and their velocities, the last departures, the command, and sine and cosine of the trot's phase.
+        """
+        nq, count = self.physics.model.nq, len(state)
+        down = state.new_tensor([0.0, 0.0, -1.0]).expand(count, 3)
+        rates = FIRST + nq + 6
+        phase = math.tau * FREQUENCY * state[:, BANK]
+        parts = [
+            rotated(_back(self._turn(state)), down),
+            SPIN * self._spin(state),
+            state[:, ANGLES : ANGLES + JOINTS] - self.stand.to(state),
+            RATE * state[:, rates : rates + JOINTS],
+            self.departure(state),
+            self.command(state),
+            torch.stack([phase.sin(), phase.cos()], 1),
+        ]
+        return torch.cat(parts, 1).float()
+
+    def fallen(self, state: Tensor) -> Tensor:
+        """Whether robots lie, or their physics is lost: [B, n] -> [B] bool."""
+        x, y, z = state[:, FIRST : FIRST + 3].unbind(1)
+        up = rotated(self._turn(state), state.new_tensor([0.0, 0.0, 1.0]).expand(len(state), 3))[:, 2]
+        above = z - self.terrain.height(torch.stack([x, y], 1))
+        return ~((up > TILTED) & (above > LOW))
+
+    def _turn(self, state: Tensor) -> Tensor:
+        return state[:, FIRST + 3 : FIRST + 7]
+
+    def _spin(self, state: Tensor) -> Tensor:
+        first = FIRST + self.physics.model.nq + 3
+        return state[:, first : first + 3]
+
+
+class StridesMotion(LegsMotion):
+    """Legs whose joints are told each 20 ms by how much they depart from a trot.
+
+    An action is [12] float32 in [-1, 1], shares of 0.25 radians: hip, thigh and calf of the front left, front right,
+    rear left and rear right leg. The command stands in the state; see ``LegsMotion``.
+    """
+
+    def __init__(self, **options: Any):
+        if not math.isclose(float(options.setdefault("time_step", STRIDE)), STRIDE):
+            raise ValueError(f"task.motion.time_step: expected {STRIDE:g} s, got {options['time_step']}")
+        super().__init__(**options)
+
+    def move(self, state: Tensor, action: Tensor, checker: Checker) -> Move:
+        """Make a stride; see ``Motion``."""
+        after, sensed, sound = self.stride(state, action)
+        return self.moved(after, sensed, sound)
+
+
+class WalkMotion(LegsMotion):
+    """Legs that are told where to go, and walk there by a policy that does not look.
+
+    An action is [2] float32: metres per second ahead and radians per second to the left, held for a time step, in which
+    the policy says each 20 ms by how much the joints depart from the trot.
+
+    Args:
+        gait: file of the policy's weights (``Dense``), the name of one of splatrl's own; None trots without.
+        time_step: duration of an action, seconds, a multiple of 0.02.
+        options: see ``LegsMotion``.
+
+    Raises:
+        ValueError: for weights of another size, or what ``LegsMotion`` refuses.
+    """
+
+    def __init__(self, gait: str | Path | None = "quadruped", time_step: float = 0.2, **options: Any):
+        require_number("task.motion.time_step", time_step, STRIDE, 10.0)
+        self.strides = round(time_step / STRIDE)
+        if not math.isclose(self.strides * STRIDE, time_step):
+            raise ValueError(f"task.motion.time_step: expected a multiple of {STRIDE:g} s, got {time_step:g}")
+        super().__init__(time_step=time_step, **options)
+        self.driven, self.gait = True, None if gait is None else Dense.load(gait_path(str(gait)), FELT, JOINTS)
+
+    def action_limits(self) -> Tensor:
+        """Lowest and highest commands: [2, 2] float32."""
+        low, high = self.forward_limits
+        return torch.tensor([[low, -self.turn_limit], [high, self.turn_limit]], device=self.home.device)
+
+    def move(self, state: Tensor, action: Tensor, checker: Checker) -> Move:
+        """Walk for a time step; see ``Motion``."""
+        state, each = self.commanded(state, action.clamp(self.limits[0], self.limits[1])), []
+        whole = torch.ones(len(state), dtype=torch.bool, device=state.device)
+        for _ in range(self.strides):
+            none = state.new_zeros(len(state), JOINTS)
+            departure = none if self.gait is None else self.gait(self.felt(state))
+            state, sensed, sound = self.stride(state, departure)
+            each.append(sensed)
+            whole &= sound
+        return self.moved(state, torch.cat(each, 1), whole)
+
+
+def _back(quats: Tensor) -> Tensor:
+    """The inverses of unit quaternions: [B, 4] -> [B, 4]."""
+    return quats * quats.new_tensor([1.0, -1.0, -1.0, -1.0])

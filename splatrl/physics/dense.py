@@ -1,0 +1,97 @@
+"""A small network of dense layers whose output has the same bytes in any batch."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from splatrl.array_files import read_arrays
+from splatrl.files import replacing
+
+MOST = 2**24
+"""Bytes of a file's weights."""
+
+
+class Dense:
+    """Layers with ReLUs between them and a tanh at the end.
+
+    Matrix products of PyTorch are summed in an order that depends on the size of the batch. Here products are added
+    pairwise, in an order that depends on the layer alone, so that a step of a robot is a function of its state.
+
+    Args:
+        layers: weight [out, in] and bias [out] of each layer, float32.
+
+    Raises:
+        ValueError: for layers that do not fit together, or numbers that are not finite.
+    """
+
+    def __init__(self, layers: Sequence[tuple[Tensor, Tensor]]):
+        if not layers:
+            raise ValueError("layers: expected at least one, got none")
+        given = layers[0][0].shape[-1]
+        for number, (weight, bias) in enumerate(layers):
+            fits = weight.ndim == 2 and weight.shape == (len(bias), given) and bias.ndim == 1 and len(bias)
+            plain = weight.dtype == bias.dtype == torch.float32
+            if not fits or not plain or not (weight.isfinite().all() and bias.isfinite().all()):
+                raise ValueError(
+                    f"layer {number}: expected finite float32 weight [out, {given}] and bias [out], "
+                    f"got {weight.dtype} {list(weight.shape)} and {list(bias.shape)}"
+                )
+            given = len(bias)
+        self.layers = [(weight.T.contiguous(), bias) for weight, bias in layers]
+
+    @classmethod
+    def load(cls, path: Path, given: int, told: int) -> "Dense":
+        """Read weights from a file of arrays ``weight0``, ``bias0``, ``weight1`` and so on, of which none runs code.
+
+        Args:
+            path: of the .npz.
+            given: numbers of an input.
+            told: numbers of an output.
+
+        Raises:
+            FileNotFoundError: where there is no such file.
+            ValueError: in one line that names the file, for what is no such file or has other sizes.
+        """
+        arrays = read_arrays(path, MOST)
+        try:
+            numbers = range(len(arrays) // 2)
+            layers = [
+                [torch.from_numpy(arrays[f"{name}{number}"]) for name in ("weight", "bias")] for number in numbers
+            ]
+            found = cls([(weight, bias) for weight, bias in layers])
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise ValueError(f"{path}: expected weights of dense layers, got {error}") from error
+        size = found.layers[0][0].shape[0], found.layers[-1][0].shape[1]
+        if size != (given, told):
+            raise ValueError(f"{path}: expected {given} inputs and {told} outputs, got {size[0]} and {size[1]}")
+        return found
+
+    def save(self, path: Path) -> None:
+        """Write the weights, the same bytes each time, as ``load`` reads them."""
+        arrays: dict[str, NDArray[np.float32]] = {}
+        for number, (weight, bias) in enumerate(self.layers):
+            arrays |= {f"weight{number}": weight.T.contiguous().numpy(), f"bias{number}": bias.numpy()}
+        with replacing(path) as stream:
+            np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+
+    def __call__(self, values: Tensor) -> Tensor:
+        """[B, in] float32 -> [B, out] float32 in [-1, 1]."""
+        last = len(self.layers) - 1
+        for number, (weight, bias) in enumerate(self.layers):
+            weight, bias = weight.to(values.device), bias.to(values.device)
+            values = pairwise_sum(values.unsqueeze(2) * weight) + bias
+            values = values.clamp_min(0.0) if number < last else values.tanh()
+        return values
+
+
+def pairwise_sum(values: Tensor) -> Tensor:
+    """Sum over the middle axis, halves first: [B, K, H] -> [B, H]."""
+    while (count := values.shape[1]) > 1:
+        half = count // 2
+        added = values[:, :half] + values[:, half : 2 * half]
+        values = torch.cat([added, values[:, -1:]], 1) if count % 2 else added
+    return values.squeeze(1)

@@ -1,0 +1,62 @@
+"""What a critic is told beside what the actor sees."""
+
+import torch
+from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
+from torch import Tensor, nn
+from torchrl.modules import ActorValueOperator
+
+from splatrl.training.heads import orthogonal
+from splatrl.training.inputs import Prepare
+from splatrl.training.trunk import GAIN
+
+
+class PreparedBeside(nn.Module):
+    """The parts without weights of actor and critic.
+
+    Args:
+        own: that of the actor.
+        told: that of what the critic alone is told, vectors.
+    """
+
+    def __init__(self, own: nn.Module, told: Prepare):
+        super().__init__()
+        self.own, self.told = own, told
+        self.count = len(told.encodings)
+
+    def forward(self, *observed: Tensor) -> tuple[Tensor, ...]:
+        """What the actor's part gives, and the vector [..., V] for the critic."""
+        own = self.own(*observed[: -self.count])
+        return (*(own if isinstance(own, tuple) else (own,)), *self.told(*observed[-self.count :]))
+
+
+class TrunkBeside(nn.Module):
+    """The actor's trunk, and beside its output what a critic makes of that and of what it is told.
+
+    Policy heads read the first half of the output alone.
+
+    Args:
+        own: the actor's trunk.
+        vector: numbers that the critic is told.
+        features: size of either half.
+    """
+
+    def __init__(self, own: nn.Module, vector: int, features: int):
+        super().__init__()
+        self.own = own
+        self.joined = nn.Sequential(orthogonal(nn.Linear(features + vector, features), GAIN), nn.ReLU(inplace=True))
+
+    def forward(self, *prepared: Tensor) -> Tensor:
+        """What ``PreparedBeside`` gives -> [..., 2 · features] float32."""
+        own = self.own(*prepared[:-1])
+        return torch.cat([own, self.joined(torch.cat([own, prepared[-1]], -1))], -1)
+
+
+def actors_trunk(model: ActorValueOperator) -> TensorDictModuleBase:
+    """The trunk of a model without what only its critic is told."""
+    first, trunk, *memory = model.module[0].module
+    if not isinstance(trunk.module, TrunkBeside):
+        return model.module[0]
+    count = first.module.count
+    prepare = TensorDictModule(first.module.own, in_keys=first.in_keys[:-count], out_keys=first.out_keys[:-1])
+    own = TensorDictModule(trunk.module.own, in_keys=trunk.in_keys[:-1], out_keys=trunk.out_keys)
+    return TensorDictSequential(prepare, own, *memory)
