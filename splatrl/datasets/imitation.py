@@ -43,6 +43,8 @@ def imitate(
         parts.append(visited(env, ppo.learner, plans, dagger.frames_per_round, cloner.reads, guided))
         ppo.frames += dagger.frames_per_round
         yield {"loss_cloning": cloner.fit(_together(parts), dagger.epochs)}
+    if dagger.last_epochs:
+        yield {"loss_cloning": cloner.fit(_together(parts), dagger.last_epochs, anneal=True)}
 
 
 def _together(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:

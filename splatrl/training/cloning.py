@@ -46,8 +46,9 @@ class CloningSettings:
 class Cloner:
     """Adam on the cross entropy of right actions, or for continuous ones on the squared distance of the policy's mode.
 
-    The distance is in halves of an action's range. A policy with memory learns from whole episodes. The optimiser keeps
-    its moments from one ``fit`` to the next.
+    The distance is in halves of an action's range. How widely continuous actions are sampled learns to be as wide as
+    the mode is off on average, so that a policy that knows what to do does not act at random. A policy with memory
+    learns from whole episodes. The optimiser keeps its moments from one ``fit`` to the next.
 
     Args:
         model: actor and critic over a shared trunk.
@@ -66,7 +67,7 @@ class Cloner:
         self._policy, self._value = model.get_policy_head(), model.get_value_head().module
         self._device = self.parameters[0].device
 
-    def fit(self, shown: Mapping[str, Tensor], epochs: int | None = None) -> float:
+    def fit(self, shown: Mapping[str, Tensor], epochs: int | None = None, anneal: bool = False) -> float:
         """Learn from frames; returns the mean loss of the actions in the last pass.
 
         Args:
@@ -74,9 +75,12 @@ class Cloner:
                 ``pixels`` [N, H, W, C] uint8; ``target`` [N, D] float32, see ``imitation``; ``value_target`` [N]
                 float32; ``frame`` [N] int64, 0 where episodes begin.
             epochs: passes over the frames; None takes those of the settings.
+            anneal: whether the learning rate falls linearly to zero over these passes.
         """
-        loss = 0.0
-        for _ in range(self.settings.epochs if epochs is None else epochs):
+        loss, passes = 0.0, self.settings.epochs if epochs is None else epochs
+        for number in range(passes):
+            for group in self.optimizer.param_groups:
+                group["lr"] = self.settings.lr * (1.0 - number / passes if anneal else 1.0)
             losses = [self._step(frames) * len(frames["target"]) for frames in self._minibatches(shown)]
             loss = float(torch.stack(losses).sum()) / len(shown["target"])
         return loss
@@ -103,10 +107,11 @@ class Cloner:
         prepared = self._prepare(*(frames[key] for key in self.reads))
         given = prepared if isinstance(prepared, tuple) else (prepared,)
         hidden = self._hidden(self._trunk(*given), frames["frame"])
-        loss = imitation(distribution(self._policy, hidden), frames["target"])
+        policy = distribution(self._policy, hidden)
+        loss = imitation(policy, frames["target"])
         critic = smooth_l1_loss(self._value(hidden).squeeze(-1), frames["value_target"])
         self.optimizer.zero_grad()
-        (loss + self.settings.critic_coeff * critic).backward()
+        (loss + width(policy, frames["target"]) + self.settings.critic_coeff * critic).backward()
         nn.utils.clip_grad_norm_(self.parameters, 1.0)
         self.optimizer.step()
         return loss.detach()
@@ -135,11 +140,36 @@ def imitation(policy: Distribution, target: Tensor) -> Tensor:
         target: [N, A] float32, shares of the A discrete actions, which sum to 1; or [N, D] float32, the action where
             actions are continuous. NaN in frames for which no right action is known, which count nothing.
     """
-    known = ~target.isnan().any(-1)
-    target = torch.where(known.unsqueeze(-1), target, 0.0)
     if isinstance(policy, Choice):
-        each = -(policy.logits * target).sum(-1)
+        each = -(policy.logits * target.nan_to_num()).sum(-1)
     else:
-        reach = (policy.high - policy.low) / 2.0  # type: ignore[attr-defined]
-        each = ((policy.deterministic_sample - target) / reach).square().mean(-1)  # type: ignore[attr-defined]
-    return (each * known).sum() / known.sum().clamp_min(1)
+        each = _off(policy, target).square().mean(-1)
+    return _mean(each, target)
+
+
+def width(policy: Distribution, target: Tensor) -> Tensor:
+    """How far the standard deviations of continuous actions are from how far their mode is off, squared: [] float32.
+
+    Deviations are those before the tanh, which in the middle of a range are in halves of it. Gradients reach them alone
+    and not the mode. Discrete actions have none, 0.
+
+    Args:
+        policy: see ``imitation``.
+        target: see ``imitation``.
+    """
+    if isinstance(policy, Choice):
+        return torch.zeros((), device=target.device)
+    off = _off(policy, target).detach().abs()
+    return _mean((policy.scale - off).square().mean(-1), target)  # type: ignore[attr-defined]
+
+
+def _off(policy: Distribution, target: Tensor) -> Tensor:
+    """By how much modes are off, in halves of the actions' ranges: [N, D]; 0 where no right action is known."""
+    reach = (policy.high - policy.low) / 2.0  # type: ignore[attr-defined]
+    return ((policy.deterministic_sample - target) / reach).nan_to_num()  # type: ignore[attr-defined]
+
+
+def _mean(each: Tensor, target: Tensor) -> Tensor:
+    """The mean over frames [N] for which a right action is known."""
+    known = ~target.isnan().any(-1)
+    return torch.where(known, each, 0.0).sum() / known.sum().clamp_min(1)

@@ -21,6 +21,10 @@ from splatrl.training.learner import Learner
 from splatrl.values import require_number
 
 
+TAUGHT = "taught"
+"""Key of what the teacher would have done in a frame."""
+
+
 @dataclass(frozen=True)
 class DaggerSettings:
     """Settings of DAgger.
@@ -32,6 +36,7 @@ class DaggerSettings:
         shown_rounds: the first rounds, in which the teacher acts in place of the policy.
         guided: share of the robots that the teacher drives in the other rounds, so that the policy's frames are joined
             by some from further along the way.
+        last_epochs: passes over all frames after the last round, while the learning rate falls to zero.
 
     Raises:
         ValueError: names the value that is out of range.
@@ -42,9 +47,10 @@ class DaggerSettings:
     epochs: int
     shown_rounds: int = 0
     guided: float = 0.0
+    last_epochs: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("rounds", "shown_rounds"):
+        for name in ("rounds", "shown_rounds", "last_epochs"):
             require_number(f"dagger.{name}", getattr(self, name), 0, whole=True)
         require_number("dagger.guided", self.guided, 0.0, 1.0)
         for name in ("frames_per_round", "epochs"):
@@ -74,32 +80,33 @@ def visited(
     Returns:
         Frames as ``Cloner.fit`` takes them, one robot after the other.
     """
-    actor: Callable[[TensorDictBase], TensorDictBase] = Actor(learner.model)
-    if guided:
-        drives = torch.rand(env.numel()) < guided
-        actor = partial(_guided, actor, env, plans, drives.to(env.device))
+    drives = torch.rand(env.numel()) < guided if guided else torch.zeros(env.numel(), dtype=torch.bool)
+    actor = partial(_taught_actor, Actor(learner.model), env, plans, drives.to(env.device))
     batch = HostCollector(env, actor, frames // env.numel()).collect()
     with torch.no_grad():
         _, value = learner.advantages(batch)
     rows = batch.flatten(0, 1)
     return {
         **{key: rows[key] for key in reads},
-        "target": _taught(rows, env, plans).to(value.device),
+        "target": rows[TAUGHT].to(value.device),
         "value_target": value.flatten(),
         "frame": rows["step_count"].flatten(),
     }
 
 
-def _guided(
+def _taught_actor(
     actor: Callable[[TensorDictBase], TensorDictBase],
     env: EnvBase,
     plans: Sequence[Plan],
     drives: Tensor,
     td: TensorDictBase,
 ) -> TensorDictBase:
-    """What an actor writes, with the teacher's actions for the robots [B] that it drives, where it knows one."""
+    """What an actor writes, and what the teacher would have done, which robots [B] that it drives do where it knows."""
     td = actor(td)
     target = _taught(td, env, plans).to(td["action"].device)
+    td = td.set(TAUGHT, target)
+    if not drives.any():
+        return td
     knows = drives & ~target.isnan().any(1)
     if isinstance(env.action_spec, Categorical):
         target = torch.multinomial(torch.where(knows.unsqueeze(1), target, 1.0), 1).squeeze(1)

@@ -146,12 +146,19 @@ class Trainer:
                     raise KeyboardInterrupt
 
     def _prepare(self, prepare: Callable[[], Iterable[dict[str, float]]], began: float) -> None:
-        """Begin with what ``prepare`` teaches, and test it after each row."""
+        """Begin with what ``prepare`` teaches, and test it as often as the rest of a training, and at the end."""
+        tested_at = 0
         for row in prepare():
-            row |= {"frames": self.ppo.frames, "level": int(self.ppo.env.curriculum.level)} | self._tested()
+            row |= {"frames": self.ppo.frames, "level": int(self.ppo.env.curriculum.level)}
+            told = f"imitated {self.ppo.frames:,} frames: loss {row['loss_cloning']:.4f}"
+            if tested_at == 0 or _crossed(tested_at, self.ppo.frames, self.test_interval):
+                row |= self._tested()
+                told, tested_at = f"{told}, success {row['test_success']:.2f}", self.ppo.frames
             self.seconds = row["seconds"] = time.monotonic() - began
             self._note(row)
-            print(f"imitated {self.ppo.frames:,} frames: success {row['test_success']:.2f}", file=sys.stderr)
+            print(told, file=sys.stderr)
+        if self.history and "test_success" not in self.history[-1]:
+            self._note(self.history.pop() | self._tested())
 
     def _tested(self) -> dict[str, float]:
         return {f"test_{name}": value for name, value in self.test().items()}

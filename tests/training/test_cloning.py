@@ -13,7 +13,7 @@ from splatrl.configuration import load_config
 from splatrl.datasets import planner_episodes
 from splatrl.evaluation import run_episodes
 from splatrl.training import Cloner, CloningSettings
-from splatrl.training.cloning import imitation
+from splatrl.training.cloning import imitation, width
 from splatrl.training.distributions import Choice, Squashed
 from tests.tiny import tiny_overrides
 
@@ -104,3 +104,40 @@ def test_settings_out_of_range_are_named(name: str) -> None:
     values = {"epochs": 1, "mini_batch_size": 1, "lr": 1e-3, "critic_coeff": 0.5}
     with pytest.raises(ValueError, match=f"cloning.{name}: expected"):
         CloningSettings(**(values | {name: -1}))
+
+
+def test_the_width_of_actions_learns_how_far_the_mode_is_off() -> None:
+    low, high = torch.tensor([0.0, -2.0]), torch.tensor([1.0, 2.0])
+    loc = torch.zeros(3, 2, requires_grad=True)
+    raw = torch.full((3, 2), 0.5, requires_grad=True)
+    target = torch.tensor([[0.6, 0.0], [0.4, 1.0], [math.nan, math.nan]])
+    optimiser = torch.optim.SGD([raw], lr=0.5)
+    for _ in range(200):
+        optimiser.zero_grad()
+        width(Squashed(loc, raw, low, high), target).backward()
+        optimiser.step()
+    torch.testing.assert_close(raw[:2], torch.tensor([[0.2, 0.0], [0.2, 0.5]]), atol=1e-3, rtol=0.0)
+    assert (raw[2] == 0.5).all(), "nothing is known there"
+    assert loc.grad is None or not loc.grad.any(), "the mode learns nothing from it"
+    assert width(Choice(torch.zeros(2, 3)), torch.ones(2, 3) / 3.0) == 0.0
+
+
+def test_the_learning_rate_falls_to_zero_where_asked(tmp_path: Path) -> None:
+    cfg = load_config(tiny_overrides(tmp_path))
+    world = build_world(cfg)
+    shown = planner_episodes(world, 2)
+    cloner = Cloner(build_model(cfg, world.env(1)), CloningSettings(4, 64, 1e-3, 0.5))
+    frames = {
+        "pixels": shown.frames["pixels"],
+        "target": one_hot(shown.frames["action"], 6).float(),
+        "value_target": shown.returns(0.9),
+        "frame": shown.frames["frame"],
+    }
+    rates: list[float] = []
+    step = cloner._step
+    cloner._step = lambda some: rates.append(cloner.optimizer.param_groups[0]["lr"]) or step(some)  # type: ignore
+    cloner.fit(frames, anneal=True)
+    assert list(dict.fromkeys(rates)) == pytest.approx([1e-3, 7.5e-4, 5e-4, 2.5e-4])
+    rates.clear()
+    cloner.fit(frames)
+    assert set(rates) == {1e-3}

@@ -107,6 +107,19 @@ def test_the_teacher_drives_a_share_of_the_robots(
     assert drives.all() if guided == 1.0 else 3 < drives.sum() < 14 and by_robot[~drives].mean() < 0.7
 
 
+def test_after_the_last_round_it_learns_once_more(made: tuple[DictConfig, World]) -> None:
+    cfg, world = made
+    ppo = make_ppo(cfg, world)
+    cloner, fits = Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), []
+    fit = cloner.fit
+    cloner.fit = lambda shown, *args, **kwargs: fits.append((len(shown["frame"]), args, kwargs)) or fit(  # type: ignore
+        shown, *args, **kwargs
+    )
+    rows = list(imitate(ppo, cloner, world, [], DaggerSettings(2, 64, 1, last_epochs=3), 0))
+    assert len(rows) == 3 and ppo.frames == 128
+    assert fits == [(64, (1,), {}), (128, (1,), {}), (128, (3,), {"anneal": True})]
+
+
 def test_equal_shares_of_all_right_actions() -> None:
     optimal = torch.tensor([[True, False, True], [False, True, False], [False, False, False]])
     found = targets(optimal, torch.tensor([3, 0, 1]), Categorical(4))
