@@ -20,7 +20,6 @@ from splatrl.training.collectors import HostCollector
 from splatrl.training.learner import Learner
 from splatrl.values import require_number
 
-
 TAUGHT = "taught"
 """Key of what the teacher would have done in a frame."""
 

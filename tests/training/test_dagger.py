@@ -112,8 +112,11 @@ def test_after_the_last_round_it_learns_once_more(made: tuple[DictConfig, World]
     ppo = make_ppo(cfg, world)
     cloner, fits = Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), []
     fit = cloner.fit
-    cloner.fit = lambda shown, *args, **kwargs: fits.append((len(shown["frame"]), args, kwargs)) or fit(  # type: ignore
-        shown, *args, **kwargs
+    cloner.fit = lambda shown, *args, **kwargs: (
+        fits.append((len(shown["frame"]), args, kwargs))
+        or fit(  # type: ignore
+            shown, *args, **kwargs
+        )
     )
     rows = list(imitate(ppo, cloner, world, [], DaggerSettings(2, 64, 1, last_epochs=3), 0))
     assert len(rows) == 3 and ppo.frames == 128

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -13,10 +13,10 @@ from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, TaskM
 from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.geometry import rigid
 from splatrl.motions.legs import WalkMotion
+from splatrl.physics.courses import draw_courses
 from splatrl.physics.gaussians import Models
 from splatrl.physics.marks import ball
-from splatrl.physics.room import drawn_once
-from splatrl.physics.routes import RouteSettings, draw_routes
+from splatrl.physics.routes import RouteSettings
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.values import require_number
@@ -64,20 +64,20 @@ class Walk(TaskModule):
         the yaw of the way to it, for sensors such as ``pointgoal`` and for those who train a critic on it.
 
     Ways, each with a start and a mark, are drawn in the scene by ``seed``, where a robot can go straight. Training
-    walks the first ``ways``, tests those after them.
+    walks the first ``courses``, tests those after them.
 
     Example:
         >>> import splatrl
-        >>> env = splatrl.make_env(["task=walk", "task.ways=1", "task.test_ways=1"], batch_size=[2])
+        >>> env = splatrl.make_env(["task=walk", "task.courses=1", "task.test_courses=1"], batch_size=[2])
         >>> env.rollout(3, break_when_any_done=False)["goal"].shape
         torch.Size([2, 3, 3])
 
     Args:
         motion: how the robot walks.
         rewards: see ``WalkRewards``.
-        way: what ways are like: ``distance`` and ``clearance`` of ``RouteSettings``, with one waypoint.
-        ways: number of ways of training.
-        test_ways: number of ways of tests.
+        course: what ways are like: ``distance`` and ``clearance`` of ``RouteSettings``, with one waypoint.
+        courses: number of ways of training.
+        test_courses: number of ways of tests.
         seed: of the ways.
         ahead_deg: in the beginning the mark is within this angle of where the robot looks, degrees.
         reach: distance from the mark at which it is reached, metres.
@@ -99,9 +99,9 @@ class Walk(TaskModule):
         self,
         motion: WalkMotion,
         rewards: WalkRewards | None = None,
-        way: RouteSettings | None = None,
-        ways: int = 256,
-        test_ways: int = 64,
+        course: RouteSettings | None = None,
+        courses: int = 256,
+        test_courses: int = 64,
         seed: int = 0,
         ahead_deg: float = 180.0,
         reach: float = 0.5,
@@ -114,8 +114,8 @@ class Walk(TaskModule):
         if not isinstance(motion, WalkMotion):
             raise ValueError(f"task.motion: expected legs that walk, got {type(motion).__name__}")
         super().__init__(motion, max_steps)
-        self.rewards, self.way = rewards or WalkRewards(), way or RouteSettings(1, (1.0, 2.5), 0.0, 0.4)
-        for name, count in (("ways", ways), ("test_ways", test_ways)):
+        self.rewards, self.course = rewards or WalkRewards(), course or RouteSettings((1.0, 2.5), 0.0, 0.4, waypoints=1)
+        for name, count in (("courses", courses), ("test_courses", test_courses)):
             require_number(f"task.{name}", count, 1, 4096, whole=True)
         for name, value in (("reach", reach), ("mark_radius", mark_radius)):
             require_number(f"task.{name}", value, 1e-3, 1e3)
@@ -123,7 +123,7 @@ class Walk(TaskModule):
             require_number(f"task.{name}", value, 0.0, 1e3)
         require_number("task.ahead_deg", ahead_deg, 0.0, 180.0)
         require_number("task.seed", seed, 0, 2**63 - 1, whole=True)
-        self.ways, self.test_ways, self.seed, self.leeway = ways, test_ways, seed, leeway
+        self.courses, self.test_courses, self.seed, self.leeway = courses, test_courses, seed, leeway
         self.ahead, self.reach, self.mark_height = math.radians(ahead_deg), reach, mark_height
         self.drawn = Models([ball(mark_radius, mark_rgb)])
         self.register_buffer("places", torch.zeros(0, 2, 3, dtype=torch.float64), persistent=False)
@@ -134,15 +134,10 @@ class Walk(TaskModule):
         Raises:
             ValueError: where there is no room for a way.
         """
-        terrain, many = self.motion.terrain, self.ways + self.test_ways
+        terrain, many = self.motion.terrain, self.courses + self.test_courses
         where = self.motion.twin.lower.tolist(), self.motion.twin.upper.tolist()
-        places = drawn_once(
-            "routes",
-            terrain,
-            [*where, asdict(self.way), many, self.seed],
-            lambda: draw_routes(terrain, *where, self.way, many, self.seed),
-        )
-        self.places = torch.from_numpy(places[:, :2]).to(self.places.device)
+        places = draw_courses(terrain, *where, self.course, many, self.seed)
+        self.places = torch.from_numpy(places[:, :2, [0, 1, 3]]).to(self.places.device)
 
     @property
     def models(self) -> list[Gaussians]:
@@ -156,7 +151,7 @@ class Walk(TaskModule):
 
     def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
         """Stand where ways of training begin; see ``Task.start``."""
-        rows = torch.randint(self.ways, (len(state),), generator=anywhere.generator, device=state.device)
+        rows = torch.randint(self.courses, (len(state),), generator=anywhere.generator, device=state.device)
         return self._begun(rows, anywhere.generator)
 
     def begin(self, state: Tensor, anywhere: Anywhere) -> Memory:
@@ -168,7 +163,7 @@ class Walk(TaskModule):
     def episodes(self, starts: Tensor, count: int, seed: int) -> dict[str, Tensor]:
         """Starts of the ways of tests, in turn; see ``ChoosingTask``."""
         generator = torch.Generator().manual_seed(seed)
-        state = self._begun(self.ways + torch.arange(count) % self.test_ways, generator)
+        state = self._begun(self.courses + torch.arange(count) % self.test_courses, generator)
         return {"state": state, **self.begin(state, Anywhere(lambda: state, generator))}
 
     def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
