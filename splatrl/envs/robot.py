@@ -23,7 +23,7 @@ class Robot:
         fov_deg: horizontal field of view, degrees in (0, 180).
         image_width: width of the image, pixels.
         image_height: height of the image, pixels.
-        mount: rows of ``camera_to_body``, [4][4], of a camera that is not at the centre; None puts it there, pitched.
+        mount: rows of ``camera_to_body``, 4 × 4, of a camera that is not at the centre; None puts it there, pitched.
     """
 
     body: Body
