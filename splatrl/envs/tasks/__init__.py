@@ -16,7 +16,7 @@ from splatrl.envs.tasks.route import Route
 from splatrl.envs.tasks.sim2real import Sim2Real
 from splatrl.envs.tasks.snake import Snake
 from splatrl.envs.tasks.strides import Strides, StridesRewards
-from splatrl.envs.tasks.walk import Walk, WalkRewards
+from splatrl.envs.tasks.walk import Walk
 
 __all__ = [
     "Apple",
@@ -49,5 +49,4 @@ __all__ = [
     "TaskModule",
     "Verdict",
     "Walk",
-    "WalkRewards",
 ]

@@ -24,12 +24,10 @@ def cache(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
 
 
-def walk(courses: int = 2, test_courses: int = 3, **settings: Any) -> Walk:
+def walk(ways: int = 2, test_ways: int = 3, **settings: Any) -> Walk:
     """The task around a post."""
     motion = WalkMotion(path="quadruped", camera="eye", lower=(-2.0, -2.0), upper=(2.0, 2.0), threads=1)
-    task = Walk(
-        motion, course=RouteSettings((1.0, 1.5), 0.0, 0.4, 1), courses=courses, test_courses=test_courses, **settings
-    )
+    task = Walk(motion, way=RouteSettings(1, (1.0, 1.5), 0.0, 0.4), ways=ways, test_ways=test_ways, **settings)
     motion.settle(Terrain(PLANE, POST))
     task.settle()
     return task
@@ -67,7 +65,7 @@ def test_falls_and_leaving_end_an_episode() -> None:
 
 
 def test_a_teacher_walks_the_ways_that_no_one_trained_on() -> None:
-    task = walk(courses=1, test_courses=4)
+    task = walk(ways=1, test_ways=4)
     begun = task.episodes(task.motion.states(), 4, 0)
     state, memory = begun["state"], {"goal": begun["goal"]}
     assert torch.equal(memory["goal"], task.places[1:, 1].float())
