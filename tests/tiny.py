@@ -225,7 +225,12 @@ def tiny_overrides(folder: Path, task: str = "grid") -> list[str]:
         bounds += ["task.course.height=[0.6,0.8]", "task.course.distance=[0.8,1.4]", "task.motion.ceiling=1.5"]
         bounds += ["~task.motion.things.gate3", "~task.motion.things.gate4"]
     if task == "walk":
-        bounds += ["task.courses=3", "task.test_courses=2", "task.course.clearance=0.2", "task.course.distance=[0.7,1.2]"]
+        bounds += [
+            "task.courses=3",
+            "task.test_courses=2",
+            "task.course.clearance=0.2",
+            "task.course.distance=[0.7,1.2]",
+        ]
     if task == "route":
         bounds += ["task.courses=3", "task.test_courses=2", "task.course.waypoints=2", "task.course.clearance=0.2"]
     if task in ("pointnav", "imagenav"):

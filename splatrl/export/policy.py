@@ -11,7 +11,7 @@ from torchrl.envs import EnvBase, InitTracker, Transform
 from torchrl.modules import ActorValueOperator
 
 from splatrl.envs.nesting import layers
-from splatrl.envs.transforms import Appearance, FrameStack, PoseNoise, Weather
+from splatrl.envs.transforms import Appearance, FrameStack, Latency, PoseNoise, Weather
 from splatrl.training.beside import actors_trunk
 from splatrl.training.heads import distribution
 from splatrl.training.memory import STATE, Memory, RecurrentReset
@@ -20,7 +20,7 @@ FRAMES = "frames"
 """Name of the state of a policy that sees several views."""
 NEXT = "next_"
 """Prefix of the outputs that are the states of the next step."""
-SIMULATED = (Appearance, PoseNoise, Weather)
+SIMULATED = (Appearance, Latency, PoseNoise, Weather)
 """Transforms that make a simulated camera more like a real one; a real camera needs none of them."""
 REMEMBERING = (FrameStack, InitTracker, RecurrentReset)
 """Transforms whose work ``StandalonePolicy`` does itself."""

@@ -1,10 +1,11 @@
-"""Transforms around an env: camera noise, repeated actions, image appearance, weather and stacked frames."""
+"""Transforms around an env: camera noise, repeated actions, latency, image appearance, weather and stacked frames."""
 
 from splatrl.envs.transforms.appearance import Appearance
 from splatrl.envs.transforms.frame_skip import FrameSkip
 from splatrl.envs.transforms.frame_stack import FrameStack
+from splatrl.envs.transforms.latency import Latency
 from splatrl.envs.transforms.pose_noise import PoseNoise
 from splatrl.envs.transforms.randomness import RandomTransform
 from splatrl.envs.transforms.weather import Weather
 
-__all__ = ["Appearance", "FrameSkip", "FrameStack", "PoseNoise", "RandomTransform", "Weather"]
+__all__ = ["Appearance", "FrameSkip", "FrameStack", "Latency", "PoseNoise", "RandomTransform", "Weather"]

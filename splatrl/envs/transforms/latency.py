@@ -1,0 +1,127 @@
+"""Views that come late, and actions that are carried out late."""
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+
+from splatrl.envs.transforms.randomness import RandomTransform
+from splatrl.values import require_number
+
+MOST = 64
+"""Steps of a delay, at most."""
+NO_FLOAT, NO_CHOICE = 1e9, -1
+"""What stands for an action that was not yet chosen, which no robot can choose."""
+LATE = ("latency", "late_pixels", "late_action")
+
+
+class Latency(RandomTransform):
+    """Delays the camera's views and the robot's actions by whole steps, drawn anew for each episode.
+
+    Real cameras and links are late, and by how much differs (GaussGym draws both for each episode, too). Until an
+    episode has an action old enough, its first one is carried out; until it has a view old enough, its first one is
+    seen. Rewards, ends and what else is sensed are those of the moment.
+
+    It adds to the observation ``latency`` [B, 2] int64, the steps by which camera and action are late in the episode;
+    ``late_pixels`` [B, C + 1, H, W, 3] uint8, the last views as they were taken, C the camera's highest delay; and
+    ``late_action`` [B, A, ...], the last actions that were chosen, A the action's highest delay. A reset to a given
+    state with these goes on as the episode did; all else is in the TensorDict, so a row does not depend on others.
+
+    Args:
+        camera: lowest and highest delay of views, steps.
+        action: lowest and highest delay of actions, steps.
+        seed: seed of its own generator (``RandomTransform``).
+
+    Raises:
+        ValueError: for anything but two whole numbers, 0 ≤ lowest ≤ highest ≤ 64.
+    """
+
+    def __init__(self, camera: Sequence[int] = (0, 1), action: Sequence[int] = (0, 1), seed: int = 0):
+        super().__init__(seed, out_keys=["pixels", *LATE])
+        for name, pair in (("camera", camera), ("action", action)):
+            if len(pair) != 2:
+                raise ValueError(f"latency.{name}: expected a lowest and a highest delay, got {list(pair)}")
+            for value in pair:
+                require_number(f"latency.{name}", value, 0, MOST, whole=True)
+            if pair[0] > pair[1]:
+                raise ValueError(f"latency.{name}: expected lowest ≤ highest, got {list(pair)}")
+        self.low, self.high = (camera[0], action[0]), (camera[1], action[1])
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        if self.env is None:
+            return tensordict
+        action, late = tensordict["action"], tensordict["late_action"]
+        chosen = action.unsqueeze(1)
+        chain = torch.cat([torch.where(late == _none_of(action.dtype), chosen, late), chosen], 1)
+        tensordict.set("action", _taken(chain, tensordict["latency"][:, 1]))
+        return tensordict.set("late_action", chain[:, 1:].clone())
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        view = next_tensordict["pixels"].unsqueeze(1)
+        views = torch.cat([tensordict["late_pixels"][:, 1:], view], 1)
+        kept = {key: tensordict[key].clone() for key in ("latency", "late_action")}
+        return self._shown(next_tensordict, views, kept["latency"]).update(kept)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        view, batch = tensordict_reset["pixels"], tensordict_reset.batch_size
+        options = {"generator": self.generator, "device": view.device}
+        drawn = [
+            torch.randint(low, high + 1, batch, **options)  # type: ignore[call-overload]
+            for low, high in zip(self.low, self.high, strict=True)
+        ]
+        spec = self.parent.full_action_spec["action"] if self.parent is not None else None
+        assert spec is not None, "a reset belongs to an env"
+        shape = (batch[0], self.high[1], *spec.shape[1:])
+        late = torch.full(shape, _none_of(spec.dtype), dtype=spec.dtype, device=view.device)
+        values = {
+            "latency": torch.stack(drawn, -1),
+            "late_pixels": view.unsqueeze(1).repeat(1, self.high[0] + 1, 1, 1, 1),
+            "late_action": late,
+        }
+        goes_on = tensordict_reset["level"] == -1  # a state was given, and with it what came before
+        for key in values:
+            given = tensordict.get(key, None)
+            if given is not None:
+                mask = goes_on.view(-1, *[1] * (values[key].ndim - 1))
+                values[key] = torch.where(mask, given, values[key])
+        tensordict_reset.set("late_action", values["late_action"]).set("latency", values["latency"])
+        return self._shown(tensordict_reset, values["late_pixels"], values["latency"])
+
+    @staticmethod
+    def _shown(tensordict: TensorDictBase, views: Tensor, latency: Tensor) -> TensorDictBase:
+        return tensordict.set("late_pixels", views).set("pixels", _taken(views, latency[:, 0]))
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Change nothing: recorded views are as late as they were."""
+        return tensordict
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add what travels to the observation."""
+        return self._with_late(observation_spec, observation_spec)
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        """Read what travels from the input of a step or a reset."""
+        assert self.parent is not None
+        return self._with_late(state_spec, self.parent.observation_spec)
+
+    def _with_late(self, spec: Composite, observed: Composite) -> Composite:
+        assert self.parent is not None
+        action, spec = self.parent.full_action_spec["action"], spec.clone()
+        views = (spec.shape[0], self.high[0] + 1, *observed["pixels"].shape[1:])
+        actions = (spec.shape[0], self.high[1], *action.shape[1:])
+        spec["latency"] = Unbounded(shape=(*spec.shape, 2), dtype=torch.int64, device=spec.device)
+        spec["late_pixels"] = Unbounded(shape=views, dtype=torch.uint8, device=spec.device)
+        spec["late_action"] = Unbounded(shape=actions, dtype=action.dtype, device=spec.device)
+        return spec
+
+
+def _none_of(dtype: torch.dtype) -> float | int:
+    """What stands for no action among actions of a type."""
+    return NO_FLOAT if dtype.is_floating_point else NO_CHOICE
+
+
+def _taken(chain: Tensor, late: Tensor) -> Tensor:
+    """The entry of each row that is some steps before its last: [B, K, ...], [B] -> [B, ...]."""
+    return chain[torch.arange(len(chain), device=chain.device), chain.shape[1] - 1 - late]
