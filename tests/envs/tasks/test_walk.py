@@ -24,87 +24,78 @@ def cache(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
 
 
-def walk(ways: int = 2, test_ways: int = 3, **settings: Any) -> Walk:
+def walk(courses: int = 2, test_courses: int = 3, **settings: Any) -> Walk:
     """The task around a post."""
     motion = WalkMotion(path="quadruped", camera="eye", lower=(-2.0, -2.0), upper=(2.0, 2.0), threads=1)
-    task = Walk(motion, way=RouteSettings(1, (1.0, 1.5), 0.0, 0.4), ways=ways, test_ways=test_ways, **settings)
+    way = RouteSettings(waypoints=1, distance=(1.0, 1.5), clearance=0.4)
+    task = Walk(motion, course=way, courses=courses, test_courses=test_courses, **settings)
     motion.settle(Terrain(PLANE, POST))
     task.settle()
     return task
 
 
-def judged(task: Walk, before: torch.Tensor, after: torch.Tensor, free: float = 1.0) -> Verdict:
-    move = Move(after, task.motion.body_to_world(after), torch.tensor([free]), task.motion.inside(after))
-    memory = {"goal": torch.tensor([[1.0, 1.0, 0.0]])}
-    return task.judge(Step(before, torch.zeros(1, 2), move, memory, torch.zeros(0)), None)  # type: ignore[arg-type]
+def anywhere(task: Walk) -> Anywhere:
+    return Anywhere(lambda: task.motion.home, torch.Generator().manual_seed(0))
 
 
-def at(task: Walk, x: float, y: float, yaw: float = 0.0) -> torch.Tensor:
-    return task.motion.placed(torch.tensor([[x, y, yaw]]))
+def at(task: Walk, away: float, turned: float = 0.0) -> torch.Tensor:
+    """A robot [1, n] on the first way, some metres before its mark, that looks beside it by an angle."""
+    x, y, _, yaw = task.places[0, 1].tolist()
+    return task.motion.placed(torch.tensor([[x - away * math.cos(yaw), y - away * math.sin(yaw), yaw - turned]]))
 
 
-def test_the_mark_ends_an_episode_and_the_reward_is_progress() -> None:
+def judged(task: Walk, before: torch.Tensor, after: torch.Tensor) -> Verdict:
+    move = Move(after, task.motion.body_to_world(after), torch.ones(1), task.motion.inside(after))
+    memory = task.begin(before, anywhere(task))
+    return task.judge(Step(before, torch.zeros(1, 2), move, memory, torch.zeros(0)), anywhere(task))
+
+
+def test_the_mark_is_a_success() -> None:
     task = walk()
-    near = judged(task, at(task, 0.4, 1.0), at(task, 0.51, 1.0))
-    assert near.outcome.item() == Outcome.GOAL and near.terminated.item()
-    assert near.reward.item() == pytest.approx(0.11 + 3.0 - 0.01, abs=1e-5)
-    still = judged(task, at(task, 0.4, 1.0), at(task, 0.49, 1.0))
-    assert still.outcome.item() == Outcome.RUNNING and not still.terminated.item()
-    touched = judged(task, at(task, 0.4, 1.0), at(task, 0.49, 1.0), free=0.5)
-    assert still.reward.item() - touched.reward.item() == pytest.approx(0.1, abs=1e-5)
+    near = judged(task, at(task, 0.6), at(task, 0.49))
+    assert near.outcome.item() == Outcome.GOAL and near.terminated.item() and task.goals_for_success == 1
+    assert judged(task, at(task, 0.6), at(task, 0.51)).outcome.item() == Outcome.RUNNING
 
 
-def test_falls_and_leaving_end_an_episode() -> None:
+def test_a_fall_ends_an_episode_even_at_the_mark() -> None:
     task = walk()
-    lying = at(task, 0.51, 1.0)
+    lying = at(task, 0.4)
     lying[0, FIRST + 2] = 0.15  # 0.1 m above the ground
-    assert judged(task, at(task, 0.4, 1.0), lying).outcome.item() == Outcome.COLLISION
-    outside = judged(task, at(task, 2.2, 1.0), at(task, 2.31, 1.0))
-    assert outside.outcome.item() == Outcome.OUT_OF_BOUNDS and outside.terminated.item()
-    assert judged(task, at(task, 2.2, 1.0), at(task, 2.29, 1.0)).outcome.item() == Outcome.RUNNING
+    fallen = judged(task, at(task, 0.6), lying)
+    assert fallen.outcome.item() == Outcome.COLLISION and fallen.terminated.item()
 
 
 def test_a_teacher_walks_the_ways_that_no_one_trained_on() -> None:
-    task = walk(ways=1, test_ways=4)
+    task = walk(courses=1, test_courses=4)
     begun = task.episodes(task.motion.states(), 4, 0)
-    state, memory = begun["state"], {"goal": begun["goal"]}
-    assert torch.equal(memory["goal"], task.places[1:, 1].float())
+    state, memory = begun["state"], {key: begun[key] for key in task.memory_spec}
     reached = torch.zeros(4, dtype=torch.bool)
     for _ in range(45):
         move = task.motion.move(state, task.teach(state, memory), NOTHING)
-        verdict = task.judge(Step(state, torch.zeros(4, 2), move, memory, torch.zeros(0)), None)  # type: ignore[arg-type]
-        assert not (verdict.terminated & (verdict.outcome != Outcome.GOAL)).any()
+        verdict = task.judge(Step(state, torch.zeros(4, 2), move, memory, torch.zeros(0)), anywhere(task))
         reached |= (verdict.outcome == Outcome.GOAL).squeeze(1)
+        assert not (verdict.terminated.squeeze(1) & ~reached).any()
         state = move.state
     assert reached.all()
 
 
 def test_a_mark_that_is_not_seen_is_looked_for_to_the_left() -> None:
     task = walk()
-    memory = {"goal": torch.tensor([[1.0, 1.0, 0.0]])}
-    for yaw, speed, turn in ((0.0, 0.6, 0.0), (math.pi, 0.0, 0.8), (math.pi / 2, 0.0, 0.8), (0.2, 0.5536, -0.4)):
-        action = task.teach(at(task, -1.0, 1.0, yaw), memory)[0].tolist()
+    memory = task.begin(at(task, 1.0), anywhere(task))
+    for turned, speed, turn in ((0.0, 0.6, 0.0), (math.pi, 0.0, 0.8), (-1.5, 0.0, 0.8), (-0.2, 0.5536, -0.4)):
+        action = task.teach(at(task, 1.0, turned), memory)[0].tolist()
         assert action == pytest.approx([speed, turn], abs=1e-3)
 
 
-def test_robots_begin_at_ways_and_look_anywhere_or_at_their_mark() -> None:
+def test_robots_begin_at_ways_and_look_beside_their_mark_by_as_much_as_asked() -> None:
     task = walk(ahead_deg=10.0)
-    anywhere = Anywhere(lambda: task.motion.home, torch.Generator().manual_seed(0))
-    state = task.start(task.motion.home.expand(64, -1), anywhere)
-    goal = task.begin(state, anywhere)["goal"].double()
-    planar = task.motion.planar(state)
-    away = goal[:, :2] - planar[:, :2]
+    state = task.start(task.motion.home.expand(64, -1), anywhere(task))
+    planar, place = task.motion.planar(state), task.begin(state, anywhere(task))["next_place"].double()
+    away = place[:, :2] - planar[:, :2]
     off = torch.atan2(away[:, 1], away[:, 0]) - planar[:, 2]
     assert 0.05 < torch.atan2(off.sin(), off.cos()).abs().max() < math.radians(10.0) + 1e-6
-    assert len(goal.unique(dim=0)) == 2
-    assert (away.norm(dim=1) >= 1.0).all() and (away.norm(dim=1) <= 1.5).all()
-
-
-def test_the_mark_is_in_the_picture() -> None:
-    task = walk()
-    parts = task.parts(at(task, 0.0, 1.5), {"goal": torch.tensor([[1.0, 1.0, 0.0]])})
-    assert parts.model[0, -1].item() == len(task.models)
-    assert parts.model_to_world[0, -1, :3, 3].tolist() == pytest.approx([1.0, 1.0, 0.35])
+    assert (away.norm(dim=1) >= 1.0 - 1e-6).all() and (away.norm(dim=1) <= 1.5 + 1e-6).all()
+    assert set(state[:, 0].tolist()) == {0.0, 1.0}
 
 
 def test_other_motions_are_refused() -> None:

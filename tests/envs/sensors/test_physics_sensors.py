@@ -1,0 +1,127 @@
+"""Sensors of a body with physics."""
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from splatrl.build import build_model, build_one_world
+from splatrl.configuration import load_config
+from splatrl.envs.sensors import Felt, Joints, Measured, Moment, Velocity
+from splatrl.motions import DriveMotion, PhysicsMotion, StridesMotion
+from splatrl.motions.legs import ANGLES, JOINTS
+from splatrl.motions.physics import FIRST
+from tests.tiny import tiny_overrides
+
+
+@cache
+def legs() -> StridesMotion:
+    return StridesMotion(path="quadruped", camera="eye", threads=1)
+
+
+def moment(motion: Any, state: Tensor, sensed: Tensor | None = None, **memory: Tensor) -> Moment:
+    poses, nothing = motion.body_to_world(state), None
+    free = torch.ones(len(state))
+    given: Any = (motion.planar(state), poses, free, memory, None, nothing, nothing)
+    return Moment(*given, state, motion, sensed)
+
+
+def test_an_imu_at_rest_feels_its_weight_and_no_turn() -> None:
+    imu = Measured("imu", "quadruped", ["accelerometer", "gyro"], scale=0.1)
+    state = legs().placed(torch.zeros(2, 3))
+    for _ in range(25):  # it settles onto its feet, trotting on the spot without stepping far
+        state = legs().stride(state, torch.zeros(2, JOINTS)).state
+    state[:, FIRST + 19 :][:, :18] = 0.0
+    begun = imu.begin(moment(legs(), legs().placed(torch.zeros(2, 3))))["imu"]
+    assert begun.shape == (2, 6) and begun.dtype == torch.float32
+    assert begun[:, 3:].abs().max() < 0.05
+    assert torch.equal(imu.read(moment(legs(), state, None, imu=begun)), begun)
+
+
+def test_an_imu_says_the_mean_over_the_substeps_of_a_move() -> None:
+    imu = Measured("imu", "quadruped", ["gyro", "accelerometer"], scale=2.0)
+    motion = legs()
+    state = motion.placed(torch.zeros(3, 3))
+    rates = FIRST + motion.physics.model.nq
+    state[:, rates + 5] = 1.0  # they spin to the left
+    after, sensed, _ = motion.stride(state, torch.zeros(3, JOINTS))
+    said = imu.read(moment(motion, after, sensed))
+    columns = motion.physics.sensor("robot/gyro"), motion.physics.sensor("robot/accelerometer")
+    assert columns[0] is not None and columns[1] is not None
+    expected = torch.cat([sensed[:, :, each].mean(1) for each in columns], 1)
+    assert torch.allclose(said, 2.0 * expected.float(), atol=1e-5)
+    assert said[:, 2].min() > 0.5
+    alone = imu.read(moment(motion, after[:1], sensed[:1]))
+    assert torch.equal(alone, said[:1])
+
+
+def test_feet_feel_what_they_carry() -> None:
+    feet = Measured("feet", "quadruped", [f"{name}_foot" for name in ("front_left", "rear_right")], scale=1.0)
+    motion = legs()
+    state, carried = motion.placed(torch.zeros(1, 3)), []
+    for _ in range(60):
+        state, sensed, _ = motion.stride(state, torch.zeros(1, JOINTS))
+        carried.append(feet.read(moment(motion, state, sensed)))
+    force = torch.cat(carried)[20:]
+    assert force.min() == 0.0 and force.max() > 20.0  # each is lifted, and carries in turn
+    flying = state.clone()
+    flying[:, FIRST + 2] += 1.0
+    assert feet.begin(moment(motion, flying))["feet"].abs().max() == 0.0
+
+
+def test_joints_are_angles_from_where_the_robot_stands_and_rates() -> None:
+    joints, motion = Joints("quadruped", rate=0.1), legs()
+    state = motion.placed(torch.tensor([[1.0, 2.0, 0.5]]))
+    assert joints.read(moment(motion, state)).abs().max() < 1e-6
+    state[0, ANGLES + 4] += 0.2
+    state[0, FIRST + motion.physics.model.nq + 6 + 4] = -3.0
+    read = joints.read(moment(motion, state))
+    assert read.shape == (1, 24)
+    assert read[0, 4].item() == pytest.approx(0.2) and read[0, 12 + 4].item() == pytest.approx(-0.3)
+    assert (read != 0).sum() == 2
+    wheels = PhysicsMotion("wheels", "eye", threads=1)
+    assert Joints("wheels").read(moment(wheels, wheels.placed(torch.zeros(2, 3)))).shape == (2, 4)
+
+
+def test_velocity_is_in_the_bodys_own_frame() -> None:
+    motion = legs()
+    state = motion.placed(torch.tensor([[1.0, 2.0, math.pi / 2]]))
+    first = FIRST + motion.physics.model.nq
+    state[0, first + 1], state[0, first + 5] = 0.7, 0.3  # along the world's y, where it looks
+    assert Velocity().read(moment(motion, state))[0].tolist() == pytest.approx([0.7, 0, 0, 0, 0, 0.3], abs=1e-6)
+
+
+def test_robots_without_physics_or_legs_are_refused() -> None:
+    drive = DriveMotion(0.5)
+    for sensor in (Velocity(), Joints("wheels")):
+        with pytest.raises(ValueError, match=r"sensors: expected a robot with physics, .* got DriveMotion"):
+            sensor.read(moment(drive, torch.zeros(1, 3)))
+    wheels = PhysicsMotion("wheels", "eye", threads=1)
+    with pytest.raises(ValueError, match="sensors: expected a robot on legs, got PhysicsMotion"):
+        Felt().read(moment(wheels, wheels.placed(torch.zeros(1, 3))))
+
+
+def test_a_sensor_that_the_robot_lacks_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"quadruped: sensors\.imu: expected some of accelerometer, gyro, .*'compass'"):
+        Measured("imu", "quadruped", ["compass"])
+
+
+def test_yaml_chooses_them_for_actor_and_critic(tmp_path: Path) -> None:
+    chosen = ["sensors=[rgb,imu,joints,feet,velocity,contact]", "+critic_inputs.next_place=plain"]
+    cfg = load_config([*tiny_overrides(tmp_path, "walk"), *chosen])
+    world = build_one_world(cfg)
+    env = world.env(2)
+    td = env.reset()
+    assert {key: td[key].shape[1] for key in ("imu", "joints", "feet", "velocity")} == {
+        **{"imu": 6, "joints": 24},
+        **{"feet": 4, "velocity": 6},
+    }
+    model = build_model(cfg, env)
+    rolled = env.rollout(2, model, break_when_any_done=False)
+    again = env.reset(rolled[:, 1].select("state", "imu", "feet", "passed", "next_place"), set_state=True)
+    for key in ("imu", "joints", "feet", "velocity"):
+        assert torch.equal(again[key], rolled[key][:, 1]), key

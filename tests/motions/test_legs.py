@@ -1,0 +1,150 @@
+"""Legs: what they are told, what they feel, and that a step is a function of the state."""
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from splatrl.collision.nothing import NoChecker
+from splatrl.motions import StridesMotion, WalkMotion
+from splatrl.motions.legs import ANGLES, DEPARTURE, FELT, JOINTS
+from splatrl.motions.physics import FIRST
+from splatrl.physics import Terrain
+from splatrl.physics.stepping import BANK
+from splatrl.physics.trot import trot
+
+NOTHING: Any = NoChecker.__new__(NoChecker)
+
+
+def walking(threads: int = 1, **settings: Any) -> WalkMotion:
+    return WalkMotion(path="quadruped", camera="eye", threads=threads, **settings)
+
+
+@cache
+def usual() -> WalkMotion:
+    """One that no test changes."""
+    return walking()
+
+
+@cache
+def strides() -> StridesMotion:
+    """Likewise."""
+    return StridesMotion(path="quadruped", camera="eye", threads=1)
+
+
+def walked(motion: WalkMotion, command: tuple[float, float], steps: int) -> torch.Tensor:
+    """Where a robot that began at the origin stands after a while, and how it moved in between: [steps + 1, 3]."""
+    state, poses = motion.placed(torch.zeros(1, 3)), [torch.zeros(3).double()]
+    for _ in range(steps):
+        state = motion.move(state, torch.tensor([command]), NOTHING).state
+        assert not motion.fallen(state).any()
+        poses.append(motion.planar(state)[0])
+    return torch.stack(poses)
+
+
+def test_the_gait_follows_commands_and_a_trot_alone_less_well() -> None:
+    poses = walked(usual(), (0.6, 0.0), 20)
+    gone = float((poses[-1] - poses[5])[0]) / 3.0
+    trotted = walked(walking(gait=None), (0.6, 0.0), 20)
+    assert gone == pytest.approx(0.6, abs=0.1)
+    assert abs(float((trotted[-1] - trotted[5])[0]) / 3.0 - 0.6) > 0.15
+    turned = walked(usual(), (0.3, 0.6), 15)[:, 2]
+    assert float((turned[15] - turned[5]) % math.tau) == pytest.approx(1.2, abs=0.25)
+
+
+def test_a_step_has_the_same_bytes_in_any_batch_order_and_number_of_threads() -> None:
+    motion, draw = usual(), torch.Generator().manual_seed(0)
+    state = motion.placed(torch.randn(7, 3, generator=draw).double())
+    command = torch.rand(7, 2, generator=draw)
+    for _ in range(2):
+        state = motion.move(state, command, NOTHING).state
+    whole = motion.move(state, command, NOTHING)
+    order = torch.tensor([3, 0, 6, 2, 5, 1, 4])
+    assert torch.equal(walking(2).move(state[order], command[order], NOTHING).state, whole.state[order])
+    for row in (0, 6):
+        alone = motion.move(state[row : row + 1], command[row : row + 1], NOTHING)
+        assert torch.equal(alone.state, whole.state[row : row + 1])
+        assert torch.equal(alone.body_to_world, whole.body_to_world[row : row + 1])
+
+
+def test_a_walk_is_strides_with_the_departures_of_the_gait() -> None:
+    walk, other = usual(), strides()
+    state = walk.placed(torch.tensor([[0.1, 0.2, 0.3]]))
+    command = torch.tensor([[0.5, -0.2]])
+    after = walk.move(state, command, NOTHING).state
+    assert walk.gait is not None and walk.strides == 10
+    state = walk.commanded(state, command)
+    for _ in range(10):
+        state = other.move(state, walk.gait(walk.felt(state)), NOTHING).state
+    assert torch.equal(state, after)
+
+
+def test_joints_are_told_the_trot_and_departures_within_their_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    motion = strides()
+    state = motion.commanded(motion.placed(torch.zeros(1, 3)), torch.tensor([[0.4, 0.1]]))
+    departure = torch.linspace(-2.0, 1.0, JOINTS).unsqueeze(0)
+    told: list[torch.Tensor] = []
+    step = motion.physics.step
+    monkeypatch.setattr(motion.physics, "step", lambda states, ctrl: (told.append(ctrl), step(states, ctrl))[1])
+    after = motion.stride(state, departure).state
+    expected = trot(state[:, BANK], torch.tensor([[0.4, 0.1]]).double()) + DEPARTURE * departure.clamp(-1, 1)
+    assert torch.allclose(told[0], expected, atol=1e-6)
+    assert torch.allclose(motion.departure(after), departure.clamp(-1, 1).double())
+    assert torch.equal(motion.command(after), motion.command(state))
+
+
+def test_what_is_felt_is_the_bodys_own() -> None:
+    motion = strides()
+    standing = motion.placed(torch.tensor([[0.0, 0.0, 2.0]]))
+    felt = motion.felt(standing)
+    assert felt.shape == (1, FELT) and torch.allclose(felt[0, :3], torch.tensor([0.0, 0.0, -1.0]), atol=1e-6)
+    assert felt[0, 3:44].abs().max() < 1e-6 and felt[0, 44:].tolist() == pytest.approx([0.0, 1.0])
+    state = standing.clone()
+    half = torch.tensor(0.25).double()
+    state[0, FIRST + 3 : FIRST + 7] = torch.tensor([half.cos(), half.sin(), 0.0, 0.0])  # rolled by 0.5 to the right
+    state[0, ANGLES + 2] += 0.1
+    rates = FIRST + motion.physics.model.nq
+    state[0, rates + 3] = 2.0
+    state[0, rates + 6 + 2] = -3.0
+    felt = motion.felt(state)[0]
+    assert felt[:3].tolist() == pytest.approx([0.0, -math.sin(0.5), -math.cos(0.5)], abs=1e-6)
+    assert felt[3].item() == pytest.approx(0.5) and felt[6 + 2].item() == pytest.approx(0.1)
+    assert felt[18 + 2].item() == pytest.approx(-0.15)
+    moved = motion.placed(torch.tensor([[5.0, -3.0, 0.7]]))
+    assert torch.allclose(motion.felt(moved), motion.felt(standing), atol=1e-6)  # wherever it is
+
+
+def test_a_robot_that_lies_has_fallen_and_one_on_a_hill_has_not() -> None:
+    motion = walking()
+    motion.settle(Terrain(torch.tensor([0.0, 0.0, 1.0, 2.0]).double(), torch.zeros(0, 6).double()))
+    state = motion.placed(torch.zeros(1, 3))
+    assert not motion.fallen(state).any()
+    assert motion.clear(state).all()
+    state[0, FIRST + 2] -= 0.2
+    assert motion.fallen(state).all()
+    assert motion.fallen(torch.full_like(state, torch.nan)).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"time_step": 0.05}, r"task\.motion\.time_step: expected a multiple of 0\.02 s, got 0\.05"),
+        ({"forward": (0.1, 0.8)}, r"task\.motion\.forward: expected \[from -2 to 0, from 0 to 2\] m/s"),
+        ({"ground": "moon"}, r"task\.motion\.ground: expected scene or level, got 'moon'"),
+    ],
+)
+def test_other_settings_are_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        walking(**settings)
+
+
+def test_other_robots_and_gaits_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"wheels\.xml: expected the 12 joints of quadruped, got 2"):
+        WalkMotion(path="wheels", camera="eye", threads=1)
+    with pytest.raises(
+        FileNotFoundError, match=r"nothing: expected a file of weights, or one of quadruped; found neither"
+    ):
+        walking(gait="nothing")
