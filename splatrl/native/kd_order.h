@@ -2,8 +2,12 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
+#include <utility>
+#include <vector>
 
 #include "threads.h"
 
@@ -34,6 +38,61 @@ uint32_t* halve(uint32_t* first, uint32_t* last, size_t leaf, const Mean& mean) 
         const float left = mean(a)[longest], right = mean(b)[longest];
         return left < right || (left == right && a < b);
     });
+    return middle;
+}
+
+// A box that grows around points.
+struct GrowingBox {
+    float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
+
+    void enclose(const float* point) {
+        for (int axis = 0; axis < 3; ++axis) {
+            low[axis] = std::min(low[axis], point[axis]);
+            high[axis] = std::max(high[axis], point[axis]);
+        }
+    }
+
+    // 0 before anything is enclosed.
+    double diagonal() const {
+        if (low[0] > high[0]) return 0.0;
+        return std::hypot(double(high[0]) - low[0], double(high[1]) - low[1], double(high[2]) - low[2]);
+    }
+};
+
+// Split [first, last) along an axis, at a multiple of `leaf`, into the two parts whose counts times diagonals have the
+// least sum, and return the middle: what is far from the rest, as a sky around a yard, gets a part of its own. Neither
+// has less than a sixteenth of all leaves, which bounds the depth of a tree.
+template <class Mean>
+uint32_t* split(uint32_t* first, uint32_t* last, size_t leaf, const Mean& mean) {
+    constexpr size_t SMALLEST_SHARE = 16;
+    const size_t count = size_t(last - first), leaves = (count + leaf - 1) / leaf;
+    const size_t fewest = std::max<size_t>(1, leaves / SMALLEST_SHARE);
+    std::vector<std::pair<float, uint32_t>> along(count), best;
+    std::vector<double> costs(leaves);  // of the part before each leaf
+    double least = std::numeric_limits<double>::infinity();
+    uint32_t* middle = first;
+    uint32_t compared = 0;
+    for (int axis = 0; axis < 3; ++axis) {
+        for (size_t i = 0; i < count; ++i) along[i] = {mean(first[i])[axis], first[i]};
+        std::sort(along.begin(), along.end(), [&](const auto& a, const auto& b) {
+            if (++compared % POLLED == 0) poll();
+            return a < b;
+        });
+        GrowingBox before, behind;
+        for (size_t i = 0; i < count; ++i) {
+            if (i % leaf == 0) costs[i / leaf] = double(i) * before.diagonal();
+            before.enclose(mean(along[i].second));
+        }
+        bool better = false;
+        for (size_t i = count; i-- > fewest * leaf;) {
+            behind.enclose(mean(along[i].second));
+            if (i % leaf > 0 || leaves - i / leaf < fewest) continue;
+            const double cost = costs[i / leaf] + double(count - i) * behind.diagonal();
+            if (cost < least) least = cost, middle = first + i, better = true;
+        }
+        if (better) best = along;
+    }
+    for (size_t i = 0; i < count; ++i) first[i] = best[i].second;
     return middle;
 }
 

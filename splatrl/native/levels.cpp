@@ -188,7 +188,7 @@ private:
             if (merge_)
                 for (const uint32_t* item = first; item != last; ++item) items.push_back(item_of(gaussians_, *item));
         } else {
-            uint32_t* middle = halve(first, last, capacity_, mean);
+            uint32_t* middle = split(first, last, capacity_, mean);
             items = build(first, middle);
             for (Item& item : build(middle, last)) items.push_back(std::move(item));
             items = merged(std::move(items), capacity_);

@@ -1,10 +1,11 @@
 """Levels of detail of a scene: a tree in which neighbours are merged, built once and kept in the scene's cache.
 
-Every node of the tree holds at most 256 Gaussians. Those of a leaf are the scene's own. Those of an inner node stand
-for all below it: the cheapest pairs of neighbours in its two children were merged until 256 were left. A merged
-Gaussian has the mass (opacity times area), the mean and the covariance of its members, and their mean colour by mass.
-For each camera the renderer goes down the tree until the members of a node lie within the tolerance of their merged
-mean: root mean square by mass, in pixels at the node's nearest depth.
+Every node of the tree holds at most 256 Gaussians. Those of a leaf are the scene's own. Nodes are split into compact
+parts, so that what is far from the rest gets its own. The Gaussians of an inner node stand for all below it: the
+cheapest pairs of neighbours in its two children were merged until 256 were left. A merged Gaussian has the mass
+(opacity times area), the mean and the covariance of its members, and their mean colour by mass. For each camera the
+renderer goes down the tree until the members of a node lie within the tolerance of their merged mean: root mean square
+by mass, in pixels at the node's nearest depth.
 """
 
 from collections.abc import Mapping
@@ -20,7 +21,7 @@ from splatrl.scenes.cache import Arrays
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
-LEVELS_VERSION = 1
+LEVELS_VERSION = 2
 """Raise it when the tree or the merging changes: cached levels are then built again."""
 
 
