@@ -9,10 +9,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from splatrl.array_files import read_arrays
 from splatrl.capture.base import Reconstruction
 from splatrl.capture.world import Placed
+from splatrl.files import refusing
 
 Floats = NDArray[np.float64]
+MOST_BYTES = 2**28
+"""Of its arrays: poses of a video of hours."""
 KEYS = {"camera_to_world": (None, 4, 4), "time": (None,), "K": (3, 3)}
 
 
@@ -64,13 +68,10 @@ def read_truth(video: Path) -> Truth:
     path = video.with_suffix(".npz")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected the truth of {video.name}, found no file")
-    found = {}
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            for key in KEYS:
-                found[key] = np.asarray(stored[key], np.float64)
-    except (KeyError, ValueError, TypeError, OSError) as error:
-        raise ValueError(f"{path}: expected a .npz with {', '.join(KEYS)}: {error}") from error
+    stored, found = read_arrays(path, MOST_BYTES), {}
+    with refusing(path, f"a .npz with {', '.join(KEYS)}"):
+        for key in KEYS:
+            found[key] = np.asarray(stored[key], np.float64)
     count = len(found["time"]) if found["time"].ndim else 0
     for key, shape in KEYS.items():
         expected = tuple(count if side is None else side for side in shape)

@@ -1,6 +1,7 @@
 """Recordings that know their poses: axes, intrinsics, distortion, and what of strangers' files is refused."""
 
 import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import torch
 from PIL import Image
 
 from splatrl.capture.base import CaptureError
-from splatrl.capture.recordings import is_recording, read_recording
+from splatrl.capture.recordings import colmap, is_recording, read_recording
 from tests.capture.ray_cast import K, room_image, walk
 
 SETTINGS = {"w": 640, "h": 480, "fl_x": 520, "fl_y": 518, "cx": 326, "cy": 236}
@@ -83,19 +84,74 @@ def test_a_folder_of_photos_is_no_recording(tmp_path: Path) -> None:
         read_recording(tmp_path, tmp_path / "out")
 
 
-def test_a_colmap_model_comes_with_its_poses(tmp_path: Path) -> None:
+CAMERAS = {
+    "SIMPLE_PINHOLE": [260, 163, 118],
+    "PINHOLE": [260, 259, 163, 118],
+    "SIMPLE_RADIAL": [260, 163, 118, -0.1],
+    "RADIAL": [260, 163, 118, -0.1, 0.02],
+    "OPENCV": [260, 259, 163, 118, -0.1, 0.02, 0.001, -0.002],
+}
+"""Parameters of the camera models that COLMAP has and we read."""
+
+
+def _model(source: Path, camera: str, text: bool) -> Path:
+    """A COLMAP model of three images, as COLMAP writes it."""
     pycolmap = pytest.importorskip("pycolmap")
-    source = tmp_path / "in"
     (source / "images").mkdir(parents=True)
     (source / "sparse" / "0").mkdir(parents=True)
     model = pycolmap.Reconstruction()
-    camera = pycolmap.Camera(camera_id=1, model="PINHOLE", width=320, height=240, params=[260, 260, 163, 118])
-    model.add_camera_with_trivial_rig(camera)
+    model.add_camera_with_trivial_rig(
+        pycolmap.Camera(camera_id=7, model=camera, width=320, height=240, params=CAMERAS[camera])
+    )
     for number, pose in enumerate(walk(3)):
-        Image.fromarray(room_image(pose)).save(source / "images" / f"{number}.png")
-        image = pycolmap.Image(name=f"{number}.png", keypoints=np.zeros((0, 2)), camera_id=1, image_id=number + 1)
+        Image.fromarray(room_image(pose)).save(source / "images" / f"{number} a.png")
+        points = np.ones((number, 2))
+        image = pycolmap.Image(name=f"{number} a.png", keypoints=points, camera_id=7, image_id=number + 1)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.linalg.inv(pose)[:3]))
-    model.write(source / "sparse" / "0")
-    photos = read_recording(source, tmp_path / "out")
+    (model.write_text if text else model.write)(source / "sparse" / "0")
+    return source
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_a_colmap_model_comes_with_its_poses(text: bool, tmp_path: Path) -> None:
+    photos = read_recording(_model(tmp_path / "in", "PINHOLE", text), tmp_path / "out")
     torch.testing.assert_close(photos.camera_to_world, torch.from_numpy(walk(3)))
-    torch.testing.assert_close(photos.K, torch.from_numpy(K))
+    torch.testing.assert_close(photos.K, torch.tensor([[260.0, 0, 163], [0, 259, 118], [0, 0, 1]]).double())
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_a_colmap_model_has_the_lens_that_colmap_reads(camera: str, text: bool, tmp_path: Path) -> None:
+    source = _model(tmp_path, camera, text)
+    (lens,) = {shot.lens for shot in colmap.read(source).shots}
+    fx, cx, cy, *others = CAMERAS[camera]
+    fy = fx
+    if camera in ("PINHOLE", "OPENCV"):
+        fy, cx, cy, *others = cx, cy, *others
+    k = [*others, 0, 0, 0, 0][:4]
+    assert (lens.fx, lens.fy, lens.cx, lens.cy) == (fx, fy, cx, cy)
+    assert (lens.width, lens.height, lens.distortion) == (320, 240, (*k, 0))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("cameras.bin", b"\xff" * 8, "expected a COLMAP model"),
+        ("cameras.bin", struct.pack("<QIiQQ4d", 1, 7, 5, 320, 240, 1, 1, 1, 1), "expected a camera among"),
+        (
+            "cameras.bin",
+            struct.pack("<QIiQQ4d", 1, 6, 1, 320, 240, 1, 1, 1, 1),
+            "expected cameras of cameras.bin, got 7",
+        ),
+        ("images.bin", struct.pack("<QI7dI", 1, 1, 1, *[0] * 6, 7) + b"0 a.png\0\0\0\0\0\0\0\0\x7f", "too early"),
+        ("images.bin", struct.pack("<QI7dI", 1, 1, *[0] * 7, 7) + b"0 a.png\0" + bytes(8), "quaternions"),
+        ("images.bin", struct.pack("<QI7dI", 1, 1, 1, *[0] * 6, 7) + b"../../b.png\0" + bytes(8), "within|none"),
+    ],
+)
+def test_a_damaged_colmap_model_is_refused(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    source = _model(tmp_path / "in", "PINHOLE", False)
+    Image.new("RGB", (320, 240)).save(tmp_path / "b.png")
+    (source / "sparse" / "0" / name).write_bytes(content)
+    with pytest.raises(CaptureError, match=message) as error:
+        colmap.read(source)
+    assert str(source) in str(error.value)

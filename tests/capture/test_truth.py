@@ -78,5 +78,8 @@ def test_the_truth_beside_a_video_is_read_and_checked(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"walk\.npz: expected a \.npz with camera_to_world, time, K"):
         read_truth(video)
     np.savez(path, **content | {"K": np.array([{}], object)})
-    with pytest.raises(ValueError, match=r"expected a \.npz"):
+    with pytest.raises(ValueError, match=r"walk\.npz: expected a whole \.npz"):
+        read_truth(video)
+    path.write_bytes(path.read_bytes()[:-40])  # the archive's directory is damaged
+    with pytest.raises(ValueError, match=r"walk\.npz: expected a whole \.npz"):
         read_truth(video)

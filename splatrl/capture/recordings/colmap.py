@@ -1,16 +1,22 @@
-"""A COLMAP model beside its images."""
+"""A COLMAP model beside its images, as its documentation describes the files (https://colmap.github.io/format.html).
 
+It is read here rather than by COLMAP, which allocates what a file promises.
+"""
+
+import struct
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from splatrl.capture.base import CaptureError
-from splatrl.capture.optional import needed
-from splatrl.capture.recordings.base import Lens, Recording, Shot, beside, pictures_of
+from splatrl.capture.recordings.base import MAX_BYTES, Lens, Recording, Shot, beside, pictures_of, quaternion_poses
 from splatrl.files import natural
 
-FILES = ("cameras.bin", "images.bin", "cameras.txt", "images.txt")
+Kept = TypeVar("Kept")
+MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+"""By the number that stands for each in ``cameras.bin``."""
 DISTORTION: dict[str, tuple[str, ...]] = {
     "SIMPLE_PINHOLE": (),
     "PINHOLE": (),
@@ -18,7 +24,7 @@ DISTORTION: dict[str, tuple[str, ...]] = {
     "RADIAL": ("k1", "k2"),
     "OPENCV": ("k1", "k2", "p1", "p2"),
 }
-"""Camera models, and what the last of their parameters are."""
+"""Camera models that are perspective, and what the last of their parameters are."""
 
 
 def found(source: Path) -> bool:
@@ -31,25 +37,98 @@ def read(source: Path) -> Recording:
 
     Raises:
         CaptureError: where it is broken, lacks images, or has a camera that is not perspective.
-        ImportError: without the extra ``capture``.
     """
-    pycolmap = needed("pycolmap")
     model = _folder(source)
     assert model is not None
-    try:
-        read = pycolmap.Reconstruction(model)
-    except (ValueError, RuntimeError, OSError) as error:
-        raise CaptureError(f"{model}: expected a COLMAP model: {error}") from error
-    images = sorted((image for image in read.images.values() if image.has_pose), key=lambda i: natural(Path(i.name)))
+    kind = "bin" if (model / "cameras.bin").is_file() else "txt"
+    read_cameras, read_images = (_cameras, _images) if kind == "bin" else (_cameras_text, _images_text)
+    files = [model / f"{name}.{kind}" for name in ("cameras", "images")]
+    lenses = _read(files[0], read_cameras)
+    images = sorted(_read(files[1], read_images), key=lambda image: natural(Path(image.name)))
     places = [place for place in (source / "images", model / "images", source) if place.is_dir()]
-    paths = [_beside_any(places, image.name) for image in images]
+    paths = [_beside_any(model, places, image.name) for image in images]
+    if missing := {image.camera for image in images} - lenses.keys():
+        raise CaptureError(f"{files[1]}: expected cameras of {files[0].name}, got {min(missing)}")
     poses = np.tile(np.eye(4), (len(images), 1, 1))
     if images:
-        poses[:, :3] = [image.cam_from_world().inverse().matrix() for image in images]
-    lenses = [_lens(model, read.cameras[image.camera_id]) for image in images]
-    shots = [Shot(float(n), *known) for n, known in enumerate(zip(lenses, poses, paths, strict=True))]
-    files = [model / name for name in FILES if (model / name).is_file()]
+        given = np.array([image.pose for image in images])
+        world_to_camera = quaternion_poses(files[1], given[:, [1, 2, 3, 0]], given[:, 4:])
+        poses[:, :3, :3] = world_to_camera[:, :3, :3].transpose(0, 2, 1)
+        poses[:, :3, 3] = np.einsum("nij,nj->ni", poses[:, :3, :3], -given[:, 4:])
+    shots = [
+        Shot(float(n), lenses[image.camera], pose, path)
+        for n, (image, pose, path) in enumerate(zip(images, poses, paths, strict=True))
+    ]
     return Recording(model, shots, pictures_of(paths), [*files, *paths], prepared=True)
+
+
+class _Image(NamedTuple):
+    """An image of a model: quaternion w, x, y, z and place of world-to-camera, number of its camera, name."""
+
+    pose: tuple[float, ...]
+    camera: int
+    name: str
+
+
+def _read(path: Path, read: Callable[[bytes], Kept]) -> Kept:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ValueError(f"more than {MAX_BYTES:,} bytes")
+        return read(path.read_bytes())
+    except CaptureError as error:
+        raise CaptureError(f"{path}: {error}") from error
+    except (OSError, ValueError, IndexError, OverflowError, struct.error) as error:
+        raise CaptureError(f"{path}: expected a COLMAP model: {error}") from error
+
+
+def _cameras(content: bytes) -> dict[int, Lens]:
+    """``cameras.bin``: number, model, width, height, parameters."""
+    (count,), at, lenses = struct.unpack_from("<Q", content), 8, {}
+    for _ in range(count):
+        number, model, width, height = struct.unpack_from("<IiQQ", content, at)
+        name = MODELS[model] if 0 <= model < len(MODELS) else str(model)
+        size = _parameters(name)
+        lenses[number] = _lens(name, width, height, struct.unpack_from(f"<{size}d", content, at + 24))
+        at += 24 + 8 * size
+    return lenses
+
+
+def _images(content: bytes) -> list[_Image]:
+    """``images.bin``: number, pose, camera, name that a zero ends, and points, which are passed over."""
+    (count,), at, images = struct.unpack_from("<Q", content), 8, []
+    for _ in range(count):
+        *pose, camera = struct.unpack_from("<7dI", content, at + 4)
+        end = content.index(b"\0", at + 64)
+        images.append(_Image(tuple(pose), camera, content[at + 64 : end].decode()))
+        (points,) = struct.unpack_from("<Q", content, end + 1)
+        at = end + 9 + 24 * points
+        if at > len(content):
+            raise ValueError("it ends too early")
+    return images
+
+
+def _cameras_text(content: bytes) -> dict[int, Lens]:
+    lenses = {}
+    for line in _lines(content):
+        number, name, width, height, *values = line.split()
+        lenses[int(number)] = _lens(name, float(width), float(height), tuple(map(float, values)))
+    return lenses
+
+
+def _images_text(content: bytes) -> list[_Image]:
+    images = []
+    for line in _lines(content)[::2]:  # the other lines are points
+        _, *numbers, camera, name = line.split(maxsplit=9)
+        images.append(_Image(tuple(map(float, numbers)), int(camera), name))
+    return images
+
+
+def _lines(content: bytes) -> list[str]:
+    """The lines of a text, without comments and what follows the last."""
+    lines = [line for line in content.decode().split("\n") if not line.startswith("#")]
+    while lines and not lines[0].strip():
+        lines.pop(0)
+    return lines[:-1] if lines and not lines[-1].strip() else lines
 
 
 def _folder(source: Path) -> Path | None:
@@ -59,24 +138,25 @@ def _folder(source: Path) -> Path | None:
     return None
 
 
-def _lens(model: Path, camera: Any) -> Lens:
-    if camera.model.name not in DISTORTION:
-        raise CaptureError(f"{model}: expected a camera among {', '.join(DISTORTION)}, got {camera.model.name}")
-    names = DISTORTION[camera.model.name]
-    given = dict(zip(names, map(float, camera.params[len(camera.params) - len(names) :]), strict=True))
-    return Lens(
-        float(camera.width),
-        float(camera.height),
-        float(camera.focal_length_x),
-        float(camera.focal_length_y),
-        float(camera.principal_point_x),
-        float(camera.principal_point_y),
-        tuple(given.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3")),
-    )
+def _parameters(name: str) -> int:
+    """How many parameters a camera model has."""
+    if name not in DISTORTION:
+        raise CaptureError(f"expected a camera among {', '.join(DISTORTION)}, got {name[:40]}")
+    return len(DISTORTION[name]) + (3 if name.startswith("SIMPLE") or name == "RADIAL" else 4)
 
 
-def _beside_any(places: list[Path], name: str) -> Path:
+def _lens(name: str, width: float, height: float, values: tuple[float, ...]) -> Lens:
+    if len(values) != _parameters(name):
+        raise ValueError(f"{name}: expected {_parameters(name)} parameters, got {len(values)}")
+    shared = _parameters(name) - len(DISTORTION[name]) == 3  # one focal length for both directions
+    fx, fy, cx, cy, *own = values[:1] + values if shared else values
+    given = dict(zip(DISTORTION[name], own, strict=True))
+    distortion = tuple(given.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3"))
+    return Lens(float(width), float(height), fx, fy, cx, cy, distortion)
+
+
+def _beside_any(model: Path, places: list[Path], name: str) -> Path:
     for place in places:
         if (place / name).is_file():
             return beside(place, name)
-    raise CaptureError(f"{name}: expected this image in {' or '.join(map(str, places))}, found none")
+    raise CaptureError(f"{model}: {name[:80]!r}: expected this image in {' or '.join(map(str, places))}, found none")

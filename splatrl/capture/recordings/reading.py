@@ -58,7 +58,7 @@ def read_recording(
             "Record3D, found none of them"
         )
     recording = kind.read(source)
-    _check(recording)
+    check_recording(recording)
     lenses = {shot.lens for shot in recording.shots}
     distorted = any(any(lens.distortion) for lens in lenses)
     if distorted and len(lenses) > 1:
@@ -69,7 +69,7 @@ def read_recording(
     return keep(recording, folder, count, longest, progress)
 
 
-def _check(recording: Recording) -> None:
+def check_recording(recording: Recording) -> None:
     poses = np.array([shot.camera_to_world for shot in recording.shots]).reshape(-1, 4, 4)
     turns = poses[:, :3, :3]
     straight = np.isfinite(poses).all() and np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-3)
