@@ -67,10 +67,7 @@ class Latency(RandomTransform):
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         view, batch = tensordict_reset["pixels"], tensordict_reset.batch_size
         options = {"generator": self.generator, "device": view.device}
-        drawn = [
-            torch.randint(low, high + 1, batch, **options)  # type: ignore[call-overload]
-            for low, high in zip(self.low, self.high, strict=True)
-        ]
+        drawn = [torch.randint(low, high + 1, batch, **options) for low, high in zip(self.low, self.high, strict=True)]
         spec = self.parent.full_action_spec["action"] if self.parent is not None else None
         assert spec is not None, "a reset belongs to an env"
         shape = (batch[0], self.high[1], *spec.shape[1:])
