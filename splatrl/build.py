@@ -29,7 +29,7 @@ from splatrl.envs.drawing import Drawing
 from splatrl.envs.robot import Robot
 from splatrl.envs.sensors import Sensor
 from splatrl.envs.stateful_env import StatefulEnv
-from splatrl.envs.tasks import Course, NavigationTask, Push, Task, Walk
+from splatrl.envs.tasks import Course, NavigationTask, Push, Task
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.rollouts import run_episodes, spread_starts
 from splatrl.made_with import made_with
@@ -170,7 +170,7 @@ def _settle(task: Task, scene: Scene, occupancy: Occupancy, body: Body, antialia
         reach = body.radius + (BEYOND if motion.pushed else 0.0)
         terrain = survey_terrain(scene, occupancy, lower, upper, reach, motion.top, antialiased).terrain
         motion.settle(terrain)
-    if isinstance(task, (Push, Course, Walk)):
+    if isinstance(task, (Push, Course)):
         with _key("task"):
             task.settle()
 
