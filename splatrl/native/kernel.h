@@ -74,6 +74,7 @@ struct Row {
     const Part* parts;
     size_t count;
     const float* background;
+    float finished;  // the transmittance at which a pixel is finished
 };
 
 // Accumulated per block: [CHANNELS][BLOCK · BLOCK] floats.

@@ -1,13 +1,14 @@
 // The mathematics of a splat, for one number or a vector of them, on any processor.
 //
-// `F` is a number type: float (include scalars.h first), or Lanes of sixteen floats. Overloads of reciprocal,
-// reciprocal_sqrt, log2, exp2, min, max and select for it are found where a template is used. The formulas are those of
+// `F` is a number type: float, or Lanes of sixteen floats. Overloads of reciprocal, reciprocal_sqrt, log2, exp2,
+// coarse_exp2, min, max and select for it are found where a template is used. The formulas are those of
 // renderers/reference.py, with one change for precision: covariances are kept as factors A (Σ = A Aᵀ), from which
 // determinants come without cancellation.
 #pragma once
 
 #include "camera.h"
 #include "inline.h"
+#include "scalars.h"
 
 namespace splatrl {
 
@@ -29,6 +30,14 @@ struct Footprint {
     F log2_opacity, peak;
     F extent_x, extent_y; // half the box in which it can show, pixels
 };
+
+// The transmittance at which a pixel is finished. In exact images a splat whose blending would lead there is left out,
+// as in gsplat. Where what is shown may be displaced by a pixel, a quarter of a grey level may be missing from behind,
+// and the last splat is blended.
+SPLAT_INLINE float finished_at(float tolerance) {
+    constexpr float PER_PIXEL = 1e-3f, MOST = 1e-3f;
+    return max(MIN_TRANSMITTANCE, min(PER_PIXEL * tolerance, MOST));
+}
 
 template <class F>
 struct Vector {
@@ -182,7 +191,7 @@ SPLAT_INLINE F alpha_at(F dx, F dy, float l11, float l12, float l22, float log2_
     const F u = dx * l11 + dy * l12, v = dy * l22;
     const F exponent = log2_opacity - u * u - v * v;
     constexpr float LOG2_INVISIBLE = ANTIALIASED ? LOG2_INVISIBLE_ANTIALIASED : LOG2_INVISIBLE_CLASSIC;
-    return select_if_at_least(exponent, LOG2_INVISIBLE, min(exp2(exponent), peak));
+    return select_if_at_least(exponent, LOG2_INVISIBLE, min(coarse_exp2(exponent), peak));
 }
 
 }  // namespace splatrl

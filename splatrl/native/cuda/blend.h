@@ -117,6 +117,7 @@ SPLAT_INLINE uint32_t load_slab(const SceneArrays& scene, const Views& views, Sh
 template <bool WITH_DEPTH>
 struct Pixels {
     float red[QUAD], green[QUAD], blue[QUAD], transmittance[QUAD], depth[QUAD], alpha[QUAD];
+    float finished;      // the transmittance at which a pixel is
     float x, y;          // of the lane's pixel in the first patch
     uint32_t active;     // patches that are not finished, by bits
     uint32_t blended;    // pairs of a splat and a patch: this lane's share
@@ -124,6 +125,7 @@ struct Pixels {
     INLINE_MEMBER void begin(const SceneArrays& scene, const Tile& tile) {
         const int column = tile.left + warp() % 2 * 2 * PATCH_WIDTH + lane() % PATCH_WIDTH;
         const int row = tile.top + warp() / 2 * 2 * PATCH_HEIGHT + lane() / PATCH_WIDTH;
+        finished = finished_at(scene.tolerance);
         x = float(column) + 0.5f, y = float(row) + 0.5f, blended = 0;
 #pragma unroll
         for (int i = 0; i < QUAD; ++i) {
@@ -139,19 +141,21 @@ struct Pixels {
         active = 0;
 #pragma unroll
         for (int i = 0; i < QUAD; ++i)
-            active |= uint32_t(__any_sync(ALL_LANES, transmittance[i] > MIN_TRANSMITTANCE) != 0) << i;
+            active |= uint32_t(__any_sync(ALL_LANES, transmittance[i] > finished) != 0) << i;
     }
 
-    // Blend one splat over a patch. Its share of a pixel is 0 once the transmittance would fall to
-    // MIN_TRANSMITTANCE; the transmittance itself keeps falling.
+    // Blend one splat over a patch. Its share of a pixel is 0 once the transmittance has fallen to `finished`, or in an
+    // exact image once it would; the transmittance itself keeps falling.
     INLINE_MEMBER void blend(const Record& record, int patch) {
         const float4 place = record.place, fall = record.fall, color = record.color;
         const float dx = (patch % 2 == 0 ? x : x + PATCH_WIDTH) - place.x;
         const float dy = (patch / 2 == 0 ? y : y + PATCH_HEIGHT) - place.y;
-        const float share = transmittance[patch] *
+        const float before = transmittance[patch];
+        const float share = before *
                             alpha_at<ANTIALIASED_IMAGE>(dx, dy, place.z, place.w, fall.x, fall.y, fall.z);
-        transmittance[patch] -= share;
-        const float counted = transmittance[patch] > MIN_TRANSMITTANCE ? share : 0.0f;
+        transmittance[patch] = before - share;
+        const float tested = finished > MIN_TRANSMITTANCE ? before : transmittance[patch];
+        const float counted = tested > finished ? share : 0.0f;
         red[patch] += counted * color.x;
         green[patch] += counted * color.y;
         blue[patch] += counted * color.z;

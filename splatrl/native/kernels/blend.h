@@ -74,11 +74,11 @@ LANE_INLINE void deal(const Scratch& scratch, const uint64_t* keys, uint32_t cou
 }
 
 // Blend a list of splats over one block, front to back. Returns whether all its pixels are finished.
-// A splat's share of a pixel is 0 once the transmittance would fall to MIN_TRANSMITTANCE. The transmittance keeps
-// falling, so a finished pixel stays finished.
-template <bool ANTIALIASED, bool WITH_DEPTH>
+// A splat's share of a pixel is 0 once the transmittance has fallen to `finished`; with FIRM, once it would. The
+// transmittance keeps falling, so a finished pixel stays finished.
+template <bool ANTIALIASED, bool WITH_DEPTH, bool FIRM>
 LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const uint16_t* end, float left, float top,
-                             float* channels) {
+                             float finished, float* channels) {
     alignas(64) static constexpr float COLUMNS[LANES] = {0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, 2.5f, 3.5f,
                                                          0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, 2.5f, 3.5f};
     alignas(64) static constexpr float ROWS[LANES] = {0.5f, 0.5f, 0.5f, 0.5f, 1.5f, 1.5f, 1.5f, 1.5f,
@@ -90,11 +90,12 @@ LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const 
     for (; item < end; ++item) {
         __builtin_prefetch(&slab[item[AHEAD]]);
         const SlabSplat& splat = slab[*item];
+        const Lanes before = transmittance;
         const Lanes share =
-            transmittance * alpha_at<ANTIALIASED>(x - splat.x, y - splat.y, splat.l11, splat.l12, splat.l22,
+            before * alpha_at<ANTIALIASED>(x - splat.x, y - splat.y, splat.l11, splat.l12, splat.l22,
                                                   splat.log2_opacity, splat.peak);
-        transmittance = transmittance - share;
-        const LaneMask counted = above(transmittance, MIN_TRANSMITTANCE);
+        transmittance = before - share;
+        const LaneMask counted = above(FIRM ? transmittance : before, finished);
         red = add_product_where(counted, red, share, splat.red);
         green = add_product_where(counted, green, share, splat.green);
         blue = add_product_where(counted, blue, share, splat.blue);
@@ -111,13 +112,14 @@ LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const 
         store(channels + DEPTH * LANES, depth);
         store(channels + ALPHA * LANES, alpha);
     }
-    return bits_above(transmittance, lanes(MIN_TRANSMITTANCE)) == 0;
+    return bits_above(transmittance, lanes(finished)) == 0;
 }
 
 // Blend what has been dealt to the blocks. Returns whether all of them are finished; adds to `blended` how often a
 // splat was blended over a block.
-template <bool ANTIALIASED, bool WITH_DEPTH>
-LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, Blocks& blocks, uint32_t& blended) {
+template <bool ANTIALIASED, bool WITH_DEPTH, bool FIRM>
+LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, float finished, Blocks& blocks,
+                              uint32_t& blended) {
     bool all_finished = true;
     for (int block = 0; block < BLOCKS; ++block) {
         const uint32_t length = blocks.lengths[block];
@@ -125,9 +127,9 @@ LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, Blocks& 
         if (blocks.finished[block]) continue;
         if (length > 0) {
             const uint16_t* item = scratch.lists + block * LIST;
-            blocks.finished[block] = blend_block<ANTIALIASED, WITH_DEPTH>(
+            blocks.finished[block] = blend_block<ANTIALIASED, WITH_DEPTH, FIRM>(
                 scratch.slab, item, item + length, float(tile.left + block % ACROSS * BLOCK),
-                float(tile.top + block / ACROSS * BLOCK), scratch.pixels + block * CHANNELS * LANES);
+                float(tile.top + block / ACROSS * BLOCK), finished, scratch.pixels + block * CHANNELS * LANES);
             blended += length;
         }
         all_finished = all_finished && blocks.finished[block];
@@ -137,16 +139,16 @@ LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, Blocks& 
 }
 
 // Returns how often a splat was blended over a block.
-template <bool ANTIALIASED, bool WITH_DEPTH>
-static uint32_t blend_tile(const Tile& tile, const float* background, const uint64_t* keys, uint32_t count,
+template <bool ANTIALIASED, bool WITH_DEPTH, bool FIRM>
+static uint32_t blend_tile(const Tile& tile, const Row& row, const uint64_t* keys, uint32_t count,
                            const Scratch& scratch) {
     Blocks blocks;
     blocks.lists = scratch.lists;
-    start_tile<WITH_DEPTH>(scratch.pixels, blocks, tile, background);
+    start_tile<WITH_DEPTH>(scratch.pixels, blocks, tile, row.background);
     uint32_t blended = 0;
     for (uint32_t next = 0; next < count; next += SLAB) {
         deal<WITH_DEPTH>(scratch, keys + next, count - next < SLAB ? count - next : SLAB, blocks);
-        if (blend_blocks<ANTIALIASED, WITH_DEPTH>(scratch, tile, blocks, blended)) break;
+        if (blend_blocks<ANTIALIASED, WITH_DEPTH, FIRM>(scratch, tile, row.finished, blocks, blended)) break;
     }
     return blended;
 }

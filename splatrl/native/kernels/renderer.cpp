@@ -23,7 +23,9 @@ static Effort render(const Row& row, const Tile& tile, const Scratch& scratch) {
     const auto projected = Clock::now();
     const uint64_t* keys = sort_by_depth(scratch, effort.visible);
     const auto sorted = Clock::now();
-    effort.blended = blend_tile<ANTIALIASED, WITH_DEPTH>(tile, row.background, keys, effort.visible, scratch);
+    const auto blend = row.finished > MIN_TRANSMITTANCE ? blend_tile<ANTIALIASED, WITH_DEPTH, false>
+                                                        : blend_tile<ANTIALIASED, WITH_DEPTH, true>;
+    effort.blended = blend(tile, row, keys, effort.visible, scratch);
     const auto blended = Clock::now();
     effort.project_ms = Milliseconds(projected - start).count();
     effort.sort_ms = Milliseconds(sorted - projected).count();
