@@ -1,9 +1,11 @@
-"""Errors of the people who type a command, told in one line; errors of ours keep their traceback."""
+"""Errors and warnings for the people who type a command, in one line each; errors of ours keep their traceback."""
 
 import functools
 import os
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import ParamSpec, TypeVar
 
 from hydra.core.hydra_config import HydraConfig
@@ -20,7 +22,7 @@ R = TypeVar("R")
 
 
 def in_one_line(command: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorate what a command does, so that it ends with one line for what the user can mend.
+    """Decorate what a command does, so that it ends with one line for what the user can mend, and warns in one line.
 
     In a sweep the other jobs still run, and Hydra prints the line at the end.
 
@@ -32,7 +34,8 @@ def in_one_line(command: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         @functools.wraps(function)
         def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
             try:
-                return function(*args, **kwargs)
+                with _warnings_in_one_line(command):
+                    return function(*args, **kwargs)
             except USERS as error:
                 if os.environ.get(FULL):
                     raise
@@ -44,6 +47,25 @@ def in_one_line(command: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return guarded
 
     return decorate
+
+
+@contextmanager
+def _warnings_in_one_line(command: str) -> Iterator[None]:
+    """Warn without the place in the code, which says nothing to who typed the command."""
+    usual = warnings.formatwarning
+
+    def told(
+        message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+    ) -> str:
+        if category is not UserWarning:  # not one of ours
+            return usual(message, category, filename, lineno, line)
+        return f"{command}: {' '.join(str(message).split())}\n"
+
+    warnings.formatwarning = told
+    try:
+        yield
+    finally:
+        warnings.formatwarning = usual
 
 
 def line(error: BaseException) -> str:

@@ -5,6 +5,7 @@ import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -28,7 +29,12 @@ def _new_folder(path: str) -> str:
     raise AssertionError
 
 
-OmegaConf.register_new_resolver("splatrl.run_dir", lambda resume, fresh: resume or _new_folder(fresh), replace=True)
+def _run_dir(resume: str | None, fresh: str) -> str:
+    """The folder of a run, which is made when a run asks for it, and not while its config is composed."""
+    return resume or (_new_folder(fresh) if HydraConfig.initialized() else fresh)
+
+
+OmegaConf.register_new_resolver("splatrl.run_dir", _run_dir, replace=True)
 RUN_CONFIG = "config.yaml"
 """The config of a run, in its folder."""
 PATHS = ("scene.path", "collision.occupancy.cloud", "demos", "evaluation.episodes")

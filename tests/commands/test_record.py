@@ -59,6 +59,7 @@ def test_what_is_recorded_is_replayed(
 
 
 def test_the_same_is_written_for_lerobot(scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     pytest.importorskip("pyarrow", reason="needs the extra lerobot")
     folders = [f"out={tmp_path / 'demos'}", f"lerobot={tmp_path / 'lerobot'}"]
     call(record, monkeypatch, *scene, "episodes=3", *folders)

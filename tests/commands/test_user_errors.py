@@ -2,8 +2,10 @@
 
 import shlex
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
+from warnings import formatwarning as formatted
 
 import pytest
 from omegaconf import OmegaConf
@@ -147,6 +149,22 @@ def test_where_an_error_came_from_can_be_seen(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
     with pytest.raises(ValueError, match="a\n"):
         fails(ValueError("a\n  b"))
+
+
+def test_a_warning_is_one_line_without_the_place_in_the_code(capfd: pytest.CaptureFixture[str]) -> None:
+    @in_one_line("splatrl-train")
+    def warns(category: type[Warning]) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            warnings.showwarning = usual
+            warnings.warn("mine: not\n  metric", category, stacklevel=1)
+
+    usual = warnings._showwarning_orig  # type: ignore[attr-defined]  # and not pytest's, which keeps them
+    warns(UserWarning)
+    assert capfd.readouterr().err == "splatrl-train: mine: not metric\n"
+    warns(DeprecationWarning)
+    assert "test_user_errors.py" in capfd.readouterr().err
+    assert warnings.formatwarning is formatted
 
 
 @pytest.mark.parametrize(
