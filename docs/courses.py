@@ -1,4 +1,4 @@
-"""Makes the pictures in docs/physics: the ground of the backyard, and a quadrotor and a car on their ways.
+"""Makes the pictures in docs/physics: the ground of the backyard, and a quadrotor, a car and a quadruped on their ways.
 
 python docs/courses.py
 """
@@ -51,6 +51,7 @@ class Shown:
 COURSES = (
     Shown("gates", 7, 15, (0.3, -2.75, 1.6), (-0.7, 0.1, 0.7), 0.5),
     Shown("route", 20, 12, (2.1, -2.3, 1.5), (0.1, -0.2, 0.0), 0.42),
+    Shown("walk", 4, 8, (-2.0, -2.15, 0.65), (-0.85, -1.1, 0.2), 0.93),
 )
 FOV = math.radians(85.0)
 
