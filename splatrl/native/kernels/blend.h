@@ -16,14 +16,16 @@ static_assert(FETCH <= SPARE && AHEAD <= SPARE, "the arrays have room to read ah
 // Lists of the splats on each block, and which blocks are finished.
 struct Blocks {
     uint16_t* lists;
-    uint32_t lengths[LISTS];
+    uint16_t* ends[LISTS];  // of the lists
     bool finished[BLOCKS];
 
-    void add(uint32_t block, uint32_t splat) {
-        const uint32_t length = lengths[block];
-        lists[block * LIST + length] = uint16_t(splat);
-        lengths[block] = length + 1;
+    uint16_t* list(int block) const { return lists + block * LIST; }
+
+    void empty() {
+        for (int block = 0; block < LISTS; ++block) ends[block] = list(block);
     }
+
+    void add(uint32_t block, uint32_t splat) { *ends[block]++ = uint16_t(splat); }
 };
 
 // Start with nothing drawn; pixels outside the tile are finished from the start.
@@ -31,7 +33,7 @@ template <bool WITH_DEPTH>
 LANE_INLINE void start_tile(float* pixels, Blocks& blocks, const Tile& tile, const float* background) {
     const Lanes start[CHANNELS] = {lanes(background[RED]), lanes(background[GREEN]), lanes(background[BLUE]),
                                    lanes(1.0f),            lanes(0.0f),              lanes(0.0f)};
-    for (int block = 0; block < LISTS; ++block) blocks.lengths[block] = 0;
+    blocks.empty();
     for (int block = 0; block < BLOCKS; ++block) {
         const int left = tile.left + block % ACROSS * BLOCK, top = tile.top + block / ACROSS * BLOCK;
         blocks.finished[block] = left >= tile.right || top >= tile.bottom;
@@ -122,19 +124,17 @@ LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, float fi
                               uint32_t& blended) {
     bool all_finished = true;
     for (int block = 0; block < BLOCKS; ++block) {
-        const uint32_t length = blocks.lengths[block];
-        blocks.lengths[block] = 0;
         if (blocks.finished[block]) continue;
-        if (length > 0) {
-            const uint16_t* item = scratch.lists + block * LIST;
+        const uint16_t *item = blocks.list(block), *end = blocks.ends[block];
+        if (item < end) {
             blocks.finished[block] = blend_block<ANTIALIASED, WITH_DEPTH, FIRM>(
-                scratch.slab, item, item + length, float(tile.left + block % ACROSS * BLOCK),
+                scratch.slab, item, end, float(tile.left + block % ACROSS * BLOCK),
                 float(tile.top + block / ACROSS * BLOCK), finished, scratch.pixels + block * CHANNELS * LANES);
-            blended += length;
+            blended += uint32_t(end - item);
         }
         all_finished = all_finished && blocks.finished[block];
     }
-    for (int waste = WASTE; waste < LISTS; ++waste) blocks.lengths[waste] = 0;
+    blocks.empty();
     return all_finished;
 }
 
