@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 
 from splatrl.commands import capture, clips, evaluate, experiment, scene, train
 from splatrl.commands.faults import in_one_line
+from splatrl.configuration import command_line, load_config
 from splatrl.configuration.command_line import UserError, check_kind
 from splatrl.scenes import write_gaussians
 from tests.tiny import tiny_gaussians
@@ -151,19 +152,24 @@ def test_where_an_error_came_from_can_be_seen(monkeypatch: pytest.MonkeyPatch) -
         fails(ValueError("a\n  b"))
 
 
-def test_a_warning_is_one_line_without_the_place_in_the_code(capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_evaluation_takes_its_keys_as_a_training_has_them(tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").touch()
+    keys = ["evaluation.starts=64", "evaluation.repeats=2"]
+    cfg = load_config(command_line("evaluate", evaluate.short([f"run='{tmp_path}'", *keys])), "evaluate")
+    assert (cfg.starts, cfg.repeats) == (64, 2)
+
+
+def test_a_warning_is_one_line_without_the_place_in_the_code() -> None:
+    said: list[str] = []
+
     @in_one_line("splatrl-train")
     def warns(category: type[Warning]) -> None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("always")
-            warnings.showwarning = usual
-            warnings.warn("mine: not\n  metric", category, stacklevel=1)
+        said.append(warnings.formatwarning("mine: not\n  metric", category, "place.py", 7))
 
-    usual = warnings._showwarning_orig  # type: ignore[attr-defined]  # and not pytest's, which keeps them
     warns(UserWarning)
-    assert capfd.readouterr().err == "splatrl-train: mine: not metric\n"
-    warns(DeprecationWarning)
-    assert "test_user_errors.py" in capfd.readouterr().err
+    assert said == ["splatrl-train: mine: not metric\n"]
+    warns(DeprecationWarning)  # not one of ours
+    assert said[1].startswith("place.py:7: DeprecationWarning")
     assert warnings.formatwarning is formatted
 
 
