@@ -131,7 +131,8 @@ def test_a_number_of_demonstrations_is_shown_by_the_planner(scene: list[str], tm
     trainer.fit()
     frames = len(planner_episodes(world, 5, seed=3))
     assert [row["frames"] for row in trainer.history[:4]] == [frames, frames + 96, frames + 192, frames + 320]
-    assert all("loss_cloning" in row and "test_success" in row for row in trainer.history[:3])
+    assert all("loss_cloning" in row for row in trainer.history[:3])
+    assert "test_success" in trainer.history[0]  # and then as often as PPO is tested
     assert "loss_cloning" not in trainer.history[3]
 
 
