@@ -85,8 +85,8 @@ def _check_sections(cfg: DictConfig, usual: DictConfig, place: str = "") -> None
     """Refuse a config without the sections and settings that are read from it; nodes with a target check their own."""
     for key in usual:
         where = f"{place}.{key!s}".lstrip(".")
-        if not place and isinstance(usual[key], DictConfig) and not usual[key]:
-            continue  # such as sensors, of which there may be any or none
+        if isinstance(usual[key], DictConfig) and not usual[key]:
+            continue  # such as sensors or transforms.latency, of which there may be any or none
         if not place and isinstance(usual[key], DictConfig):
             if not isinstance(cfg.get(key), DictConfig):
                 raise ValueError(f"{where}: expected keys and values, got {cfg.get(key)!r}")

@@ -1,21 +1,10 @@
-"""Writes the policy of a run of ``task=strides`` as a gait, a small file of weights by which ``task=walk`` walks.
-
-Usage: python -m splatrl.export.gait RUN [OUTPUT]
-    python -m splatrl.export.gait outputs/2026-01-31/12-00-00 gait.npz
-    splatrl-train task=walk task.motion.gait=gait.npz
-
-``splatrl/physics/robots/quadruped.npz`` is that of ``splatrl-train task=strides``.
-"""
-
-import sys
-from pathlib import Path
+"""The policy of ``task=strides`` as a gait, by which ``task=walk`` walks."""
 
 from torch import nn
 from torchrl.modules import ActorValueOperator
 
 from splatrl.motions.legs import FELT, JOINTS
 from splatrl.physics.dense import Dense
-from splatrl.runs import load_policy
 from splatrl.training.beside import actors_trunk
 from splatrl.training.inputs import JoinedTrunk
 
@@ -39,17 +28,3 @@ def gait_of(model: ActorValueOperator) -> Dense:
     if size != (FELT, JOINTS):
         raise ValueError(f"gait: expected {FELT} inputs and {JOINTS} outputs, got {size[0]} and {size[1]}")
     return found
-
-
-def main() -> None:
-    """Write the gait of a run folder."""
-    if not 2 <= len(sys.argv) <= 3:
-        raise SystemExit(__doc__)
-    folder = Path(sys.argv[1])
-    output = Path(sys.argv[2]) if len(sys.argv) > 2 else folder / "gait.npz"
-    gait_of(load_policy(folder, "last", "cpu").model).save(output)
-    print(output)
-
-
-if __name__ == "__main__":
-    main()

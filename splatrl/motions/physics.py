@@ -13,7 +13,16 @@ from splatrl.collision.base import Checker
 from splatrl.geometry import multiply_quats
 from splatrl.motions.base import Move, Taps
 from splatrl.motions.drive import DriveMotion
-from splatrl.physics import Kinematics, Physics, Terrain, compose, gaussians_from_mjcf, level_ground, read_mjcf
+from splatrl.physics import (
+    BodyGaussians,
+    Kinematics,
+    Physics,
+    Terrain,
+    compose,
+    gaussians_from_mjcf,
+    level_ground,
+    read_mjcf,
+)
 from splatrl.physics.bank import Variation, bank
 from splatrl.physics.compose import ROBOT, SCENE
 from splatrl.physics.gaussians import Models
@@ -23,6 +32,7 @@ from splatrl.physics.robots import mjcf_path
 from splatrl.physics.standing import top_of
 from splatrl.physics.stepping import BANK
 from splatrl.renderers.parts import Parts
+from splatrl.scenes.formats import read_gaussians
 from splatrl.values import require_number
 
 FIRST = BANK + TIME
@@ -64,6 +74,8 @@ class PhysicsMotion(nn.Module):
         threads: that step robots side by side; None takes all cores.
         ground: ``scene``, the ground and the boxes of the scene; ``level``, a level plane without an end and nothing on
             it, for robots that do not look.
+        looks: splat files of what things look like, by name, in place of their geoms, which then only touch: metres, in
+            the frame of a thing's first body.
 
     Raises:
         FileNotFoundError: for MJCF that is not there.
@@ -94,6 +106,7 @@ class PhysicsMotion(nn.Module):
         variation: Variation | None = None,
         threads: int | None = None,
         ground: str = "scene",
+        looks: Mapping[str, str | Path] | None = None,
     ):
         super().__init__()
         if ground not in GROUNDS:
@@ -101,6 +114,9 @@ class PhysicsMotion(nn.Module):
         self.ground = ground
         self.path, self.camera, self.pushed = mjcf_path(str(path)), camera, tuple(pushed)
         self.thing_paths = {str(name): mjcf_path(str(place)) for name, place in (things or {}).items()}
+        self.looks = {str(name): Path(place).expanduser() for name, place in (looks or {}).items()}
+        if unknown := set(self.looks) - set(self.thing_paths):
+            raise ValueError(f"task.motion.looks: expected names of things, got {', '.join(sorted(unknown))}")
         self.time_step, self.substep, self.threads = time_step, substep, threads
         self.variation, self.ceiling = variation or Variation(), ceiling
         self.models = Models()
@@ -342,6 +358,9 @@ class PhysicsMotion(nn.Module):
         """Make Gaussians of the bodies of the robot and the things."""
         prefixes = (ROBOT, *(f"{name}/" for name in self.thing_paths))
         found = [body for prefix in prefixes for body in gaussians_from_mjcf(model, prefix)]
+        for name, path in self.looks.items():
+            shown = BodyGaussians(self.world.things[name], read_gaussians(path))
+            found = [*(body for body in found if not body.body.startswith(f"{name}/")), shown]
         self.models, self._shown = Models(body.gaussians for body in found), [body.body for body in found]
 
     def _eye(self, model: Any) -> str:

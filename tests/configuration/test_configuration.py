@@ -52,6 +52,8 @@ TASK_OF |= {
     )
 }
 TASK_OF |= {"motion/physics": "push", "robot/mjcf": "push", "rewards/push": "push"}
+TASK_OF |= {"motion/strides": "strides", "rewards/strides": "strides", "motion/walk": "walk"}
+TASK_OF |= {f"sensors/{name}": "walk" for name in ("felt", "feet", "imu", "joints", "velocity")}
 """A task other than grid, for the options that do not work with grid."""
 NEEDS = {"robot/mjcf": ["robot.path=wheels"]}
 """What an option does not work without."""

@@ -11,7 +11,9 @@ from splatrl.collision.nothing import NoChecker
 from splatrl.motions import DriveMotion, PhysicsMotion
 from splatrl.physics import Terrain, Variation
 from splatrl.physics.robots import FOLDER, mjcf_path
+from splatrl.scenes import write_gaussians
 from splatrl.several import stacked
+from tests.tiny import tiny_gaussians
 
 WALL = torch.tensor([[0.6, 0.0, 0.2, 0.1, 1.0, 0.2]], dtype=torch.float64)
 LEVEL = torch.tensor([0.0, 0.0, 1.0, 0.02], dtype=torch.float64)
@@ -140,6 +142,22 @@ def test_links_and_things_are_parts_where_the_state_has_them() -> None:
     assert torch.equal(parts.model_to_world[:, 0], torch.eye(4).expand(2, 4, 4))
     assert torch.equal(parts.model_to_world[:, 1], motion.body_to_world(state))
     assert torch.equal(parts.model_to_world[:, 4, :3, 3], state[:, motion.thing("ball")][:, :3].float())
+
+
+def test_a_thing_looks_as_a_splat_does_where_the_state_has_it(tmp_path: Path) -> None:
+    look = tiny_gaussians()[:7]
+    write_gaussians(tmp_path / "ball.ply", look)
+    plain, other = wheels(), wheels(looks={"ball": tmp_path / "ball.ply"})
+    assert len(other.models) == len(plain.models)
+    assert torch.allclose(other.models[-1].means, look.means) and len(plain.models[-1].means) > 7
+    assert torch.equal(other.models[0].means, plain.models[0].means)
+    state = driven(other, other.placed(torch.tensor([[0.2, 0.1, 0.4]])), (0.4, 0.2), 5)
+    state[:, other.thing("ball")][:, 0] += 0.3
+    assert torch.equal(other.parts(state).model_to_world, plain.parts(state).model_to_world)
+    with pytest.raises(ValueError, match=r"task\.motion\.looks: expected names of things, got box"):
+        wheels(looks={"box": tmp_path / "ball.ply"})
+    with pytest.raises(FileNotFoundError):
+        wheels(looks={"ball": tmp_path / "none.ply"})
 
 
 def test_several_scenes_are_refused() -> None:

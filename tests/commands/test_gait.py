@@ -1,0 +1,32 @@
+"""``splatrl-gait`` on a run of the tiny room."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from splatrl.commands import gait
+from splatrl.commands.train import main as train
+from splatrl.motions.legs import FELT, JOINTS
+from splatrl.physics.dense import Dense
+from tests.tiny import tiny_overrides
+
+
+def told(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
+    monkeypatch.setattr(sys, "argv", ["splatrl-gait", *map(str, arguments)])
+    gait.main()
+
+
+def test_a_run_becomes_a_file_of_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes = ["env.num_envs=4", "collector.frames_per_batch=16", "collector.total_frames=16", "loss.mini_batch_size=16"]
+    tests = ["logger.num_test_episodes=2", "evaluation.starts=2", f"hydra.run.dir={tmp_path / 'run'}"]
+    monkeypatch.setattr(sys, "argv", ["splatrl-train", *tiny_overrides(tmp_path, "strides"), *sizes, *tests])
+    train()
+    told(monkeypatch, tmp_path / "run")
+    assert len(Dense.load(tmp_path / "run" / "gait.npz", FELT, JOINTS).layers) == 3
+
+
+def test_what_is_no_run_is_told_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(SystemExit, match=r"^splatrl-gait: .*expected a run folder") as error:
+        told(monkeypatch, tmp_path)
+    assert "\n" not in str(error.value)
