@@ -21,18 +21,23 @@ def run(options: argparse.Namespace) -> None:
     print(output)
 
 
-def main() -> None:
-    """Entry point of the command."""
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """The arguments of the command."""
+    result = argparse.ArgumentParser(
         "splatrl-gait",
         description="Write the policy of a run of task=strides as a gait, a small file of weights.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("run", type=Path, help="the run folder")
-    parser.add_argument("--out", type=Path, help="file to write; gait.npz in the run folder unless told")
-    parser.add_argument("--checkpoint", choices=("last", "best"), default="last", help="of the run (last)")
-    run(parser.parse_args())
+    result.add_argument("run", type=Path, help="the run folder")
+    result.add_argument("--out", type=Path, help="file to write; gait.npz in the run folder unless told")
+    result.add_argument("--checkpoint", choices=("last", "best"), default="last", help="of the run (last)")
+    return result
+
+
+def main() -> None:
+    """Entry point of the command."""
+    run(parser().parse_args())
 
 
 if __name__ == "__main__":

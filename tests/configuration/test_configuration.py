@@ -164,7 +164,7 @@ def test_a_transform_of_ones_own_takes_the_place_that_it_is_given(
 
 def test_an_order_that_names_no_transform_or_leaves_one_out_is_refused(tmp_path: Path) -> None:
     overrides = tiny_overrides(tmp_path)
-    known = r"expected some of pose_noise, skip, appearance, stack, got stak"
+    known = r"expected some of pose_noise, latency, skip, appearance, stack, got stak"
     with pytest.raises(ValueError, match=rf"transforms\.order: {known}"):
         make_env([*overrides, "transforms.order=[pose_noise,stak]"])
     with pytest.raises(ValueError, match=r"transforms\.order: expected a place for mine, got \['pose_noise', .*\]"):
