@@ -14,7 +14,7 @@ from splatrl.renderers import lod as lod_module
 from splatrl.renderers.lod import build_levels
 from splatrl.scenes import Gaussians, Scene
 from splatrl.scenes.cache import Arrays
-from tests.renderers.cases import dust, psnr, random_cameras, random_gaussians
+from tests.renderers.cases import ahead, dust, gaussians, psnr, random_cameras, random_gaussians
 
 
 def arrays_of(gaussians: Gaussians) -> dict[str, Tensor]:
@@ -139,6 +139,17 @@ def test_every_instruction_set_draws_the_same_level_of_detail(
     fastest = NativeRenderer(yard, tolerance=1.0).render(cameras)
     monkeypatch.setenv("SPLATRL_ISA", isa)
     assert psnr(NativeRenderer(yard, tolerance=1.0).render(cameras).rgb, fastest.rgb) >= 75.0
+
+
+def test_with_a_tolerance_the_splat_that_finishes_a_pixel_is_blended_and_none_behind_it() -> None:
+    sheets = gaussians([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0]], scale=50.0, opacity=0.995)
+
+    def alpha(tolerance: float, count: int) -> float:
+        return float(NativeRenderer(sheets[:count], tolerance=tolerance).render(ahead(9, 6)).alpha[0, 3, 4])
+
+    assert alpha(0.0, 3) == pytest.approx(0.995, abs=1e-4)  # the second would leave less than 0.0001
+    assert alpha(1.0, 3) == pytest.approx(1 - 0.005**2, abs=5e-6)
+    assert alpha(1.0, 3) == alpha(1.0, 2)
 
 
 def test_more_tolerance_draws_fewer_gaussians(yard: Gaussians) -> None:
