@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -11,6 +12,8 @@ from splatrl.spherical_harmonics import C0
 
 OPACITY, SPREAD, THICKNESS = 0.97, 0.6, 0.001
 """Of each Gaussian: standard deviation along the disc, as a share of the distance between two; across, metres."""
+BEACON = 0.8
+"""Radius of the ball of a beacon, as a share of its disc's."""
 GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
 
 
@@ -55,6 +58,23 @@ def ball(radius: float, rgb: Sequence[float], count: int = 400) -> Gaussians:
     shade = (0.8 + 0.2 * z).float().view(-1, 1, 1)
     found.sh = (shade * (found.sh * C0 + 0.5) - 0.5) / C0
     return found
+
+
+def beacon(radius: float, rgb: Sequence[float], height: float) -> Gaussians:
+    """A disc around the origin, and a smaller ball of its colour that hovers above it and is seen from further away.
+
+    Args:
+        radius: of the disc, metres; the ball has 0.8 of it.
+        rgb: red, green and blue in [0, 1].
+        height: of the middle of the ball, metres.
+
+    Raises:
+        ValueError: for a colour that is not three numbers in [0, 1].
+    """
+    above = ball(BEACON * radius, rgb)
+    above.means = above.means + torch.tensor([0.0, 0.0, height])
+    below = disc(radius, rgb)
+    return cast(Gaussians, torch.cat([below, above]))
 
 
 def _coloured(means: Tensor, quats: Tensor, scales: Tensor, rgb: Sequence[float]) -> Gaussians:

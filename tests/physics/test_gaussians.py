@@ -9,7 +9,7 @@ import torch
 
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.physics import gaussians_from_mjcf
-from splatrl.physics.marks import disc
+from splatrl.physics.marks import beacon, disc
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
@@ -125,3 +125,12 @@ def test_a_disc_is_flat_round_and_whole() -> None:
     assert alpha[middle] > 0.95 and rgb[middle].tolist() == pytest.approx([1, 0, 0], abs=0.05)
     with pytest.raises(ValueError, match="expected red, green and blue"):
         disc(0.2, (2.0, 0.0, 0.0))
+
+
+def test_a_beacon_is_a_disc_and_a_ball_above_it() -> None:
+    mark = beacon(0.2, (1.0, 0.0, 0.0), 0.5)
+    flat = disc(0.2, (1.0, 0.0, 0.0))
+    assert torch.equal(mark.means[: len(flat)], flat.means)
+    above = mark.means[len(flat) :]
+    torch.testing.assert_close(above.mean(0), torch.tensor([0.0, 0.0, 0.5]), atol=1e-3, rtol=0.0)
+    torch.testing.assert_close((above - above.new_tensor([0.0, 0.0, 0.5])).norm(dim=1), torch.full((len(above),), 0.16))

@@ -6,12 +6,13 @@ from splatrl.envs.sensors.depth import Depth
 from splatrl.envs.sensors.goals import ImageGoal, PointGoal
 from splatrl.envs.sensors.lidar import Lidar
 from splatrl.envs.sensors.odometry import Compass, Gps, Heading
-from splatrl.envs.sensors.physics import Felt, Joints, Measured, Velocity
+from splatrl.envs.sensors.physics import EgoMotion, Felt, Joints, Measured, Velocity
 
 __all__ = [
     "Compass",
     "Contact",
     "Depth",
+    "EgoMotion",
     "Felt",
     "Gps",
     "Heading",

@@ -9,6 +9,7 @@ from torchrl.data import TensorSpec, Unbounded
 
 from splatrl.envs.robot import Robot
 from splatrl.envs.sensors.base import Moment, PlainSensor
+from splatrl.geometry import quats_to_rotations
 from splatrl.motions.legs import FELT, LegsMotion
 from splatrl.motions.physics import FIRST, PhysicsMotion
 from splatrl.physics import read_mjcf
@@ -114,6 +115,24 @@ class Velocity(PlainSensor):
     def read(self, moment: Moment) -> Tensor:
         """The velocity."""
         return with_physics(moment).velocity(moment.state).float()
+
+
+class EgoMotion(PlainSensor):
+    """How the body moves and tilts, as an inertial unit and visual odometry estimate it: [B, 9] float32.
+
+    What ``Velocity`` says, and then the direction that is up in the world, both in the body's own frame. Where it is
+    and where it heads are not among them.
+    """
+
+    def spec(self, robot: Robot) -> TensorSpec:
+        """Nine numbers."""
+        return Unbounded(shape=(9,), dtype=torch.float32)
+
+    def read(self, moment: Moment) -> Tensor:
+        """The velocity, and what is up."""
+        motion, turn = with_physics(moment), moment.state[:, FIRST + 3 : FIRST + 7]
+        up = quats_to_rotations(turn)[:, 2]
+        return torch.cat([motion.velocity(moment.state), up], 1).float()
 
 
 class Felt(PlainSensor):

@@ -17,7 +17,7 @@ from splatrl.geometry import rigid
 from splatrl.motions.physics import PhysicsMotion
 from splatrl.physics.gaussians import Models
 from splatrl.physics.kinematics import matrices
-from splatrl.physics.marks import disc
+from splatrl.physics.marks import beacon
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.values import require_number
@@ -79,7 +79,8 @@ class Push(TaskModule):
     State: [B, n] float64, the physics' (``PhysicsMotion``). Memory: ``mark`` [B, 3] float32, world, metres; ``ball``
         [B, 3] float32, where the ball is, for sensors and for those who train a critic on it.
 
-    Ball and mark are drawn for each episode, on the ground, where the robot can go round them.
+    A mark is a disc, and a ball above it that is seen from far and over the one that is pushed; neither touches
+    anything. Ball and mark are drawn for each episode, on the ground, where the robot can go round them.
 
     Example:
         >>> import splatrl
@@ -101,6 +102,7 @@ class Push(TaskModule):
         clearance: between a ball or mark and what is solid, at least, metres.
         mark_radius: of what is drawn, metres.
         mark_rgb: its colour.
+        mark_height: of the ball that hovers above the mark, metres.
         leeway: see above, metres.
         max_steps: an episode is truncated after this many steps.
 
@@ -112,6 +114,7 @@ class Push(TaskModule):
     motion: PhysicsMotion
     places: Tensor  # [P, 2] float64, where a ball or mark can be
     way: Tensor  # [X, Y] bool, the cells in which robots can be
+    clear: Tensor  # [X', Y'] float64, metres to what is solid or to where a robot is lost, over bounds and leeway
 
     def __init__(
         self,
@@ -127,6 +130,7 @@ class Push(TaskModule):
         clearance: float = 0.4,
         mark_radius: float = 0.15,
         mark_rgb: Sequence[float] = (0.85, 0.1, 0.75),
+        mark_height: float = 0.45,
         leeway: float = 0.5,
         max_steps: int = 150,
     ):
@@ -136,7 +140,8 @@ class Push(TaskModule):
         numbers = {"success_distance": success_distance, "mark_radius": mark_radius, "farthest": farthest}
         for name, value in numbers.items():
             require_number(f"task.{name}", value, 1e-6, 1e6)
-        for name, value in {"apart": apart, "clearance": clearance, "leeway": leeway, "nearest": nearest}.items():
+        least = {"apart": apart, "clearance": clearance, "leeway": leeway, "nearest": nearest}
+        for name, value in {**least, "mark_height": mark_height}.items():
             require_number(f"task.{name}", value, 0.0, 1e6)
         require_number("task.ahead_deg", ahead_deg, 0.0, 180.0)
         require_number("task.turn_deg", turn_deg, 0.0, 180.0)
@@ -149,10 +154,11 @@ class Push(TaskModule):
         self.success_distance, self.nearest, self.farthest = success_distance, nearest, farthest
         self.apart, self.ahead, self.clearance = apart, math.radians(ahead_deg), clearance
         self.turn = math.cos(math.radians(turn_deg)) - 1e-9
-        self.leeway, self.drawn = leeway, Models([disc(mark_radius, mark_rgb)])
+        self.leeway, self.drawn = leeway, Models([beacon(mark_radius, mark_rgb, mark_height)])
         self.rest = float(motion.home[self.ball][2])  # of the ball's centre above the ground
         self.register_buffer("places", torch.zeros(0, 2, dtype=torch.float64), persistent=False)
         self.register_buffer("way", torch.zeros(0, 0, dtype=torch.bool), persistent=False)
+        self.register_buffer("clear", torch.zeros(0, 0, dtype=torch.float64), persistent=False)
         self.settle()
 
     def settle(self) -> None:
@@ -179,6 +185,13 @@ class Push(TaskModule):
                 f"is solid, found {len(places)}; type wider task.motion.lower and upper"
             )
         self.places = places.to(self.places.device)
+        lower, upper = lower - self.leeway, upper + self.leeway
+        corners = zip(lower.tolist(), upper.tolist(), strict=True)
+        axes = [torch.arange(low, high + CELL, CELL, dtype=torch.float64) for low, high in corners]
+        grid = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
+        inside = torch.minimum(grid - lower, upper - grid).amin(-1)
+        clear = torch.minimum(self._away(grid.reshape(-1, 2)).reshape(inside.shape), inside).clamp_max(FAR)
+        self.clear = clear.to(self.places.device)
 
     def connected(self, planar: Tensor) -> Tensor:
         """Whether robots can go round balls from where they stand, and one can lie ahead: [N, 3] -> [N] bool."""
@@ -268,10 +281,14 @@ class Push(TaskModule):
         return action.clamp(low, high)
 
     def _room(self, places: Tensor) -> Tensor:
-        """Distance of places from what is solid and from where a robot is lost: [N, 2] -> [N] metres."""
-        lower, upper = self.motion.twin.lower - self.leeway, self.motion.twin.upper + self.leeway
-        inside = torch.minimum(places - lower, upper - places).amin(1)
-        return torch.minimum(self._away(places), inside).clamp_max(FAR)
+        """Distance of places from what is solid and from where a robot is lost: [N, 2] -> [N] metres, interpolated."""
+        last = torch.tensor(self.clear.shape, device=places.device) - 1
+        at = (places - (self.motion.twin.lower.double() - self.leeway)) / CELL
+        at = at.clamp_min(0.0).minimum(last.to(at) - 1e-6)
+        low, share = at.long(), at - at.floor()
+        x, y = low.unbind(-1)
+        rows = [(1.0 - share[..., 1]) * self.clear[i, y] + share[..., 1] * self.clear[i, y + 1] for i in (x, x + 1)]
+        return (1.0 - share[..., 0]) * rows[0] + share[..., 0] * rows[1]
 
     def parts(self, state: Tensor, memory: Memory) -> Parts:
         """The scene, the robot, the ball and the mark; see ``Task.parts``."""

@@ -1,8 +1,8 @@
 """A teacher for the push task: where robot, ball and mark are, it knows how to drive.
 
-It goes round the ball to the side away from the mark, on the side on which there is more room, drives at the ball until
-it rests in the bumper, and steers it to the mark. What is solid repels it (Khatib 1986), so it can come to a halt
-between things. A teacher is asked for actions in states that a policy visits (DAgger), so it remembers nothing.
+It drives to the side of the ball away from the mark, by the cheapest of some ways of two straight legs, which cost more
+where they come near to the ball or to what is solid. There it drives at the ball until it rests in the bumper, and
+steers it to the mark. A teacher is asked for actions in states that a policy visits (DAgger), so it remembers nothing.
 """
 
 import math
@@ -13,10 +13,8 @@ from torch import Tensor
 
 from splatrl.envs.sensors.odometry import wrapped
 
-RING = 0.48
-"""Radius of the way round the ball, metres."""
-NEAR, BLEND = 0.6, 0.3
-"""Beyond this distance from the ball a robot drives straight to the place behind it; metres over which that begins."""
+BACK = 0.45
+"""Distance from the ball at which the robot begins to push, metres."""
 BEHIND = 0.5
 """Angle at the ball within which a robot counts as behind it, radians."""
 HELD = (0.1, 0.31, 0.08)
@@ -25,9 +23,14 @@ SIDEWAYS = 1.4
 """Angle between the robot and the way to the mark from which it lets the ball go to drive round it, radians."""
 SPEED, PUSHING, BACKWARDS = 0.45, 0.3, -0.2
 """Metres per second."""
-ROOM, AHEAD = 0.3, 0.12
-"""Distance from what is solid within which it repels, measured a little ahead of the robot, metres."""
-PROBES = 8
+ROOM, BALL_ROOM = 0.3, 0.34
+"""Distances from what is solid and from the ball within which a way costs more, metres."""
+DEAR = 30.0
+"""Metres that a metre costs where there is no room at all."""
+RINGS = (0.5, 0.3, 0.6, 1.0)
+"""Radii of the circles on which ways may bend, the first about the ball and the others about the robot, metres."""
+BENDS, SAMPLES = 16, 8
+"""Bends on each circle, and points of a leg that are looked up."""
 
 Room = Callable[[Tensor], Tensor]
 
@@ -54,9 +57,10 @@ def pushing(robot: Tensor, ball: Tensor, mark: Tensor, room: Room) -> Tensor:
     off = wrapped(_angle(along) - yaw)  # of the way to the mark from where the robot looks
     held = (ahead > HELD[0]) & (ahead < HELD[1]) & (aside.abs() < HELD[2])
 
-    way = _way(place, ball, away / far.clamp_min(1e-9).unsqueeze(1), far, along, room)
-    clear, uphill = _repelled(place + AHEAD * facing, room)
-    way = way + (2.0 * ((ROOM - clear) / 0.15).clamp(0.0, 1.0)).unsqueeze(1) * uphill
+    behind = wrapped(_angle(-away) - _angle(along)).abs() < BEHIND
+    bend = _bend(place, ball, ball - BACK * along, room)
+    way = torch.where(behind.unsqueeze(1), -away, bend - place)
+    clear = room(place)
     turn = wrapped(_angle(way) - yaw)
     near = (far < 0.4) & (ahead > 0) & (torch.atan2(aside, ahead).abs() < 1.0) | (clear < 0.12)
     speed = torch.where(near & (turn.abs() > 0.9), BACKWARDS, SPEED * turn.cos().clamp_min(0.0) ** 2)
@@ -68,37 +72,25 @@ def pushing(robot: Tensor, ball: Tensor, mark: Tensor, room: Room) -> Tensor:
     return torch.where(held.unsqueeze(1), pushed, free).float()
 
 
-def _way(place: Tensor, ball: Tensor, radial: Tensor, far: Tensor, along: Tensor, room: Room) -> Tensor:
-    """The direction in which to go while the ball is not held: [B, 2] unit vectors."""
-    sign = _side(ball, radial, along, room)
-    tangent = torch.stack([-radial[:, 1], radial[:, 0]], 1)
-    ring = torch.nn.functional.normalize(sign.unsqueeze(1) * tangent + 4.0 * (RING - far).unsqueeze(1) * radial, dim=1)
-    straight = torch.nn.functional.normalize(ball - 0.45 * along - place, dim=1)
-    share = ((far - NEAR) / BLEND).clamp(0.0, 1.0).unsqueeze(1)
-    way = torch.nn.functional.normalize((1.0 - share) * ring + share * straight, dim=1)
-    behind = wrapped(_angle(radial) - _angle(-along)).abs() < BEHIND
-    return torch.where(behind.unsqueeze(1), -radial, way)
+def _bend(place: Tensor, ball: Tensor, goal: Tensor, room: Room) -> Tensor:
+    """Where the cheapest way of two legs from places to goals bends, all [B, 2] metres."""
+    angle = torch.arange(BENDS, dtype=place.dtype, device=place.device) * (math.tau / BENDS)
+    circle = torch.stack([angle.cos(), angle.sin()], 1)
+    rings = [(ball if number == 0 else place)[:, None] + radius * circle for number, radius in enumerate(RINGS)]
+    bends = torch.cat([goal[:, None], *rings], 1)
+    cost = _cost(place[:, None].expand_as(bends), bends, ball, room)
+    cost = cost + _cost(bends, goal[:, None].expand_as(bends), ball, room)
+    return bends[torch.arange(len(bends), device=bends.device), cost.argmin(1)]
 
 
-def _side(ball: Tensor, radial: Tensor, along: Tensor, room: Room) -> Tensor:
-    """Which way round: 1 counter-clockwise, −1 clockwise; the shorter one, unless there is less room on it; [B]."""
-    begin = _angle(radial)
-    left = (_angle(-along) - begin) % math.tau
-    share = torch.linspace(0.08, 0.92, PROBES, dtype=ball.dtype, device=ball.device)
-    worth = []
-    for angle in (left, left - math.tau):
-        turn = begin[:, None] + angle[:, None] * share
-        places = ball[:, None] + RING * torch.stack([turn.cos(), turn.sin()], 2)
-        least = room(places.reshape(-1, 2)).reshape(len(ball), -1).amin(1).clamp_max(0.25)
-        worth.append(8.0 * least - angle.abs())
-    return torch.where(worth[0] > worth[1], 1.0, -1.0).to(ball)
-
-
-def _repelled(places: Tensor, room: Room, step: float = 0.05) -> tuple[Tensor, Tensor]:
-    """Room at places, and the direction in which it grows: [B], [B, 2]."""
-    x, y = torch.eye(2, dtype=places.dtype, device=places.device) * step
-    slope = [(room(places + axis) - room(places - axis)) / (2 * step) for axis in (x, y)]
-    return room(places), torch.stack(slope, 1)
+def _cost(start: Tensor, end: Tensor, ball: Tensor, room: Room) -> Tensor:
+    """What straight legs cost, as metres: [B, K, 2], [B, K, 2] -> [B, K]."""
+    share = (torch.arange(SAMPLES, dtype=start.dtype, device=start.device) + 0.75) / SAMPLES
+    points = start.unsqueeze(2) + share[:, None] * (end - start).unsqueeze(2)
+    clear = room(points.reshape(-1, 2)).reshape(points.shape[:3])
+    near = (points - ball[:, None, None]).norm(dim=3)
+    tight = ((ROOM - clear) / ROOM).clamp(0.0, 1.0).square() + ((BALL_ROOM - near) / BALL_ROOM).clamp_min(0.0)
+    return (end - start).norm(dim=2) * (1.0 + DEAR * tight.mean(2))
 
 
 def _angle(vectors: Tensor) -> Tensor:

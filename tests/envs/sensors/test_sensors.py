@@ -14,7 +14,21 @@ from splatrl.collision import NativeChecker, Occupancy
 from splatrl.curriculum import Curriculum
 from splatrl.envs import SplatEnv
 from splatrl.envs.drawing import SceneDrawing
-from splatrl.envs.sensors import Compass, Contact, Depth, Gps, Heading, ImageGoal, Lidar, Moment, PointGoal, Sensor
+from splatrl.envs.sensors import (
+    Compass,
+    Contact,
+    Depth,
+    EgoMotion,
+    Gps,
+    Heading,
+    ImageGoal,
+    Lidar,
+    Moment,
+    PointGoal,
+    Sensor,
+)
+from splatrl.motions import PhysicsMotion
+from splatrl.motions.physics import FIRST
 from splatrl.renderers import ReferenceRenderer
 from tests.envs.contract import EnvContract
 from tests.tiny import BLOCK, BODY, HEIGHT, tiny_gaussians, tiny_overrides, tiny_plan, tiny_robot, tiny_task
@@ -87,6 +101,23 @@ def test_pointgoal_is_the_straight_distance_and_the_azimuth_to_the_left() -> Non
     torch.testing.assert_close(told, torch.tensor([[5.0, math.atan2(4, 3)], [2.0, -QUARTER], [2.0, QUARTER]]))
     with pytest.raises(ValueError, match="task=pointnav"):
         PointGoal().read(moment([[0.0, 0.0, 0.0]]))
+
+
+def test_ego_motion_is_velocity_turn_and_up_in_the_bodys_own_frame() -> None:
+    motion = PhysicsMotion("quadrotor", "eye", linear=(-1.0, 1.0), angular_deg=90.0, threads=1)
+    state = motion.home.repeat(3, 1)
+    half = math.sqrt(0.5)
+    state[1, FIRST + 3 : FIRST + 7] = state.new_tensor([half, 0.0, 0.0, half])  # looks to the left, along +y
+    state[2, FIRST + 3 : FIRST + 7] = state.new_tensor([half, half, 0.0, 0.0])  # lies on its right side
+    state[:, FIRST + 7 : FIRST + 10] = state.new_tensor([1.0, 2.0, 3.0])  # in the world
+    state[:, FIRST + 10 : FIRST + 13] = state.new_tensor([0.1, 0.2, 0.3])  # in its own frame
+    told = EgoMotion().read(moment([[0.0, 0.0, 0.0]] * 3)._replace(state=state, motion=motion))
+    torch.testing.assert_close(told[:, :3], torch.tensor([[1.0, 2.0, 3.0], [2.0, -1.0, 3.0], [1.0, 3.0, -2.0]]))
+    torch.testing.assert_close(told[:, 3:6], torch.tensor([[0.1, 0.2, 0.3]]).expand(3, 3))
+    up = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    torch.testing.assert_close(told[:, 6:], up, atol=1e-6, rtol=0.0)
+    with pytest.raises(ValueError, match="sensors: expected a robot with physics"):
+        EgoMotion().read(moment([[0.0, 0.0, 0.0]]))
 
 
 def test_depth_is_clipped_and_scaled_and_far_where_nothing_is() -> None:
