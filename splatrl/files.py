@@ -5,6 +5,7 @@ import os
 import re
 import secrets
 import shutil
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from hashlib import blake2b
@@ -63,6 +64,7 @@ def new_folder(path: Path) -> Iterator[Path]:
     """Make a folder that gets its name only when the block succeeds; a block that raises leaves nothing behind.
 
     Raises:
+        OSError: that names the path, where it cannot be written.
         ValueError: if something of that name exists.
     """
     if path.exists():
@@ -72,8 +74,29 @@ def new_folder(path: Path) -> Iterator[Path]:
     try:
         yield temporary
         os.rename(temporary, path)
+    except OSError as error:  # a disk that is full says so without a name
+        if error.filename is not None or error.errno is None:
+            raise
+        raise OSError(error.errno, f"cannot write: {os.strerror(error.errno)}", str(path)) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def require_room(folder: Path, size: int) -> None:
+    """Refuse to go on where a disk has not so many bytes left.
+
+    What is written through mapped memory ends the process on a full disk, instead of raising an error.
+
+    Raises:
+        OSError: that names the folder.
+    """
+    if not size or not hasattr(os, "posix_fallocate"):
+        return
+    with tempfile.TemporaryFile(dir=folder) as stream:
+        try:
+            os.posix_fallocate(stream.fileno(), 0, size)
+        except OSError as error:
+            raise OSError(error.errno, f"cannot write: {os.strerror(error.errno or 0)}", str(folder)) from error
 
 
 @contextmanager

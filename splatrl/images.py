@@ -78,7 +78,9 @@ def open_video(path: Path) -> Iterator[InputContainer]:
             raise ValueError(f"{path}: expected a video, got the format {container.format.name}")
         if not container.streams.video:
             raise ValueError(f"{path}: expected a video, found no stream of images")
-        require_small(path, container.streams.video[0].width, container.streams.video[0].height)
+        track = container.streams.video[0]
+        require_small(path, track.width, track.height)
+        track.codec_context.options = {"max_pixels": str(MAX_PIXELS)}  # images may say more than their container
         yield container
 
 

@@ -13,6 +13,7 @@ from torchrl.modules import ActorValueOperator
 from splatrl.build import build_model, build_world
 from splatrl.configuration import run_config
 from splatrl.envs.world import World, Worlds
+from splatrl.files import refusing
 from splatrl.training import load_checkpoint
 
 CHECKPOINTS = ("last", "best")
@@ -71,8 +72,10 @@ def load_policy(
     if chosen not in CHECKPOINTS:
         raise ValueError(f"checkpoint: expected {' or '.join(CHECKPOINTS)}, got {chosen!r}")
     cfg.device = device or cfg.device
-    state = load_checkpoint(run / "checkpoints" / f"{chosen}.pt")
+    path = run / "checkpoints" / f"{chosen}.pt"
+    state = load_checkpoint(path)
     world = build_world(cfg) if world is None else world
     model = build_model(cfg, world.env(1))
-    model.load_state_dict(state["ppo"]["model"])
+    with refusing(path, "the weights of the policy that the run's config describes"):
+        model.load_state_dict(state["ppo"]["model"])
     return TrainedPolicy(cfg, world, model, state)

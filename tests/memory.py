@@ -9,6 +9,8 @@ import gc
 import gzip
 import io
 import json
+import math
+import struct
 import subprocess
 import sys
 import tempfile
@@ -20,18 +22,23 @@ from contextlib import suppress
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
+import av
 import numpy as np
 import torch
 
 from splatrl.array_files import read_arrays
+from splatrl.capture.recordings import colmap, record3d
 from splatrl.collision.point_clouds import read_points
+from splatrl.datasets.folder import read_demonstrations
 from splatrl.documents import read_json, read_yaml
 from splatrl.envs.drawing.sprite import load_sprite
+from splatrl.evaluation.clip_files import film_images
 from splatrl.evaluation.episode_sets import read_episodes
 from splatrl.images import read_grey, read_photo
 from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.formats.limits import MAX_INFLATION, SLACK
 from splatrl.training import load_checkpoint
+from tests.fuzzing.formats import around_demonstrations
 from tests.scenes.samples import (
     compressed_ply_bytes,
     ply_bytes,
@@ -146,6 +153,77 @@ def _lying_arrays() -> bytes:
     return stream.getvalue()
 
 
+def _beside(name: str, path: Path) -> Path:
+    """Another file in the folder of one, which is made once."""
+    folder = path.parent / name
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+def _lzfse() -> bytes:
+    import imagecodecs
+
+    packed: bytes = imagecodecs.lzfse_encode(bytes(4 * record3d.MAX_DEPTH))
+    return packed
+
+
+def _read_lzfse(path: Path) -> object:
+    side = math.isqrt(record3d.MAX_DEPTH)
+    return record3d.read_depth_of(record3d.Files(path.parent), path.name, None, (side, side))
+
+
+VIDEO_SIDE = 2048
+"""Pixels of a side of a video's images."""
+
+
+def _video() -> bytes:
+    """Three grey images, which take next to nothing."""
+    stream = io.BytesIO()
+    with av.open(stream, "w", "mp4") as container:
+        track = container.add_stream("mpeg4", 10)
+        track.width, track.height, track.pix_fmt = VIDEO_SIDE, VIDEO_SIDE, "yuv420p"
+        for _ in range(3):
+            container.mux(track.encode(av.VideoFrame(VIDEO_SIDE, VIDEO_SIDE, "yuv420p")))
+        container.mux(track.encode())
+    return stream.getvalue()
+
+
+def _read_film(path: Path) -> None:
+    for _ in film_images(path):
+        pass
+
+
+def _colmap(count: int) -> bytes:
+    image = struct.pack("<I7dI", 1, 1.0, *[0.0] * 6, 1) + b"a\0" + bytes(8)
+    return struct.pack("<Q", count) + image * count
+
+
+def _read_colmap(path: Path) -> object:
+    folder = _beside("model", path)
+    (folder / "cameras.bin").write_bytes(struct.pack("<QIiQQ4d", 1, 1, 1, 12, 9, 10.0, 10.0, 6.0, 4.5))
+    (folder / "a").touch()
+    path.replace(folder / "images.bin")
+    try:
+        return colmap.read(folder)
+    finally:
+        (folder / "images.bin").replace(path)
+
+
+FRAMES = 2000
+"""Of demonstrations, of 64 × 64 pixels each."""
+
+
+def _read_memmap(path: Path) -> object:
+    """Demonstrations whose views are the file."""
+    folder = _beside("demos", path)
+    around_demonstrations(folder, FRAMES, 64)
+    path.replace(folder / "memmap" / "pixels.memmap")
+    try:
+        return read_demonstrations(folder)
+    finally:
+        (folder / "memmap" / "pixels.memmap").replace(path)
+
+
 FIELDS = tuple(ply_fields(sample_gaussians(1, 0)))
 PLY = "ply\nformat ascii 1.0\nelement vertex {}\n" + "".join(f"property float {f}\n" for f in FIELDS) + "end_header\n"
 CLOUD = "ply\nformat ascii 1.0\nelement vertex {}\n" + "".join(f"property float {f}\n" for f in "xyz") + "end_header\n"
@@ -177,6 +255,10 @@ COSTLY = {
         lambda path: read_episodes(path, ["a"]),
         0,
     ),
+    "lzfse": Costly("a.depth", _lzfse, _read_lzfse, 0, 120 * MIB),
+    "video": Costly("a.mp4", _video, _read_film, 0, 140 * MIB),
+    "colmap": Costly("a.bin", lambda: _colmap(10_000), _read_colmap, 24),
+    "memmap": Costly("a.memmap", lambda: bytes(FRAMES * 64 * 64 * 3), _read_memmap, 1),
     "checkpoint": Costly("a.pt", _checkpoint, load_checkpoint, 4),
     "arrays": Costly("a.npz", lambda: _arrays(False), read_arrays, 2),
     "packed arrays": Costly("a.npz", lambda: _arrays(True), lambda path: read_arrays(path, 17 * MIB), 0),

@@ -9,7 +9,7 @@ from tests.memory import COSTLY, Cost, measured
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
 LARGE = ("photo", "depth", "sprite")
 """Kinds that take most of a gigabyte, whatever the size of the file."""
-NEEDS = {"sog": "gsply", "compressed ply": "gsply"}
+NEEDS = {"sog": "gsply", "compressed ply": "gsply", "lzfse": "imagecodecs"}
 REFUSED = {"ascii ply, one line", "json, more lists", "episodes", "checkpoint", "arrays that lie"}
 
 

@@ -8,6 +8,7 @@ import torch
 from splatrl.build import build_world
 from splatrl.configuration import run_config
 from splatrl.runs import load_policy
+from splatrl.training import save_checkpoint
 from tests.experiments.trained import BEST, config, save_run
 
 
@@ -68,3 +69,13 @@ def test_a_damaged_checkpoint_is_refused(run: Path, tmp_path: Path) -> None:
     (tmp_path / "checkpoints" / "last.pt").write_bytes((run / "checkpoints" / "last.pt").read_bytes()[:1000])
     with pytest.raises(ValueError, match=r"last\.pt"):
         load_policy(tmp_path)
+
+
+def test_a_checkpoint_of_another_network_is_refused_by_name(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / "config.yaml").write_bytes((run / "config.yaml").read_bytes())
+    path = tmp_path / "checkpoints" / "last.pt"
+    for state in ({"ppo": {"model": {"other": torch.zeros(1)}}}, {"ppo": {}}, {"ppo": 3}):
+        save_checkpoint(path, state)
+        with pytest.raises(ValueError, match=r"last\.pt: expected the weights"):
+            load_policy(tmp_path)

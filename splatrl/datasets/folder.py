@@ -16,7 +16,7 @@ from torch import Tensor
 from splatrl.datasets.demonstrations import AFTER, Demonstrations
 from splatrl.documents import read_json
 from splatrl.evaluation.report import write_json
-from splatrl.files import checked_name
+from splatrl.files import checked_name, require_room
 
 FACTS, MEMMAP = "demonstrations.json", "memmap"
 VERSION = 1
@@ -33,8 +33,13 @@ def write_demonstrations(folder: Path, demonstrations: Demonstrations, facts: Ma
         folder: to write to; make it with ``new_folder``, so that it appears whole or not at all.
         demonstrations: what to write.
         facts: what else to say about them: plain values.
+
+    Raises:
+        OSError: that names the folder, where the disk has no room for them.
     """
-    TensorDict(demonstrations.frames.to_dict(), [len(demonstrations)]).memmap(folder / MEMMAP)
+    frames = TensorDict(demonstrations.frames.to_dict(), [len(demonstrations)])
+    require_room(folder, sum(values.nbytes for values in frames.values(True, True)))
+    frames.memmap(folder / MEMMAP)
     own = {
         "version": VERSION,
         "episodes": len(demonstrations.starts),

@@ -15,6 +15,7 @@ from splatrl.evaluation.figures import learning_curve, scene_bars
 from splatrl.evaluation.pictures import Pictures
 from splatrl.evaluation.report import by_scene, summarise, write_json
 from splatrl.evaluation.rollouts import given_episodes, run_episodes, spread_starts
+from splatrl.files import refusing
 
 EPISODES_IN_VIDEO = 4
 SCENES_SHOWN = 4
@@ -65,6 +66,12 @@ def evaluate(
     Returns:
         The content of ``evaluation.json``, and the pictures' files.
     """
+    with refusing(folder / "checkpoints", "a checkpoint of a training"):
+        trained = {
+            "frames": int(checkpoint["ppo"]["frames"]),
+            "wall_seconds": float(checkpoint["seconds"]),
+            "level": int(checkpoint["ppo"]["env"]["curriculum.progress"][0]) + 1,
+        }
     plans = [one.plan for one in world.worlds]
     if settings.episodes is None:
         starts = spread_starts(world, settings.starts)
@@ -80,10 +87,7 @@ def evaluate(
         )
     ends = all(plan.field is not None for plan in plans) and world.task.goals_for_success is None
     summary: dict[str, Any] = summarise(sampled, argmax, starts.distance if ends else None)
-    summary |= {
-        "frames": checkpoint["ppo"]["frames"],
-        "wall_seconds": checkpoint["seconds"],
-        "level": int(checkpoint["ppo"]["env"]["curriculum.progress"][0]) + 1,
+    summary |= trained | {
         "checkpoint": settings.checkpoint,
         "seed": seed,
         "start_poses": sum(len(plan.start_rows) for plan in plans),

@@ -163,7 +163,8 @@ def encode(
         options: more of the encoder's options.
     """
     x264 = "libx264" in av.codecs_available
-    with replacing(path) as file, av.open(file, "w", format="mp4") as container:
+    # by its name, since FFmpeg then says itself what is wrong with a disk
+    with replacing(path) as file, av.open(file.name, "w", format="mp4") as container:
         stream = container.add_stream("libx264" if x264 else "mpeg4", rate=fps)
         stream.pix_fmt = "yuv420p"
         stream.options = {**(X264 if x264 else {"qscale": "3"}), **options}

@@ -70,10 +70,13 @@ def read_mjcf(path: Path | str) -> Any:
 
 def _checked(path: Path, text: bytes, reading: _Reading) -> list[ElementTree.Element]:
     """The elements of a file and of those that it includes, without what is refused."""
-    if b"<!DOCTYPE" in text or b"<!ENTITY" in text:
-        raise ValueError(f"{path}: expected MJCF, got an XML document type")
     try:
-        tree = ElementTree.fromstring(text)
+        words = text.decode()
+        if "\0" in words:  # another encoding, in which a document type, whose entities unfold, would not be seen
+            raise ValueError("bytes that are no text in UTF-8")
+        if "<!DOCTYPE" in words or "<!ENTITY" in words:
+            raise ValueError("an XML document type")
+        tree = ElementTree.fromstring(words)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise ValueError(f"{path}: expected XML, got {error}") from error
     found = [tree]
@@ -82,6 +85,8 @@ def _checked(path: Path, text: bytes, reading: _Reading) -> list[ElementTree.Ele
         if reading.elements > MOST_ELEMENTS:
             raise ValueError(f"{path}: expected at most {MOST_ELEMENTS:,} elements, got more")
         where = f"{path}: <{node.tag}>"
+        if any("}" in name for name in (node.tag, *node.attrib)):
+            raise ValueError(f"{where}: expected a robot without XML namespaces, under which MuJoCo knows no element")
         if node.tag in MULTIPLYING:
             raise ValueError(f"{where}: expected a robot without it; write out what it stands for")
         _check_sizes(where, node)

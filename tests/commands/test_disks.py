@@ -2,35 +2,73 @@
 
 import os
 import shlex
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from splatrl.commands import scene, train
+from splatrl.commands import clips, evaluate, experiment, export, record, replay, scene, train
+from splatrl.files import new_folder
 from splatrl.scenes import cache, write_gaussians
+from splatrl.scenes.editing import edit_description
 from tests.tiny import tiny_gaussians
 
-COMMANDS: dict[str, Callable[[], object]] = {"train": train.main, "scene": scene.main}
-SMALL = (
-    "train scene=garden/ device=cpu robot.height=0.5 landmarks.goal=[0.5,1.0,0.0] robot.image_width=16 "
+COMMANDS: dict[str, Callable[[], object]] = {
+    name: module.main
+    for name, module in {
+        "train": train,
+        "scene": scene,
+        "evaluate": evaluate,
+        "clips": clips,
+        "record": record,
+        "replay": replay,
+        "export": export,
+        "experiment": experiment,
+    }.items()
+}
+ROOM = (
+    "scene=garden/ device=cpu robot.height=0.5 landmarks.goal=[0.5,1.0,0.0] robot.image_width=16 "
     "robot.image_height=12 network.pool=1 robot.body.size=[0.3,0.3,0.2] task.motion.step=0.5 "
-    "task.motion.lower=[-1.0,-1.5] task.motion.upper=[1.0,1.5] collector.total_frames=128 "
-    "collector.frames_per_batch=128 env.num_envs=16 evaluation.batch_size=32 hydra.run.dir=run"
+    "task.motion.lower=[-1.0,-1.5] task.motion.upper=[1.0,1.5]"
 )
+SMALL = (
+    f"train {ROOM} collector.total_frames=128 collector.frames_per_batch=128 env.num_envs=16 "
+    "evaluation.batch_size=32 hydra.run.dir=run"
+)
+DEMOS = f"record {ROOM} by=planner episodes=2 out=new/demos"
+FULL, READ_ONLY = (28, "No space left on device"), (30, "Read-only file system")
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
+
+
+def make_garden(folder: Path) -> Path:
+    (folder / "garden").mkdir()
+    write_gaussians(folder / "garden" / "splat.ply", tiny_gaussians())
+    (folder / "garden" / "scene.yaml").write_text("splat: splat.ply\n")
+    return folder / "garden"
 
 
 @pytest.fixture
 def garden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A scene's folder in the working folder, and an empty cache."""
-    (tmp_path / "garden").mkdir()
-    write_gaussians(tmp_path / "garden" / "splat.ply", tiny_gaussians())
-    (tmp_path / "garden" / "scene.yaml").write_text("splat: splat.ply\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path / "cache"))
     cache._warn_unwritable.cache_clear()
-    return tmp_path / "garden"
+    return make_garden(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the same scene, a run of it, demonstrations and clips."""
+    folder = tmp_path_factory.mktemp("made")
+    make_garden(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        run(patch, f"{SMALL} logger.video=false")
+        run(patch, DEMOS)
+        run(patch, "clips run=run record=walks clips=walks output=walked count=1 height=12")
+    return folder
 
 
 def run(monkeypatch: pytest.MonkeyPatch, typed: str) -> None:
@@ -41,6 +79,21 @@ def run(monkeypatch: pytest.MonkeyPatch, typed: str) -> None:
 
 def listing(folder: Path) -> dict[str, tuple[int, int]]:
     return {str(path): (path.stat().st_size, path.stat().st_mtime_ns) for path in [folder, *folder.rglob("*")]}
+
+
+def break_disk(monkeypatch: pytest.MonkeyPatch, path: str, code: int, reason: str) -> None:
+    """Nothing that lies in a folder can be brought to the disk any more."""
+    for name in ("fsync", "posix_fallocate"):
+        monkeypatch.setattr(os, name, _failing(getattr(os, name), path, code, reason))
+
+
+def _failing(works: Callable[..., None], path: str, code: int, reason: str) -> Callable[..., None]:
+    def fails(descriptor: int, *rest: int) -> None:
+        if path in os.readlink(f"/proc/self/fd/{descriptor}"):
+            raise OSError(code, reason)
+        works(descriptor, *rest)
+
+    return fails
 
 
 def test_a_training_writes_nothing_into_its_scene_and_needs_no_cache(
@@ -54,25 +107,73 @@ def test_a_training_writes_nothing_into_its_scene_and_needs_no_cache(
     assert len(said) == 1 and said[0].startswith(str(garden.parent / "cache"))
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
+def test_a_replay_writes_nothing(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(made)
+    before = listing(made)
+    run(monkeypatch, "replay demos=new/demos")
+    assert listing(made) == before
+
+
+@linux
 @pytest.mark.parametrize(
     ("typed", "path"), [(SMALL, "run/"), ("scene garden/splat.ply --height 0.5 --out mine", "mine")]
 )
-@pytest.mark.parametrize(("code", "reason"), [(28, "No space left on device"), (30, "Read-only file system")])
+@pytest.mark.parametrize(("code", "reason"), [FULL, READ_ONLY])
 def test_a_full_or_read_only_disk_is_one_line_that_names_the_path(
     garden: Path, monkeypatch: pytest.MonkeyPatch, typed: str, path: str, code: int, reason: str
 ) -> None:
-    synced = os.fsync
+    break_disk(monkeypatch, path, code, reason)
+    says_so(monkeypatch, typed, path, reason)
+    assert not list(garden.parent.rglob("*.tmp"))
 
-    def fails(descriptor: int) -> None:
-        if path in os.readlink(f"/proc/self/fd/{descriptor}"):
-            raise OSError(code, reason)
-        synced(descriptor)
 
-    monkeypatch.setattr(os, "fsync", fails)
+def says_so(monkeypatch: pytest.MonkeyPatch, typed: str, path: str, reason: str) -> None:
     with pytest.raises(SystemExit) as ended:
         run(monkeypatch, typed)
     said = str(ended.value.code)
     assert said.startswith(f"splatrl-{typed.split()[0]}: ") and "\n" not in said
     assert f"cannot write: {reason}" in said and path in said
-    assert not list(garden.parent.rglob("*.tmp"))
+
+
+@linux
+@pytest.mark.parametrize(
+    ("typed", "path", "code", "reason"),
+    [
+        ("evaluate run=run", "run/", *FULL),
+        ("evaluate run=run", "run/", *READ_ONLY),
+        ("clips run=run clips=walks output=out", "out", *FULL),
+        ("clips run=run film=walks/walk-00 output=out", "out", *FULL),
+        ("export run=run frames=2", "export", *FULL),
+        (DEMOS.replace("new/", "other/"), "other", *FULL),
+        ("experiment name=grid folder=found report_only=true", "found", *FULL),
+    ],
+)
+def test_on_such_a_disk_nothing_is_lost_and_nothing_half_written(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: str, path: str, code: int, reason: str
+) -> None:
+    for name in ("garden", "run", "walks"):
+        shutil.copytree(made / name, tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    before = {name: content for name, content in listing(tmp_path).items() if Path(name).is_file()}
+    break_disk(monkeypatch, path, code, reason)
+    says_so(monkeypatch, typed, path, reason)
+    after = {name: content for name, content in listing(tmp_path).items() if Path(name).is_file()}
+    assert after == before
+
+
+@linux
+@pytest.mark.parametrize(("code", "reason"), [FULL, READ_ONLY])
+def test_a_scene_that_is_edited_in_the_viewer_stays_as_it_was(
+    garden: Path, monkeypatch: pytest.MonkeyPatch, code: int, reason: str
+) -> None:
+    before = listing(garden)
+    break_disk(monkeypatch, "garden", code, reason)
+    with pytest.raises(OSError, match=rf"cannot write: {reason}.*scene\.yaml"):
+        edit_description(garden, {"goal": [0.5, 1.0, 0.0]})
+    assert {key: size for key, (size, _) in listing(garden).items()} == {key: size for key, (size, _) in before.items()}
+
+
+def test_a_new_folder_names_itself_where_a_library_names_nothing(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=r"cannot write: No space left.*demos"), new_folder(tmp_path / "demos"):
+        raise OSError(28, "Error writing bytes to file")
+    assert not list(tmp_path.iterdir())

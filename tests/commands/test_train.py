@@ -42,7 +42,7 @@ def command(module: str, *arguments: str) -> Process:
 
 
 def finish(process: Process) -> str:
-    output, _ = process.communicate(timeout=300)
+    output, _ = process.communicate(timeout=900)  # seconds, of a machine with much else to do
     assert process.returncode == 0, output
     return output
 
@@ -116,8 +116,10 @@ def test_kills_at_random_instants_change_nothing(
         for _ in range(2):  # killed as it begins, trains, tests or evaluates; then killed again
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(rng.uniform(0.0, most))
+            ended = process.poll() is not None
             process.kill()
             process.wait()
+            most *= 0.8 if ended else 1.0 if (folder / "config.yaml").exists() else 1.15  # the machine's pace varies
             again = [f"resume={folder}"] if (folder / "config.yaml").exists() else [*scene, *SETTINGS]
             process = command("train", *again, *([] if "resume" in again[0] else [f"hydra.run.dir={folder}"]))
         finish(process)

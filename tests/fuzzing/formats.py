@@ -305,14 +305,11 @@ def _r3d() -> dict[str, bytes]:
     return {"metadata": json.dumps(metadata).encode(), **named}
 
 
-def _archive(path: Path) -> None:
+def _archive(path: Path) -> object:
     recording = record3d.read(path)
     check_recording(recording)
-    for _, picture in recording.pictures(range(len(recording.shots))):
-        picture.image()
-    for shot in recording.shots:
-        if shot.depth is not None:
-            shot.depth()
+    pictures = [picture.image() for _, picture in recording.pictures(range(len(recording.shots)))]
+    return [*pictures, *(shot.depth() for shot in recording.shots if shot.depth is not None)]
 
 
 def _recorded(read: Callable[[Path], Recording], up: int = 0) -> Callable[[Path], None]:
@@ -377,33 +374,39 @@ def _with_mesh(path: Path) -> None:
     read_mjcf(path.parent / f"{path.suffix[1:]}.xml")
 
 
-FRAMES = {
-    "episode": np.zeros(2, np.int64),
-    "frame": np.arange(2),
-    "pixels": np.zeros((2, 3, 4, 3), np.uint8),
-    "action": np.zeros(2, np.int64),
-    "state": np.zeros((2, 3), np.float32),
-}
-AFTER = {
-    "done": np.array([[False], [True]]),
-    "terminated": np.array([[False], [True]]),
-    "truncated": np.zeros((2, 1), bool),
-    "reward": np.ones((2, 1), np.float32),
-    "outcome": np.zeros((2, 1), np.int64),
-    "state": np.zeros((2, 3), np.float32),
-}
+def frames(count: int, side: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What demonstrations hold of each frame, and of what comes after it."""
+    last = np.arange(count)[:, None] == count - 1
+    of_frames = {
+        "episode": np.zeros(count, np.int64),
+        "frame": np.arange(count),
+        "pixels": np.zeros((count, side, side, 3), np.uint8),
+        "action": np.zeros(count, np.int64),
+        "state": np.zeros((count, 3), np.float32),
+    }
+    after = {
+        "done": last,
+        "terminated": last,
+        "truncated": np.zeros((count, 1), bool),
+        "reward": np.ones((count, 1), np.float32),
+        "outcome": np.zeros((count, 1), np.int64),
+        "state": np.zeros((count, 3), np.float32),
+    }
+    return of_frames, after
 
 
 def _header(values: dict[str, Any]) -> bytes:
     entries = {key: {"shape": list(each.shape), "dtype": f"torch.{each.dtype}"} for key, each in values.items()}
-    return json.dumps({**entries, "shape": [2], "device": "cpu"}).encode()
+    return json.dumps({**entries, "next": {"type": "TensorDict"}, "shape": [2], "device": "cpu"}).encode()
 
 
-def _around_demonstrations(folder: Path) -> None:
+def around_demonstrations(folder: Path, count: int = 2, side: int = 4) -> None:
+    """Write a folder of demonstrations: so many frames of square views."""
     (folder / "memmap" / "next").mkdir(parents=True)
     facts = {"version": 1, "fps": 10, "action_names": ["forward", "left"]}
     (folder / "demonstrations.json").write_text(json.dumps(facts))
-    for place, values in ((folder / "memmap", FRAMES), (folder / "memmap" / "next", AFTER)):
+    places = (folder / "memmap", folder / "memmap" / "next")
+    for place, values in zip(places, frames(count, side), strict=True):
         (place / "meta.json").write_bytes(_header(values))
         for key, each in values.items():
             (place / f"{key}.memmap").write_bytes(each.tobytes())
@@ -434,9 +437,9 @@ FORMATS = {
     ),
     "demonstrations": Format(
         "memmap/meta.json",
-        lambda rng: _header(FRAMES),
+        lambda rng: _header(frames(2, 4)[0]),
         lambda path: read_demonstrations(path.parents[1]).frames,
-        around=_around_demonstrations,
+        around=around_demonstrations,
     ),
     "robot": Format("a.xml", _robot, read_mjcf),
     "stl": Format("a.stl", _mesh, _with_mesh, around=_around_mesh),

@@ -75,6 +75,9 @@ OUTSIDE = "expected a path in the folder of the file"
             BALL,
             "width: expected a number",
         ),
+        ('<a:extension xmlns:a="b"><a:plugin plugin="any"/></a:extension>', BALL, "without XML namespaces"),
+        ('<extension xmlns="b"><plugin plugin="any"/></extension>', BALL, "without XML namespaces"),
+        ('<asset xmlns:a="b"><mesh name="m" a:file="/etc/passwd"/></asset>', BALL, "without XML namespaces"),
         ('<size memory="900G"/>', BALL, r"memory: expected less than 1G, got 900G"),
         ('<size nuserdata="900000000"/>', BALL, r"nuserdata: expected at most"),
     ],
@@ -88,10 +91,20 @@ def test_what_is_wrong_or_dangerous_is_refused_in_one_line(tmp_path: Path, head:
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
+DOUBLING = '<!DOCTYPE a [<!ENTITY b "c"><!ENTITY d "&b;&b;">]><mujoco model="&d;"/>'
+
+
 def test_entities_and_large_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = written(tmp_path)
     path.write_text('<!DOCTYPE a [<!ENTITY b "c">]>' + path.read_text())
     with pytest.raises(ValueError, match="got an XML document type"):
+        read_mjcf(path)
+    for encoding in ("utf-16", "utf-16-le", "cp037"):
+        path.write_bytes(f'<?xml version="1.0" encoding="{encoding}"?>{DOUBLING}'.encode(encoding))
+        with pytest.raises(ValueError, match="expected XML, got"):
+            read_mjcf(path)
+    path.write_bytes(b'<?xml version="1.0" encoding="utf-7"?>' + DOUBLING.encode("utf-7"))
+    with pytest.raises(ValueError, match="expected XML, got"):
         read_mjcf(path)
     monkeypatch.setattr(reading, "MOST_TEXT", 50)
     with pytest.raises(ValueError, match="expected at most 50 bytes"):

@@ -35,12 +35,13 @@ from splatrl.capture.recordings.base import (
     quaternion_poses,
     read_json,
 )
-from splatrl.images import MAX_PIXELS
 
 METADATA = ("metadata", "metadata.json")
 IMAGE = re.compile(r"(rgbd|rgb)/([0-9]{1,9})\.jpg")
 MEDIUM = 1
 """Confidence; what is below is left out."""
+MAX_DEPTH = 2**22
+"""Pixels of depth, which a few bytes may unpack to; sensors of phones have a tenth of it."""
 USUAL_DEPTH = (256, 192)
 """Height and width of the depth sensor, which early versions of the app do not state."""
 DAMAGED = (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, KeyError, OSError, ValueError)
@@ -74,7 +75,7 @@ def read(source: Path) -> Recording:
         times = metadata.get("frameTimestamps") or [n / float(metadata.get("fps", 60)) for n in range(len(poses))]
         seconds = [float(time) for time in times]
         numbers = [n for n in range(len(poses)) if n in images]
-        if not 0 < size[0] * size[1] <= MAX_PIXELS:
+        if min(size) < 1 or size[0] * size[1] > MAX_DEPTH:
             raise ValueError(f"dh, dw: expected a size, got {size}")
         shots = [
             Shot(seconds[n], lenses[n], poses[n] @ OPENGL, depth=_depth_of(files, n, size) if numbers else None)
