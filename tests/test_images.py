@@ -18,6 +18,13 @@ def _coded(side: int) -> list[av.Packet]:
     return [*coder.encode(frame), *coder.encode(None)]
 
 
+def decoded(packet: av.Packet) -> list[av.VideoFrame]:
+    try:
+        return packet.decode()
+    except av.error.FFmpegError:
+        return []
+
+
 def test_an_image_that_is_larger_than_its_file_says_is_not_decoded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -25,11 +32,13 @@ def test_an_image_that_is_larger_than_its_file_says_is_not_decoded(
     with av.open(str(path), "w") as container:
         track = container.add_stream("mpeg2video", rate=25)
         track.width, track.height, track.pix_fmt = 32, 32, "yuv420p"
-        for number, packet in enumerate(_coded(256)):
+        for number, packet in enumerate([*_coded(32), *_coded(32), *_coded(256)]):
             packet.stream, packet.pts, packet.dts = track, number, number
             container.mux(packet)
     monkeypatch.setattr(images, "MAX_PIXELS", 64 * 64)
+    with images.open_video(path) as film:
+        assert {frame.width for packet in film.demux(video=0) for frame in decoded(packet)} == {32}
     with pytest.raises(ValueError, match=r"film\.mkv: expected"):
         list(film_images(path))
     monkeypatch.setattr(images, "MAX_PIXELS", 256 * 256)
-    assert all(image.size == (256, 256) for image in film_images(path))
+    assert {image.size for image in film_images(path)} == {(32, 32), (256, 256)}
