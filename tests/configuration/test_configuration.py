@@ -51,7 +51,7 @@ TASK_OF |= {
         ("sensors", "imagegoal"),
     )
 }
-TASK_OF |= {"motion/physics": "push", "robot/mjcf": "push", "rewards/push": "push"}
+TASK_OF |= {option: "push" for option in ("motion/physics", "robot/mjcf", "rewards/push", "sensors/ego_motion")}
 TASK_OF |= {"motion/strides": "strides", "rewards/strides": "strides", "motion/walk": "walk"}
 TASK_OF |= {f"sensors/{name}": "walk" for name in ("felt", "feet", "imu", "joints", "velocity")}
 """A task other than grid, for the options that do not work with grid."""
