@@ -5,20 +5,28 @@ import json
 import math
 from typing import Any, Literal
 
+from splatrl.evaluation.evaluate import SCENES_SHOWN
 from splatrl.experiments.experiment import Run
 
 Status = Literal["finished", "begun", "new"]
 VIDEO = "rollouts.mp4"
-"""The last file that a run writes."""
+"""The last file that a run writes; in several scenes the last of those that are shown has it."""
 
 
 def status(run: Run) -> Status:
     """Whether a training is finished, can be resumed, or has not begun."""
-    filmed = (run.folder / VIDEO).exists() or not run.config["logger"]["video"]
-    if (run.folder / "evaluation.json").exists() and filmed:
+    if (run.folder / "evaluation.json").exists() and (not run.config["logger"]["video"] or _filmed(run)):
         return "finished"
     checkpoints = (run.folder / "checkpoints" / f"{name}.pt" for name in ("last", "previous"))
     return "begun" if any(path.exists() for path in checkpoints) else "new"
+
+
+def _filmed(run: Run) -> bool:
+    """Whether an evaluation has recorded its videos, one in each scene that it shows."""
+    scenes = evaluation(run).get("scenes", [])
+    if not scenes:
+        return (run.folder / VIDEO).exists()
+    return len(list(run.folder.glob(f"scenes/*/{VIDEO}"))) >= min(len(scenes), SCENES_SHOWN)
 
 
 def evaluation(run: Run) -> dict[str, Any]:

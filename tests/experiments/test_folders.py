@@ -1,8 +1,11 @@
 """What run folders record."""
 
+import json
 import math
 from pathlib import Path
 
+from splatrl.evaluation.evaluate import SCENES_SHOWN
+from splatrl.evaluation.report import write_json
 from splatrl.experiments.folders import frames_done, history, status
 from splatrl.made_with import differences
 from tests.experiments.made_up import begin, compose, finish, made_up
@@ -24,6 +27,20 @@ def test_a_run_that_was_killed_before_its_video_is_not_finished(tmp_path: Path) 
     finish(run, 0.9)
     assert status(run) == "begun"
     (run.folder / "rollouts.mp4").touch()
+    assert status(run) == "finished"
+
+
+def test_a_run_in_several_scenes_is_finished_with_the_video_of_each_that_it_shows(tmp_path: Path) -> None:
+    run = made_up(tmp_path).runs[0]
+    run.config["logger"]["video"] = True
+    finish(run, 0.9)
+    summary = json.loads((run.folder / "evaluation.json").read_text())
+    write_json(run.folder / "evaluation.json", summary | {"scenes": [{"success_rate": 0.9}] * (SCENES_SHOWN + 1)})
+    for number in range(SCENES_SHOWN):
+        assert status(run) == "begun"
+        place = run.folder / "scenes" / f"{number}-yard-{number}"
+        place.mkdir(parents=True)
+        (place / "rollouts.mp4").touch()
     assert status(run) == "finished"
 
 
