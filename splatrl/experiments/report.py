@@ -171,7 +171,7 @@ def _draw(found: Sequence[Entry], folder: Path) -> list[Curve]:
 
 
 def _numbers(experiment: Experiment, found: Sequence[Entry], machine: str) -> dict[str, Any]:
-    keys = ("success_rate", "success_rate_argmax", "step_spl", "level", "frames", "wall_seconds")
+    keys = ("success_rate", "success_rate_argmax", "step_spl", "spl", "level", "frames", "wall_seconds")
     arms = [
         {
             "scene": entry.scene,

@@ -78,6 +78,11 @@ class Entry:
         """A value of ``evaluation.json`` over the seeds."""
         return Spread(tuple(float(values[key]) for values in self.evaluations if key in values))
 
+    def spl(self) -> Spread:
+        """SPL by distance where tasks measure it, otherwise by steps."""
+        by_distance = self.spread("spl")
+        return by_distance if by_distance.values else self.spread("step_spl")
+
     def speed(self) -> Spread:
         """Frames per second of training."""
         return Spread(

@@ -35,7 +35,7 @@ def main_table(found: Sequence[Entry]) -> list[str]:
             str(len(entry.runs)),
             f"**{entry.spread('success_rate').percent()}**" if entry.runs else "–",
             entry.spread("success_rate_argmax").percent(),
-            entry.spread("step_spl").text(3),
+            entry.spl().text(3),
             entry.spread("level").text(1) if entry.has_curriculum else "–",
             f"{entry.spread('frames').mean:,.0f}" if entry.runs else "–",
             entry.spread("wall_seconds").text(),
@@ -72,7 +72,7 @@ def _verdict(group: Sequence[Entry]) -> str:
     first = best.spread("success_rate")
     if not others:
         seeds = f"{len(best.runs)} seed{'s' if len(best.runs) > 1 else ''}"
-        spl = best.spread("step_spl").text(3)
+        spl = best.spl().text(3)
         return f"**{place}**: {best.label} reaches {first.percent()}, SPL {spl}, over {seeds}."
     second = others[0].spread("success_rate")
     rest = ", ".join(f"{entry.label} {entry.spread('success_rate').percent()}" for entry in others)

@@ -1,5 +1,6 @@
 """Tables and sentences of reports."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,16 @@ def test_a_lead_within_the_spread_of_seeds_wins_nothing(tmp_path: Path) -> None:
 def test_one_seed_settles_nothing(tmp_path: Path) -> None:
     assert "with it is ahead" in (found := finished(tmp_path, 0.9, 0.5, 0.2)[0])
     assert "one seed settles nothing" in found
+
+
+def test_spl_is_that_by_distance_where_a_task_measures_it(tmp_path: Path) -> None:
+    experiment = made_up(tmp_path)
+    for run in experiment.runs[:2]:
+        finish(run, 0.8)
+    path = experiment.runs[0].folder / "evaluation.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"spl": 0.123}))
+    found = {(entry.scene, entry.label): entry.spl().text(3) for entry in entries(experiment) if entry.runs}
+    assert sorted(found.values()) == ["0.123", "0.700"]
 
 
 def test_the_main_table_has_a_row_an_arm_and_scene(tmp_path: Path) -> None:
