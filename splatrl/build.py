@@ -163,13 +163,11 @@ def _settle(task: Task, scene: Scene, occupancy: Occupancy, body: Body, antialia
     """Put a robot with physics, and what its task places, on the ground of a scene."""
     motion = task.motion
     assert isinstance(motion, PhysicsMotion)
-    lower, upper = motion.twin.lower.tolist(), motion.twin.upper.tolist()
-    if motion.ground == "level":  # as it is already
-        return
-    with _key("task.motion"):
-        reach = body.radius + (BEYOND if motion.pushed else 0.0)
-        terrain = survey_terrain(scene, occupancy, lower, upper, reach, motion.top, antialiased).terrain
-        motion.settle(terrain)
+    if motion.ground == "scene":  # level ground is there from the beginning
+        lower, upper = motion.twin.lower.tolist(), motion.twin.upper.tolist()
+        with _key("task.motion"):
+            reach = body.radius + (BEYOND if motion.pushed else 0.0)
+            motion.settle(survey_terrain(scene, occupancy, lower, upper, reach, motion.top, antialiased).terrain)
     if isinstance(task, (Push, Course)):
         with _key("task"):
             task.settle()

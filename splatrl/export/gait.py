@@ -24,7 +24,6 @@ def gait_of(model: ActorValueOperator) -> Dense:
     layers = [(each.weight.detach(), each.bias.detach()) for each in dense]
     weight, bias = linear[0].weight.detach(), linear[0].bias.detach()
     found = Dense([*layers, (weight[: len(weight) // 2], bias[: len(bias) // 2])])  # without standard deviations
-    size: tuple[int, ...] = (found.layers[0][0].shape[0], found.layers[-1][0].shape[1])
-    if size != (FELT, JOINTS):
-        raise ValueError(f"gait: expected {FELT} inputs and {JOINTS} outputs, got {size[0]} and {size[1]}")
+    if found.size != (FELT, JOINTS):
+        raise ValueError(f"gait: expected {FELT} inputs and {JOINTS} outputs, got {found.size[0]} and {found.size[1]}")
     return found

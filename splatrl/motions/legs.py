@@ -13,7 +13,7 @@ from splatrl.motions.base import Move
 from splatrl.motions.physics import FIRST, PhysicsMotion
 from splatrl.physics import Terrain
 from splatrl.physics.dense import Dense
-from splatrl.physics.kinematics import rotated
+from splatrl.physics.kinematics import rotated, turned_back
 from splatrl.physics.robots import gait_path
 from splatrl.physics.stepping import BANK, Stepped
 from splatrl.physics.trot import FREQUENCY, trot
@@ -139,7 +139,7 @@ class LegsMotion(PhysicsMotion):
         rates = FIRST + nq + 6
         phase = math.tau * FREQUENCY * state[:, BANK]
         parts = [
-            rotated(_back(self._turn(state)), down),
+            rotated(turned_back(self._turn(state)), down),
             SPIN * self._spin(state),
             state[:, ANGLES : ANGLES + JOINTS] - self.stand.to(state),
             RATE * state[:, rates : rates + JOINTS],
@@ -221,8 +221,3 @@ class WalkMotion(LegsMotion):
             each.append(sensed)
             whole &= sound
         return self.moved(state, torch.cat(each, 1), whole)
-
-
-def _back(quats: Tensor) -> Tensor:
-    """The inverses of unit quaternions: [B, 4] -> [B, 4]."""
-    return quats * quats.new_tensor([1.0, -1.0, -1.0, -1.0])

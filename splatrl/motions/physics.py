@@ -26,7 +26,7 @@ from splatrl.physics import (
 from splatrl.physics.bank import Variation, bank
 from splatrl.physics.compose import ROBOT, SCENE
 from splatrl.physics.gaussians import Models
-from splatrl.physics.kinematics import TIME, normalised, rotated
+from splatrl.physics.kinematics import TIME, normalised, rotated, turned_back
 from splatrl.physics.optional import needed
 from splatrl.physics.robots import mjcf_path
 from splatrl.physics.standing import top_of
@@ -244,8 +244,7 @@ class PhysicsMotion(nn.Module):
     def velocity(self, state: Tensor) -> Tensor:
         """Velocity of the robot's first body in its own frame: [B, n] -> [B, 6] float64, per second."""
         first, turn = FIRST + self.physics.model.nq, state[:, FIRST + 3 : FIRST + 7]
-        back = turn * turn.new_tensor([1.0, -1.0, -1.0, -1.0])
-        return torch.cat([rotated(back, state[:, first : first + 3]), state[:, first + 3 : first + 6]], 1)
+        return torch.cat([rotated(turned_back(turn), state[:, first : first + 3]), state[:, first + 3 : first + 6]], 1)
 
     def planar(self, state: Tensor) -> Tensor:
         """Position and heading of the robot's first body: [B, n] -> [B, 3] float64, metres, and radians in [0, τ)."""

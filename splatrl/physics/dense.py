@@ -43,6 +43,11 @@ class Dense:
             given = len(bias)
         self.layers = [(weight.T.contiguous(), bias) for weight, bias in layers]
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Numbers of an input and of an output."""
+        return self.layers[0][0].shape[0], self.layers[-1][0].shape[1]
+
     @classmethod
     def load(cls, path: Path, given: int, told: int) -> "Dense":
         """Read weights from a file of arrays ``weight0``, ``bias0``, ``weight1`` and so on, of which none runs code.
@@ -65,9 +70,9 @@ class Dense:
             found = cls([(weight, bias) for weight, bias in layers])
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise ValueError(f"{path}: expected weights of dense layers, got {error}") from error
-        size = found.layers[0][0].shape[0], found.layers[-1][0].shape[1]
-        if size != (given, told):
-            raise ValueError(f"{path}: expected {given} inputs and {told} outputs, got {size[0]} and {size[1]}")
+        if found.size != (given, told):
+            inputs, outputs = found.size
+            raise ValueError(f"{path}: expected {given} inputs and {told} outputs, got {inputs} and {outputs}")
         return found
 
     def save(self, path: Path) -> None:

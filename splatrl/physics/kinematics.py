@@ -177,6 +177,11 @@ def normalised(quats: Tensor) -> Tensor:
     return quats / (w * w + x * x + y * y + z * z).sqrt().unsqueeze(-1)
 
 
+def turned_back(quats: Tensor) -> Tensor:
+    """The inverses of unit quaternions: [..., 4] -> [..., 4]."""
+    return quats * quats.new_tensor([1.0, -1.0, -1.0, -1.0])
+
+
 def rotated(quats: Tensor, vectors: Tensor) -> Tensor:
     """Vectors [..., 3] turned by unit quaternions [..., 4], broadcast."""
     w, x, y, z = quats.unbind(-1)

@@ -70,6 +70,11 @@ def read_recording(
 
 
 def check_recording(recording: Recording) -> None:
+    """Refuse poses that are not rigid, and lenses that make no sense.
+
+    Raises:
+        CaptureError: that names the recording.
+    """
     poses = np.array([shot.camera_to_world for shot in recording.shots]).reshape(-1, 4, 4)
     turns = poses[:, :3, :3]
     straight = np.isfinite(poses).all() and np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-3)

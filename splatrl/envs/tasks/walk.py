@@ -80,9 +80,10 @@ class Walk(Route):
             raise ValueError(f"task.motion: expected legs that walk, got {type(motion).__name__}")
         require_number("task.ahead_deg", ahead_deg, 0.0, 180.0)
         course = course or RouteSettings(distance=(1.0, 2.5), clearance=0.4, waypoints=1)
-        shown = {"mark_radius": mark_radius, "mark_rgb": mark_rgb, "later_rgb": later_rgb}
-        limits = {"reach": reach, "leeway": leeway, "max_steps": max_steps}
-        super().__init__(motion, rewards, course, courses, test_courses, seed, **limits, **shown)  # type: ignore[arg-type]
+        super().__init__(
+            motion, rewards, course, courses, test_courses, seed, reach=reach, mark_radius=mark_radius,
+            mark_rgb=mark_rgb, later_rgb=later_rgb, leeway=leeway, max_steps=max_steps,
+        )  # fmt: skip
         self.ahead = math.radians(ahead_deg)
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
