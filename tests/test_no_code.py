@@ -1,0 +1,209 @@
+"""Files from strangers run no code: ways beside what a config may name (tests/configuration/test_targets.py).
+
+Each file would make a folder if what it holds were run, by the reader that most programs would use for it.
+"""
+
+import json
+import pickle
+import struct
+import subprocess
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from splatrl.array_files import read_arrays
+from splatrl.capture.page import report_page
+from splatrl.collision.point_clouds import read_points
+from splatrl.configuration import run_config
+from splatrl.datasets.folder import read_demonstrations
+from splatrl.documents import read_json, read_yaml
+from splatrl.envs.drawing.sprite import load_sprite
+from splatrl.evaluation.clip_files import read_clips
+from splatrl.images import open_video, read_photo
+from splatrl.physics.dense import Dense
+from splatrl.physics.mjcf import read_mjcf
+from splatrl.scenes import read_scene
+from splatrl.scenes.formats import read_gaussians
+from splatrl.training import load_checkpoint
+from tests.fuzzing.formats import around_demonstrations
+
+
+class Maker:
+    """Makes a folder as it is unpickled."""
+
+    def __init__(self, made: Path) -> None:
+        self.made = made
+
+    def __reduce__(self) -> tuple[Callable[..., object], tuple[str, str]]:
+        return subprocess.check_call, (["mkdir", str(self.made)],)
+
+
+def pickled_array(path: Path, made: Path, name: str) -> None:
+    values = np.empty(1, object)
+    values[0] = Maker(made)
+    np.savez(path, **{name: values})
+
+
+def written_header(path: Path, made: Path, name: str) -> None:
+    """An array whose header is an expression."""
+    header = f"__import__('os').mkdir({str(made)!r})".encode().ljust(245) + b"\n"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(f"{name}.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header)
+
+
+def hidden_behind(path: Path, made: Path) -> None:
+    """A checkpoint with two entries of one name: a harmless one, and one that is read by who looks for the other."""
+    torch.save({"state": torch.zeros(3)}, path)
+    with zipfile.ZipFile(path) as archive:
+        entries = [(entry.filename, archive.read(entry)) for entry in archive.infolist()]
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in entries:
+            if name.endswith("data.pkl"):
+                archive.writestr(name, pickle.dumps(Maker(made), 2))
+            archive.writestr(name, content)
+
+
+def traced(path: Path, made: Path) -> None:
+    """A program of TorchScript, which torch.load would hand on to its interpreter."""
+    torch.jit.script(torch.nn.Linear(2, 2)).save(path)
+
+
+def memory_mapped(folder: Path, made: Path, header: dict[str, object]) -> None:
+    """Demonstrations with what tensordict pickles beside its tensors, and the header that makes it look."""
+    around_demonstrations(folder)
+    (folder / "memmap" / "other.pickle").write_bytes(pickle.dumps({"extra": Maker(made)}))
+    path = folder / "memmap" / "meta.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | header))
+    read_demonstrations(folder)
+
+
+def poses_in_a_pickle(path: Path, made: Path) -> None:
+    path.write_bytes(pickle.dumps(Maker(made)))
+
+
+def programmed_picture(path: Path, made: Path) -> None:
+    """PostScript, for which Pillow starts Ghostscript."""
+    path.write_text(f"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n(%pipe%mkdir {made}) (r) file\n%%EOF\n")
+
+
+def read_by_expression(path: Path, made: Path) -> None:
+    """A picture in the one mode of Pillow's that reads what its file says as values."""
+    Image.new("P", (4, 4)).save(path, "GIF", comment=f"__import__('os').mkdir({str(made)!r})".encode())
+
+
+def tagged(made: Path) -> str:
+    return f"name: !!python/object/apply:os.mkdir [{made}]\n"
+
+
+Write = Callable[[Path, Path], object]
+Read = Callable[[Path], object]
+WAYS: dict[str, tuple[str, Write, Read]] = {
+    "a pickle in an array": ("a.npz", lambda path, made: pickled_array(path, made, "solid"), read_arrays),
+    "a pickle in the weights of a gait": (
+        "a.npz",
+        lambda path, made: pickled_array(path, made, "weight0"),
+        lambda path: Dense.load(path, 3, 2),
+    ),
+    "a pickle named as arrays": ("a.npz", poses_in_a_pickle, read_arrays),
+    "an expression as an array's header": (
+        "a.npz",
+        lambda path, made: written_header(path, made, "solid"),
+        read_arrays,
+    ),
+    "a pickle as a checkpoint": ("last.pt", poses_in_a_pickle, load_checkpoint),
+    "a pickle in a checkpoint": ("last.pt", lambda path, made: torch.save({"a": Maker(made)}, path), load_checkpoint),
+    "a pickle behind a checkpoint's": ("last.pt", hidden_behind, load_checkpoint),
+    "a program as a checkpoint": ("last.pt", traced, load_checkpoint),
+    "a tag in a scene": (
+        "scene.yaml",
+        lambda path, made: path.write_text(tagged(made)),
+        lambda path: read_scene(path.parent),
+    ),
+    "a tag in a run": (
+        "config.yaml",
+        lambda path, made: path.write_text(tagged(made)),
+        lambda path: run_config(path.parent),
+    ),
+    "a tag in YAML": ("a.yaml", lambda path, made: path.write_text(tagged(made)), read_yaml),
+    "an expression in JSON": (
+        "a.json",
+        lambda path, made: path.write_text(f"__import__('os').mkdir({str(made)!r})"),
+        read_json,
+    ),
+    "PostScript as a photo": ("a.jpg", programmed_picture, read_photo),
+    "PostScript as a sprite": ("a.png", programmed_picture, load_sprite),
+    "a picture of another kind": ("a.png", read_by_expression, load_sprite),
+    "a list of other files as a video": (
+        "a.mp4",
+        lambda path, made: path.write_text(f"ffconcat version 1.0\nfile subfile:{made}\n"),
+        lambda path: open_video(path).__enter__(),
+    ),
+    "a stream that asks a server": (
+        "a.mp4",
+        lambda path, made: path.write_text("#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1:9/a.ts\n"),
+        lambda path: open_video(path).__enter__(),
+    ),
+    "a pickle as a splat": ("a.ply", poses_in_a_pickle, read_gaussians),
+    "a pickle as a point cloud": ("a.pcd", poses_in_a_pickle, read_points),
+    "a formula as a label": (
+        "labels.csv",
+        lambda path, made: path.write_text(f"video,frame,actions\n=cmd|'/c mkdir {made}'!A1,0,forward\n"),
+        lambda path: read_clips(path.parent, ["forward"]),
+    ),
+    "a plugin in a robot": (
+        "a.xml",
+        lambda path, made: path.write_text(f'<mujoco><extension><plugin plugin="{made}.so"/></extension></mujoco>'),
+        read_mjcf,
+    ),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_file_is_refused_and_not_run(way: str, tmp_path: Path) -> None:
+    name, write, read = WAYS[way]
+    made, path = tmp_path / "made", tmp_path / "given" / name
+    path.parent.mkdir()
+    write(path, made)
+    with pytest.raises((ValueError, FileNotFoundError)):
+        read(path)
+    assert not made.exists()
+
+
+HEADERS: list[dict[str, object]] = [
+    {"_type": "<class 'tensordict._td.TensorDict'>"},
+    {"_type": "<class 'os.system'>"},
+    {"_type": "<class 'tensordict.tensorclass.NonTensorData'>", "_is_non_tensor": True},
+    {"extra": {"type": "non_tensor"}, "_non_tensordict_keys": ["extra"]},
+]
+
+
+@pytest.mark.parametrize("header", HEADERS)
+def test_what_lies_beside_demonstrations_is_not_unpickled(header: dict[str, object], tmp_path: Path) -> None:
+    made, folder = tmp_path / "made", tmp_path / "demos"
+    folder.mkdir()
+    try:
+        memory_mapped(folder, made, header)
+    except ValueError as error:
+        assert str(folder) in str(error)
+    assert not made.exists()
+
+
+def test_the_ways_do_run_code_elsewhere(tmp_path: Path) -> None:
+    made, path = tmp_path / "made", tmp_path / "a"
+    poses_in_a_pickle(path, made)
+    pickle.loads(path.read_bytes())
+    assert made.exists()
+    made.rmdir()
+    torch.save({"a": Maker(made)}, path)
+    torch.load(path, weights_only=False)
+    assert made.exists()
+    made.rmdir()
+    pickled_array(tmp_path / "a.npz", made, "solid")
+    with np.load(tmp_path / "a.npz", allow_pickle=True) as arrays:
+        arrays["solid"]
+    assert made.exists()
