@@ -172,18 +172,14 @@ def _read_lzfse(path: Path) -> object:
     return record3d.read_depth_of(record3d.Files(path.parent), path.name, None, (side, side))
 
 
-VIDEO_SIDE = 2048
-"""Pixels of a side of a video's images."""
-
-
-def _video() -> bytes:
-    """Three grey images, which take next to nothing."""
+def _video(side: int) -> bytes:
+    """Three grey images of so many pixels a side, which take next to nothing."""
     stream = io.BytesIO()
     with av.open(stream, "w", "mp4") as container:
         track = container.add_stream("mpeg4", 10)
-        track.width, track.height, track.pix_fmt = VIDEO_SIDE, VIDEO_SIDE, "yuv420p"
+        track.width, track.height, track.pix_fmt = side, side, "yuv420p"
         for _ in range(3):
-            container.mux(track.encode(av.VideoFrame(VIDEO_SIDE, VIDEO_SIDE, "yuv420p")))
+            container.mux(track.encode(av.VideoFrame(side, side, "yuv420p")))
         container.mux(track.encode())
     return stream.getvalue()
 
@@ -256,7 +252,8 @@ COSTLY = {
         0,
     ),
     "lzfse": Costly("a.depth", _lzfse, _read_lzfse, 0, 120 * MIB),
-    "video": Costly("a.mp4", _video, _read_film, 0, 140 * MIB),
+    "video": Costly("a.mp4", lambda: _video(2048), _read_film, 0, 140 * MIB),
+    "large video": Costly("a.mp4", lambda: _video(8176), _read_film, 0, 1600 * MIB),
     "colmap": Costly("a.bin", lambda: _colmap(10_000), _read_colmap, 24),
     "memmap": Costly("a.memmap", lambda: bytes(FRAMES * 64 * 64 * 3), _read_memmap, 1),
     "checkpoint": Costly("a.pt", _checkpoint, load_checkpoint, 4),

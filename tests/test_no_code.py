@@ -17,7 +17,6 @@ import torch
 from PIL import Image
 
 from splatrl.array_files import read_arrays
-from splatrl.capture.page import report_page
 from splatrl.collision.point_clouds import read_points
 from splatrl.configuration import run_config
 from splatrl.datasets.folder import read_demonstrations

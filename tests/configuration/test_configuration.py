@@ -40,6 +40,7 @@ OPTIONS = sorted(
     for path in conf_dir().rglob("*/*.yaml")
     if path.relative_to(conf_dir()).parts[0] not in NOT_OF_TRAIN
 )
+SENSORS = {option for option in OPTIONS if option.parent == Path("sensors")}
 TASK_OF = {"transforms/sprite/apple": "apple", "motion/drive": "fps", "motion/forward": "fps", "motion/orbit": "circle"}
 TASK_OF |= {
     f"{group}/{option}": "pointnav"
@@ -61,15 +62,24 @@ PACKAGES = {"motion": "motion@task.motion", "rewards": "rewards@task.rewards"}
 """How a group is named on the command line if its name alone does not determine its package."""
 
 
-@pytest.mark.parametrize("option", [option for option in OPTIONS if option not in OF_GPUS], ids=str)
+@pytest.mark.parametrize("option", [option for option in OPTIONS if option not in OF_GPUS | SENSORS], ids=str)
 def test_every_option_of_every_group_builds_an_env_that_steps(option: Path, tmp_path: Path) -> None:
     group = PACKAGES.get(str(option.parent), option.parent.as_posix())
     task = TASK_OF.get(option.as_posix(), "grid")
-    chosen = f"[{option.name}]" if group == "sensors" else option.name
-    env = make_env(
-        [*tiny_overrides(tmp_path, task), f"{group}={chosen}", *NEEDS.get(option.as_posix(), [])], batch_size=[2]
-    )
+    chosen = [f"{group}={option.name}", *NEEDS.get(option.as_posix(), [])]
+    env = make_env([*tiny_overrides(tmp_path, task), *chosen], batch_size=[2])
     assert env.rollout(2)["next", "reward"].shape[0] == 2
+
+
+@pytest.mark.parametrize("task", sorted({TASK_OF.get(option.as_posix(), "grid") for option in SENSORS}))
+def test_every_sensor_reads_in_an_env_that_steps(task: str, tmp_path: Path) -> None:
+    names = [option.name for option in sorted(SENSORS) if TASK_OF.get(option.as_posix(), "grid") == task]
+    env = make_env([*tiny_overrides(tmp_path, task), f"sensors=[{','.join(names)}]"], batch_size=[2])
+    first = env.reset()
+    assert env.rollout(2)["next", "reward"].shape[0] == 2
+    for name in names:
+        read = load_config([*tiny_overrides(tmp_path, task), f"sensors=[{name}]"]).inputs
+        assert read and all(len(first[key]) == 2 for key in read), name
 
 
 def test_a_task_takes_another_motion_and_other_rewards(tmp_path: Path) -> None:
