@@ -4,9 +4,9 @@ Each file would make a folder if what it holds were run, by the reader that most
 """
 
 import json
+import os
 import pickle
 import struct
-import subprocess
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -38,14 +38,14 @@ class Maker:
     def __init__(self, made: Path) -> None:
         self.made = made
 
-    def __reduce__(self) -> tuple[Callable[..., object], tuple[str, str]]:
-        return subprocess.check_call, (["mkdir", str(self.made)],)
+    def __reduce__(self) -> tuple[Callable[..., object], tuple[str]]:
+        return os.mkdir, (str(self.made),)
 
 
 def pickled_array(path: Path, made: Path, name: str) -> None:
     values = np.empty(1, object)
     values[0] = Maker(made)
-    np.savez(path, **{name: values})
+    np.savez(path, **{name: values})  # type: ignore[arg-type]
 
 
 def written_header(path: Path, made: Path, name: str) -> None:

@@ -78,7 +78,8 @@ def test_every_sensor_reads_in_an_env_that_steps(task: str, tmp_path: Path) -> N
     first = env.reset()
     assert env.rollout(2)["next", "reward"].shape[0] == 2
     for name in names:
-        read = load_config([*tiny_overrides(tmp_path, task), f"sensors=[{name}]"]).inputs
+        cfg = load_config([*tiny_overrides(tmp_path, task), f"sensors=[{name}]"])
+        read = {*cfg.sensors, *cfg.inputs}
         assert read and all(len(first[key]) == 2 for key in read), name
 
 
