@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from splatrl.commands import capture, gait, scene
-from splatrl.commands.view import with_key
 from splatrl.configuration import command_line, load_config
 
 ROOT = Path(__file__).parents[1]
@@ -82,4 +81,4 @@ def test_a_command_that_it_shows_is_understood(
         return
     if "-m" in words:  # the first job of a sweep
         arguments = [word.split(",")[0] for word in arguments]
-    load_config(command_line(name, with_key(arguments) if name == "view" else arguments), name)
+    load_config(command_line(name, arguments), name)

@@ -1,7 +1,6 @@
 """``splatrl-evaluate``: evaluate a finished or interrupted run from every pose of its start set."""
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,14 +49,9 @@ def run(cfg: DictConfig) -> None:
     evaluate_run(own, folder)
 
 
-def short(arguments: Sequence[str]) -> list[str]:
-    """Arguments with a training's keys, ``evaluation.starts=64``, by the names that they have here, ``starts=64``."""
-    return [word.removeprefix("evaluation.") for word in arguments]
-
-
 def main() -> None:
     """Entry point of the command."""
-    sys.argv[1:] = command_line("evaluate", short(sys.argv[1:]))
+    sys.argv[1:] = command_line("evaluate", sys.argv[1:])
     run()
 
 

@@ -27,6 +27,7 @@ TRAIN = (sys.executable, "-m", "splatrl.commands.train")
 @in_one_line("splatrl-experiment")
 def run(cfg: DictConfig) -> None:
     """Train and report the experiment ``cfg.name``, or all of them."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         experiment(cfg)
     except KeyboardInterrupt:
@@ -165,7 +166,6 @@ def _plain(cfg: DictConfig) -> dict[str, Any]:
 def main() -> None:
     """Entry point of the command."""
     sys.argv[1:] = command_line("experiment", sys.argv[1:])
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     run()
 
 

@@ -16,13 +16,11 @@ from omegaconf import DictConfig, OmegaConf
 from splatrl.build import build_one_world, check_place
 from splatrl.commands.faults import in_one_line, line
 from splatrl.configuration import (
-    RUN_CONFIG,
     check_config,
     check_constructors,
     command_line,
     conf_dir,
     place_configs,
-    quoted,
     run_config,
 )
 from splatrl.configuration.scene_overrides import CORNERS, TARGETS
@@ -154,21 +152,9 @@ def _wait() -> None:
         pass
 
 
-def with_key(arguments: Sequence[str]) -> list[str]:
-    """Arguments whose first plain word is named: ``run=`` where it is a run's folder, and ``scene=`` otherwise."""
-    result = list(arguments)
-    for place, word in enumerate(result):
-        if "=" not in word and not word.startswith(("-", "+", "~")):
-            is_run = (Path(word).expanduser() / RUN_CONFIG).is_file()
-            plain = word.replace("_", "").isalnum()
-            result[place] = f"{'run' if is_run else 'scene'}={word if plain else quoted(word)}"
-            break
-    return result
-
-
 def main() -> None:
     """Entry point of the command."""
-    sys.argv[1:] = command_line("view", with_key(sys.argv[1:]))
+    sys.argv[1:] = command_line("view", sys.argv[1:])
     run()
 
 

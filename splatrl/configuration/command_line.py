@@ -3,7 +3,7 @@
 import difflib
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -12,6 +12,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from splatrl.configuration.grammar import quoted
 from splatrl.configuration.key_help import help_page
 from splatrl.configuration.run_configs import RUN_CONFIG
 from splatrl.configuration.scene_choice import load_config, with_scene_paths
@@ -52,6 +53,7 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
         SystemExit: with one line that names the argument, what was expected and what came; or once the page that
             ``--help`` asks for is printed.
     """
+    arguments = SPELLED.get(name, list)(arguments)
     try:
         _check_words(name, arguments)
         result = with_scene_paths(arguments, name)
@@ -67,6 +69,27 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
     except ValueError as error:
         sys.exit(f"splatrl-{name}: {error}")
     return result
+
+
+def _short(arguments: Sequence[str]) -> list[str]:
+    """Arguments with a training's keys, ``evaluation.starts=64``, by the names that they have here, ``starts=64``."""
+    return [word.removeprefix("evaluation.") for word in arguments]
+
+
+def with_key(arguments: Sequence[str]) -> list[str]:
+    """Arguments whose first plain word is named: ``run=`` where it is a run's folder, and ``scene=`` otherwise."""
+    result = list(arguments)
+    for place, word in enumerate(result):
+        if "=" not in word and not word.startswith(("-", "+", "~")):
+            is_run = (Path(word).expanduser() / RUN_CONFIG).is_file()
+            plain = word.replace("_", "").isalnum()
+            result[place] = f"{'run' if is_run else 'scene'}={word if plain else quoted(word)}"
+            break
+    return result
+
+
+SPELLED: dict[str, Callable[[Sequence[str]], list[str]]] = {"evaluate": _short, "view": with_key}
+"""Commands that let some words be spelled in another way."""
 
 
 def _print_page(page: str) -> None:

@@ -1,4 +1,8 @@
-"""Which scenes a command line chooses, by name, path or seed, and what they propose for training in them."""
+"""Which scenes a command line chooses, by name, path or seed, and what they propose for training in them.
+
+What reads scenes (``scene_files``) is imported where one is read: with it comes PyTorch, which takes a second, and a
+command that says what was mistyped, or what there is to type, needs neither.
+"""
 
 import itertools
 import re
@@ -8,17 +12,10 @@ from pathlib import Path
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
-from tqdm import tqdm
 
 from splatrl.configuration.grammar import last_typed, nested, quoted, unquoted
 from splatrl.configuration.scene_overrides import scene_overrides
 from splatrl.configuration.search_path import composed, group_node, is_group, options
-from splatrl.native.threads import usable_cores
-from splatrl.scenes import yards
-from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, read_blocks_description
-from splatrl.scenes.description import SCENE_FILE, read_description
-from splatrl.scenes.formats.reading import META
-from splatrl.scenes.nerfstudio import antialiased_beside
 from splatrl.values import flat, require_number
 
 
@@ -52,7 +49,9 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
         key, _, value = override.partition("=")
         path = value.strip("'\"")
         if key == "scene" and path and Path(path).expanduser().exists() and path not in options("scene"):
-            _check_scene(Path(path).expanduser())
+            from splatrl.configuration.scene_files import check_scene, is_in_blocks
+
+            check_scene(Path(path).expanduser())
             result += ["scene=file", f"scene.path={quoted(path)}"]
             if is_in_blocks(Path(path).expanduser()) and not any(one.startswith("renderer=") for one in overrides):
                 result.append("renderer=blocks")
@@ -118,11 +117,10 @@ def _yard_paths(overrides: Sequence[str]) -> list[str]:
     count, first = (last_typed(overrides, f"scene.{key}", usual[key]) for key in ("count", "first"))
     require_number("scene.count", count, 1, 2**20, whole=True)
     require_number("scene.first", first, 0, 2**62, whole=True)
-    seeds = range(first, first + count)
-    made = yards.made_yards(seeds, usable_cores())
-    for _ in tqdm(made, "yards", count, unit="yard", dynamic_ncols=True):
-        pass
-    return [f"yard:{seed}" for seed in seeds]
+    from splatrl.configuration.scene_files import make_yards
+
+    make_yards(range(first, first + count))
+    return [f"yard:{seed}" for seed in range(first, first + count)]
 
 
 def _chosen(text: str) -> list[str]:
@@ -136,33 +134,24 @@ def _chosen(text: str) -> list[str]:
         raise ValueError(
             f"scene.paths: expected {', '.join(known)}, one of them with a seed (yard:3), or a path, got {text}"
         )
-    _check_scene(Path(text).expanduser())
+    from splatrl.configuration.scene_files import check_scene
+
+    check_scene(Path(text).expanduser())
     return ["scene=file", f"scene.path={quoted(Path(text).expanduser().absolute())}"]
-
-
-def _check_scene(path: Path) -> None:
-    if path.is_dir() and not any((path / name).is_file() for name in (SCENE_FILE, BLOCKS_FILE, META)):
-        raise ValueError(
-            f"scene: expected a splat file, or a folder with {SCENE_FILE} or {BLOCKS_FILE}, got {path}; "
-            f"splatrl-scene <the splat> --out {path} writes one"
-        )
 
 
 def _proposals(overrides: Sequence[str], name: str) -> list[str]:
     """What the chosen scene's folder, or what lies beside its file, proposes for the chosen task, as overrides."""
     try:
         if "scene=yard" in overrides:
-            return scene_overrides(yards.proposals(_yard_seed(overrides)), lambda key: True)
+            from splatrl.configuration.scene_files import yard_proposals
+
+            return scene_overrides(yard_proposals(_yard_seed(overrides)), lambda key: True)
         if "scene=file" not in overrides or not any(override.startswith("scene.path=") for override in overrides):
             return []
-        place = Path(str(last_typed(overrides, "scene.path", ""))).expanduser()
-        if is_in_blocks(place):
-            stated, drawn = read_blocks_description(place), None
-        else:
-            stated = read_description(place) if (place / SCENE_FILE).is_file() else {}
-            drawn = antialiased_beside(place / stated["splat"] if stated else place)
-        if drawn is not None:
-            stated.setdefault("antialiased", drawn)
+        from splatrl.configuration.scene_files import described
+
+        stated = described(Path(str(last_typed(overrides, "scene.path", ""))).expanduser())
         configs = _choices(overrides, name) if stated else []
     except HydraException:
         return []  # Hydra itself tells what is wrong with the overrides

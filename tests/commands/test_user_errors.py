@@ -155,7 +155,7 @@ def test_where_an_error_came_from_can_be_seen(monkeypatch: pytest.MonkeyPatch) -
 def test_an_evaluation_takes_its_keys_as_a_training_has_them(tmp_path: Path) -> None:
     (tmp_path / "config.yaml").touch()
     keys = ["evaluation.starts=64", "evaluation.repeats=2"]
-    cfg = load_config(command_line("evaluate", evaluate.short([f"run='{tmp_path}'", *keys])), "evaluate")
+    cfg = load_config(command_line("evaluate", [f"run='{tmp_path}'", *keys]), "evaluate")
     assert (cfg.starts, cfg.repeats) == (64, 2)
 
 

@@ -9,8 +9,9 @@ import pytest
 
 from splatrl.build import build_world
 from splatrl.commands import record, view
-from splatrl.commands.view import furnish, place_values, with_key
+from splatrl.commands.view import furnish, place_values
 from splatrl.configuration import load_config
+from splatrl.configuration.command_line import with_key
 from splatrl.datasets import read_demonstrations
 from splatrl.scenes import write_gaussians
 from splatrl.viewer.driver import Driver

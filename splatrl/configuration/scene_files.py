@@ -1,0 +1,53 @@
+"""What files and folders of scenes say about themselves, for the command lines that choose them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from splatrl.native.threads import usable_cores
+from splatrl.scenes import yards
+from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks, read_blocks_description
+from splatrl.scenes.description import SCENE_FILE, read_description
+from splatrl.scenes.formats.reading import META
+from splatrl.scenes.nerfstudio import antialiased_beside
+
+__all__ = ["check_scene", "described", "is_in_blocks", "make_yards", "yard_proposals"]
+
+yard_proposals = yards.proposals
+
+
+def check_scene(path: Path) -> None:
+    """Refuse a folder without a scene.
+
+    Raises:
+        ValueError: that says how to make one.
+    """
+    if path.is_dir() and not any((path / name).is_file() for name in (SCENE_FILE, BLOCKS_FILE, META)):
+        raise ValueError(
+            f"scene: expected a splat file, or a folder with {SCENE_FILE} or {BLOCKS_FILE}, got {path}; "
+            f"splatrl-scene <the splat> --out {path} writes one"
+        )
+
+
+def described(place: Path) -> dict[str, Any]:
+    """What a scene's folder, or what lies beside its file, says of it; empty where nothing does.
+
+    Raises:
+        ValueError: for a wrong ``scene.yaml`` or ``blocks.yaml``.
+    """
+    if is_in_blocks(place):
+        return read_blocks_description(place)
+    stated = read_description(place) if (place / SCENE_FILE).is_file() else {}
+    drawn = antialiased_beside(place / stated["splat"] if stated else place)
+    if drawn is not None:
+        stated.setdefault("antialiased", drawn)
+    return stated
+
+
+def make_yards(seeds: Sequence[int]) -> None:
+    """Make those yards that are new, side by side."""
+    made = yards.made_yards(seeds, usable_cores())
+    for _ in tqdm(made, "yards", len(seeds), unit="yard", dynamic_ncols=True):
+        pass
