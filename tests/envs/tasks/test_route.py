@@ -1,16 +1,20 @@
 """The route task, and the car that drives it."""
 
 import math
+from pathlib import Path
 
 import pytest
 import torch
 
+from splatrl.build import build_one_world
+from splatrl.configuration import load_config
 from splatrl.envs.tasks import Outcome, Route
 from splatrl.motions import PhysicsMotion
 from splatrl.motions.physics import FIRST
 from splatrl.physics import RouteSettings, Terrain
 from tests.envs.tasks.courses import NOTHING, PLANE, CourseContract, cache, judged, wander
 from tests.envs.test_configured_tasks import ConfiguredContract
+from tests.tiny import tiny_overrides
 
 __all__ = ["cache"]
 
@@ -127,3 +131,10 @@ class TestRoute(ConfiguredContract, CourseContract):
 
     def course(self, courses: int = 2, test_courses: int = 3) -> Route:
         return route(courses, test_courses)
+
+
+def test_routes_are_drawn_on_level_ground_too(tmp_path: Path) -> None:
+    world = build_one_world(load_config([*tiny_overrides(tmp_path, "route"), "task.motion.ground=level"]))
+    assert world.env(2).rollout(2)["next", "reward"].shape[0] == 2
+    steps = world.task.places.diff(dim=1)[..., :2].norm(dim=-1)
+    assert (steps > 0).all()
