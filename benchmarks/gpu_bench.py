@@ -16,7 +16,7 @@ from gpu_device import CHAINS, RATE, STEPS, Machine, measured_machine
 from scenes import YARD, Room, Subject, backyard, chosen, dense_backyard
 
 from splatrl.bodies import Body
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.cameras import Cameras
 from splatrl.capture.fit_cuda import CudaFitter
 from splatrl.collision import Occupancy

@@ -13,7 +13,7 @@ from gpu_device import Rate, in_turns, rate
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from splatrl.build import build_trainer
+from splatrl.building import build_trainer
 from splatrl.cameras import Cameras
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum

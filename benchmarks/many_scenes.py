@@ -13,7 +13,7 @@ from machine import measured_machine
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 

@@ -20,7 +20,7 @@ from record import print_markdown, write_json
 from timing import take_turns
 from torch import Tensor
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.envs.world import World
 from splatrl.motions import PhysicsMotion

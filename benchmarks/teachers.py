@@ -10,7 +10,7 @@ import sys
 import torch
 from tensordict import TensorDict
 
-from splatrl.build import build_one_world
+from splatrl.building import build_one_world
 from splatrl.configuration import load_config
 
 SMALL = ["robot.image_width=8", "robot.image_height=8", "device=cpu"]

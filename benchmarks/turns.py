@@ -17,7 +17,7 @@ from scenes import BUILT
 
 import splatrl
 from splatrl.bodies import Box, Sphere
-from splatrl.build import build_trainer, build_world
+from splatrl.building import build_trainer, build_world
 from splatrl.collision import NativeChecker
 from splatrl.configuration import load_config
 from splatrl.geometry import axis_rotations, rigid

@@ -17,7 +17,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from splatrl.build import build_one_world
+from splatrl.building import build_one_world
 from splatrl.configuration import load_config
 from splatrl.envs.tasks import Outcome, Strides
 from splatrl.motions.legs import FELT, JOINTS

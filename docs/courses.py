@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 import torch
 from PIL import Image
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.collision import Occupancy
 from splatrl.configuration import load_config

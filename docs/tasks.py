@@ -20,7 +20,7 @@ from PIL import Image
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.cameras import Cameras, look_at
 from splatrl.configuration import load_config
 from splatrl.curriculum import plan

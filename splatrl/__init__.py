@@ -11,7 +11,7 @@ from splatrl.gymnasium_ids import register_ids
 
 if TYPE_CHECKING:
     from splatrl.bodies import Box, Capsule, Sphere
-    from splatrl.build import env_makers, make_env
+    from splatrl.building import env_makers, make_env
     from splatrl.cameras import Cameras
     from splatrl.envs.robot import Robot
     from splatrl.envs.splat_env import SplatEnv
@@ -31,8 +31,8 @@ _HOMES = {
     "SplatEnv": "envs.splat_env",
     "World": "envs.world",
     "backyard": "scenes",
-    "env_makers": "build",
-    "make_env": "build",
+    "env_makers": "building",
+    "make_env": "building",
     "read_scene": "scenes",
     "town": "scenes.town",
     "yard": "scenes.yards",

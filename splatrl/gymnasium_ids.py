@@ -52,7 +52,7 @@ def make_one(
     Raises:
         ValueError: for settings that are refused.
     """
-    from splatrl.build import make_env
+    from splatrl.building import make_env
     from splatrl.envs.gymnasium_env import GymnasiumEnv
 
     return GymnasiumEnv(make_env(_overrides(task, scene, overrides), [1], seed), render_mode)
@@ -74,7 +74,7 @@ def make_batch(
     Raises:
         ValueError: for settings that are refused.
     """
-    from splatrl.build import make_env
+    from splatrl.building import make_env
     from splatrl.envs.gymnasium_env import GymnasiumVectorEnv
 
     return GymnasiumVectorEnv(make_env(_overrides(task, scene, overrides), [num_envs], seed), **options)

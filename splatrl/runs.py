@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.modules import ActorValueOperator
 
-from splatrl.build import build_model, build_world
+from splatrl.building import build_model, build_world
 from splatrl.configuration import run_config
 from splatrl.envs.world import World, Worlds
 from splatrl.files import refusing

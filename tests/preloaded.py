@@ -25,7 +25,7 @@ from typing import Union
 ROOT = Path(__file__).parents[1]
 IMPORTED = (
     "matplotlib.figure",
-    "splatrl.build",
+    "splatrl.building",
     "splatrl.datasets",
     "splatrl.experiments",
     "splatrl.runs",

@@ -48,7 +48,7 @@ ORDER = [
     {"capture"},
     {"configuration"},
     {"made_with", "misfits", "remembered"},
-    {"build"},
+    {"building"},
     {"gymnasium_ids"},
     {"runs"},
     {"viewer"},
@@ -57,25 +57,25 @@ ORDER = [
 ]
 """Packages ("rooms") and single modules under splatrl/, in order; a new one is added here."""
 ONLY = {
-    "hydra": {"configuration", "build", "commands"},
+    "hydra": {"configuration", "building", "commands"},
     "omegaconf": {
         "documents",
         "scenes",
         "configuration",
         "made_with",
         "remembered",
-        "build",
+        "building",
         "runs",
         "experiments",
         "commands",
     },
-    "splatrl.device": {"build", "commands"},
+    "splatrl.device": {"building", "commands"},
 }
 """What only some rooms may import."""
 CONF_LIMITS = {"experiment": "experiments"}
 """The last room that the configs of a group may name; those of other groups, and root configs: ``evaluation``."""
 DEVICE_CHOICES = {"cuda", "mps", "xpu"}
-CHOOSERS = {"device", "build", "commands"}
+CHOOSERS = {"device", "building", "commands"}
 CUDA_ALONE = ("native/cuda/", "renderers/cuda.py", "renderers/gsplat.py", "collision/cuda.py")
 """What runs only on a CUDA device, so that naming the device there is not a choice."""
 DOTTED = re.compile(r"splatrl(\.\w+)+")
@@ -258,7 +258,7 @@ def test_a_name_that_goes_up_or_leads_nowhere_is_found(name: str, source: str, f
 @pytest.mark.parametrize(
     ("name", "source"),
     [
-        ("experiments", "from splatrl.experiments import Run\nimport splatrl.build"),
+        ("experiments", "from splatrl.experiments import Run\nimport splatrl.building"),
         ("commands", "x = ('-m', 'splatrl.commands.train')\nimport hydra"),
         ("scenes", "'see splatrl.envs.nothing for more'"),
         ("configuration", "x = 'splatrl.run_dir'"),
@@ -272,7 +272,7 @@ def test_a_name_that_goes_down_is_no_fault(name: str, source: str) -> None:
     ("path", "source", "fault"),
     [
         ("task/new.yaml", "_target_: splatrl.experiments.Run", "experiments comes after evaluation"),
-        ("train.yaml", "node: {_target_: splatrl.make_env}", "build comes after evaluation"),
+        ("train.yaml", "node: {_target_: splatrl.make_env}", "building comes after evaluation"),
         ("clips.yaml", "steps: [{call: splatrl.runs.load_policy}]", "runs comes after evaluation"),
         ("experiment/new.yaml", "score: splatrl.commands.train.run", "commands comes after experiments"),
         ("experiment/new.yaml", "score: splatrl.experiments.score_nothing", "there is no such thing"),

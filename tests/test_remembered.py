@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import splatrl.remembered
-from splatrl.build import build_one_world
+from splatrl.building import build_one_world
 from splatrl.configuration import load_config
 from splatrl.files import cache_dir
 from tests.tiny import tiny_overrides

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.configuration import run_config
 from splatrl.runs import load_policy
 from splatrl.training import save_checkpoint

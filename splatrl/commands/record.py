@@ -9,7 +9,7 @@ import torch
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from splatrl.build import build_one_world
+from splatrl.building import build_one_world
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import check_config, command_line, conf_dir, save_config
 from splatrl.datasets import Demonstrations, planner_episodes, write_demonstrations, write_lerobot

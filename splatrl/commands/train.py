@@ -12,7 +12,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from splatrl.build import build_trainer, build_world
+from splatrl.building import build_trainer, build_world
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import (

@@ -13,7 +13,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from splatrl.build import build_one_world, check_place
+from splatrl.building import build_one_world, check_place
 from splatrl.commands.faults import in_one_line, line
 from splatrl.configuration import (
     check_config,

@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tqdm import tqdm
 
-from splatrl.build import build_one_world
+from splatrl.building import build_one_world
 from splatrl.configuration import run_config
 from splatrl.envs.world import World
 from splatrl.evaluation.clip_files import read_clips

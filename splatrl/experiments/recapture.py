@@ -17,7 +17,7 @@ from PIL import Image
 from torch import Tensor
 from tqdm import tqdm
 
-from splatrl.build import build_one_world
+from splatrl.building import build_one_world
 from splatrl.capture.area import SOLID
 from splatrl.capture.base import CaptureError
 from splatrl.capture.check import Quality, colour_corrected, psnr

@@ -8,7 +8,7 @@ import torch
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.configuration import run_config
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.report import summarise

@@ -7,7 +7,7 @@ from typing import Any
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from splatrl.build import build_one_world
+from splatrl.building import build_one_world
 from splatrl.configuration import load_config, run_config
 from splatrl.experiments.experiment import Run
 from splatrl.experiments.transfer import tested

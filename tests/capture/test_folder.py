@@ -9,7 +9,7 @@ import pytest
 import torch
 from PIL import Image
 
-from splatrl.build import build_trainer, build_world
+from splatrl.building import build_trainer, build_world
 from splatrl.capture import folder as folder_module
 from splatrl.capture.area import survey_area
 from splatrl.capture.base import CaptureError

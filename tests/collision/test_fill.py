@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from splatrl.bodies import Box
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.collision import FclChecker, Occupancy
 from splatrl.configuration import load_config
 from splatrl.curriculum import plan

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.commands.clips import main
 from splatrl.evaluation.clip_files import read_clips
 from splatrl.experiments.clip_scores import altered, record_clips

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.capture.folder import write_scene
 from splatrl.commands.experiment import TRAIN, experiment, main
 from splatrl.configuration import load_config

@@ -13,7 +13,7 @@ import pytest
 import torch
 from omegaconf import DictConfig
 
-from splatrl.build import build_trainer, build_world
+from splatrl.building import build_trainer, build_world
 from splatrl.commands import record, replay
 from splatrl.configuration import load_config
 from splatrl.datasets import planner_episodes, read_demonstrations

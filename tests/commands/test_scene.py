@@ -7,7 +7,7 @@ import pytest
 import torch
 from PIL import Image
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.collision.point_clouds import write_points
 from splatrl.commands import scene
 from splatrl.commands.scene import main

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import torch
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.commands import evaluate, train
 from splatrl.configuration import resumed_config, run_config, run_configs
 from splatrl.files import alone_in

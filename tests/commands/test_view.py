@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.commands import record, view
 from splatrl.commands.view import furnish, place_values
 from splatrl.configuration import load_config

@@ -10,7 +10,8 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import RewardScaling
 
-from splatrl.build import _constructor, build_trainer, build_world, make_env
+from splatrl.building import build_trainer, build_world, make_env
+from splatrl.building.places import constructor
 from splatrl.collision import CudaChecker, NativeChecker, NoChecker
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.configuration import (
@@ -99,7 +100,7 @@ def test_what_runs_on_gpus_alone_says_so(tmp_path: Path) -> None:
 
 def test_what_runs_on_cpus_alone_says_so() -> None:
     with pytest.raises(ValueError, match="collision: expected device=cpu for this choice, got device=cuda:1"):
-        _constructor(load_config(["collision=fcl"]), "collision", torch.device("cuda:1"))
+        constructor(load_config(["collision=fcl"]), "collision", torch.device("cuda:1"))
 
 
 @pytest.mark.parametrize(
@@ -115,11 +116,11 @@ def test_what_runs_on_cpus_alone_says_so() -> None:
 def test_a_group_has_a_part_for_each_kind_of_device(overrides: list[str], cpu: type | None, cuda: type) -> None:
     group = overrides[0].split("=")[0]
     cfg = load_config([*overrides, "device=cuda:1"])
-    made = _constructor(cfg, group, torch.device("cuda:1"))
+    made = constructor(cfg, group, torch.device("cuda:1"))
     assert made.func is cuda
     assert made.keywords.get("device", "cuda:1") == "cuda:1"
     if cpu is not None:
-        assert _constructor(cfg, group, torch.device("cpu")).func is cpu
+        assert constructor(cfg, group, torch.device("cpu")).func is cpu
 
 
 def test_what_is_said_of_a_renderer_holds_on_every_device() -> None:
@@ -129,7 +130,7 @@ def test_what_is_said_of_a_renderer_holds_on_every_device() -> None:
         cfg = load_config([f"renderer={name}", *(f"renderer.{key}={value}" for key, value in values.items())])
         for kind in ("cpu", "cuda"):
             if cfg.renderer[kind] is not None:
-                keywords = _constructor(cfg, "renderer", torch.device(kind)).keywords
+                keywords = constructor(cfg, "renderer", torch.device(kind)).keywords
                 assert {key: keywords[key] for key in values} == values, (name, kind)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from splatrl.build import build_one_world, build_world
+from splatrl.building import build_one_world, build_world
 from splatrl.configuration import check_config, load_config, place_configs, run_config, save_config
 from splatrl.envs.world import Worlds
 from tests.two_rooms import in_both, overrides, two_rooms

@@ -6,7 +6,7 @@ import pytest
 import torch
 from omegaconf import DictConfig
 
-from splatrl.build import build_trainer, build_world
+from splatrl.building import build_trainer, build_world
 from splatrl.configuration import command_line, load_config, run_config, save_config, with_scene_paths
 from splatrl.scenes import read_scene, write_gaussians
 from splatrl.scenes.description import read_description, write_description

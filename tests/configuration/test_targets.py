@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from omegaconf import DictConfig, OmegaConf
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.configuration import load_config, resumed_config, run_config, save_config
 from splatrl.runs import load_policy
 from splatrl.scenes import read_scene

@@ -11,7 +11,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import SliceSampler, TensorDictReplayBuffer, TensorStorage
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.datasets import (
     Demonstrations,

@@ -6,7 +6,7 @@ import pytest
 import torch
 from omegaconf import DictConfig
 
-from splatrl.build import build_model, build_world
+from splatrl.building import build_model, build_world
 from splatrl.configuration import load_config
 from splatrl.datasets import (
     Demonstrations,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.datasets import Demonstrations, planner_episodes, write_lerobot
 from splatrl.images import open_video

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.datasets import planner_episodes, write_lerobot
 from tests.datasets.test_lerobot import RECORDED, sensed

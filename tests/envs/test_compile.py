@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatrl.build import build_world, make_env
+from splatrl.building import build_world, make_env
 from splatrl.configuration import load_config
 from tests.envs.contract import assert_same
 from tests.tiny import tiny_motion, tiny_overrides, tiny_robot

@@ -7,11 +7,12 @@ import pytest
 import torch
 from torchrl.envs import EnvBase
 
-from splatrl.build import World, build_world
+from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs import SplatEnv
 from splatrl.envs.tasks import Outcome
+from splatrl.envs.world import World
 from tests.envs.contract import EnvContract, base_env, seeded_rollout
 from tests.tiny import tiny_overrides
 

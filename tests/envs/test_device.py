@@ -11,12 +11,13 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
 
-from splatrl.build import World, build_world
+from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs.drawing import billboard
 from splatrl.envs.restart import restart
 from splatrl.envs.transforms import appearance
+from splatrl.envs.world import World
 from splatrl.faults import FaultFlag
 from tests.envs.contract import assert_same, base_env
 from tests.envs.devices import (

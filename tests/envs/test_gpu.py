@@ -6,11 +6,12 @@ import pytest
 import torch
 from torchrl.envs import EnvBase
 
-from splatrl.build import World, build_world
+from splatrl.building import build_world
 from splatrl.collision.cuda import CudaChecker
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs import SplatEnv
+from splatrl.envs.world import World
 from splatrl.renderers.cuda import CudaRenderer
 from tests.envs.contract import EnvContract, base_env
 from tests.tiny import tiny_env, tiny_overrides

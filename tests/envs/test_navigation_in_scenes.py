@@ -8,7 +8,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 
 import splatrl
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.episode_sets import write_episodes

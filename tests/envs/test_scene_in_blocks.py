@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs.world import World

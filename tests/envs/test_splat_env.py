@@ -13,7 +13,7 @@ from torchrl.data import Unbounded
 from torchrl.envs import ParallelEnv
 
 from splatrl import make_env
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.cameras import Cameras
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum

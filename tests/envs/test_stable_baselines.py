@@ -17,7 +17,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecFrameStack, VecMonitor
 
-from splatrl.build import env_makers
+from splatrl.building import env_makers
 from splatrl.envs.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
 from splatrl.envs.stable_baselines import StableBaselinesVecEnv
 from splatrl.envs.tasks import Outcome

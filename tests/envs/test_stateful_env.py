@@ -13,7 +13,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import Compose, EnvBase, FrameSkipTransform, RewardScaling, TransformedEnv
 
 from splatrl import build
-from splatrl.build import make_env
+from splatrl.building import make_env
 from splatrl.envs.gymnasium_env import GymnasiumVectorEnv
 from splatrl.envs.nesting import layers
 from splatrl.envs.stateful_env import StatefulEnv

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv
 
-from splatrl.build import env_makers, make_env, worker_seed
+from splatrl.building import env_makers, make_env, worker_seed
 from splatrl.envs.nesting import layers
 from tests.tiny import tiny_overrides
 

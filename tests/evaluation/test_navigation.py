@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.commands.train import train
 from splatrl.configuration import load_config, run_config

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.evaluation.clip_files import read_clips
 from splatrl.experiments import clip_scores

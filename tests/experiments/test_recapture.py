@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.capture.base import Reconstruction
 from splatrl.capture.check import Quality
 from splatrl.capture.world import Placed, moved

@@ -5,7 +5,7 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig
 
-from splatrl.build import build_model, build_world
+from splatrl.building import build_model, build_world
 from splatrl.configuration import load_config, save_config
 from splatrl.scenes import write_gaussians
 from splatrl.training import save_checkpoint

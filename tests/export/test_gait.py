@@ -7,7 +7,7 @@ import torch
 from torchrl.data import Bounded
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from splatrl.build import build_model, build_one_world
+from splatrl.building import build_model, build_one_world
 from splatrl.configuration import load_config
 from splatrl.export.gait import gait_of
 from splatrl.motions.legs import FELT, JOINTS

@@ -11,7 +11,7 @@ import torch
 from torchrl.envs import RewardScaling, Transform
 from torchrl.modules import ActorValueOperator
 
-from splatrl.build import build_model, build_world
+from splatrl.building import build_model, build_world
 from splatrl.configuration import load_config
 from splatrl.envs.world import World
 from splatrl.export import StandalonePolicy, export_policy

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import torch
 
-from splatrl.build import make_env
+from splatrl.building import make_env
 from splatrl.cameras import Cameras, intrinsics
 from splatrl.renderers import NoRenderer
 from tests.tiny import tiny_gaussians, tiny_overrides

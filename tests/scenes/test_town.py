@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import splatrl
-from splatrl.build import build_world
+from splatrl.building import build_world
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.configuration import load_config
 from splatrl.renderers import NativeRenderer

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import one_hot
 
-from splatrl.build import build_model, build_world
+from splatrl.building import build_model, build_world
 from splatrl.configuration import load_config
 from splatrl.datasets import planner_episodes
 from splatrl.evaluation import run_episodes

@@ -7,7 +7,7 @@ import torch
 from omegaconf import DictConfig
 from torchrl.data import Bounded, Categorical
 
-from splatrl.build import build_model, build_trainer, build_world
+from splatrl.building import build_model, build_trainer, build_world
 from splatrl.configuration import load_config
 from splatrl.datasets import imitate, planner_episodes
 from splatrl.envs.world import World, Worlds

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from splatrl.build import build_trainer, build_world
+from splatrl.building import build_trainer, build_world
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs import World

@@ -1,8 +1,6 @@
 """The compiled gradient step against PyTorch's."""
 
 import copy
-import subprocess
-import sys
 from dataclasses import replace
 
 import pytest
@@ -74,14 +72,9 @@ def test_steps_and_statistics_are_those_of_pytorch(norm: float, clip: float, rep
 
 
 @pytest.mark.parametrize("isa", [isa for isa in _core.supported_isas() if isa in FAST])
-def test_every_instruction_set_agrees(isa: str) -> None:
-    code = (
-        "import tests.training.test_native_step as t; t.test_steps_and_statistics_are_those_of_pytorch(0.5, 0.2, True)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", code], env={"SPLATRL_ISA": isa}, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+def test_every_instruction_set_agrees(isa: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPLATRL_ISA", isa)
+    test_steps_and_statistics_are_those_of_pytorch(0.5, 0.2, True)
 
 
 def test_what_pytorch_began_goes_on_compiled() -> None:

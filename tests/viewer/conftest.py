@@ -19,7 +19,7 @@ def make_world(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., World]
     """Builds the room for a task."""
     from functools import cache
 
-    from splatrl.build import build_world
+    from splatrl.building import build_world
     from splatrl.configuration import load_config
     from tests.tiny import tiny_overrides
 

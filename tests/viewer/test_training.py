@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import torch
 
-from splatrl.build import build_trainer, build_world
+from splatrl.building import build_trainer, build_world
 from splatrl.configuration import load_config, save_config
 from splatrl.envs.tasks.base import Outcome
 from splatrl.runs import load_policy

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatrl.build import build_model, build_one_world
+from splatrl.building import build_model, build_one_world
 from splatrl.configuration import load_config
 from splatrl.envs.sensors import Felt, Joints, Measured, Moment, Velocity
 from splatrl.motions import DriveMotion, PhysicsMotion, StridesMotion

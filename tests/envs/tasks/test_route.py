@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from splatrl.build import build_one_world
+from splatrl.building import build_one_world
 from splatrl.configuration import load_config
 from splatrl.envs.tasks import Outcome, Route
 from splatrl.motions import PhysicsMotion

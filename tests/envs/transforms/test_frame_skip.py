@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import Compose, EnvBase, RewardScaling, SerialEnv, TransformedEnv
 
-from splatrl.build import make_env
+from splatrl.building import make_env
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks import Outcome
 from splatrl.envs.transforms import FrameSkip, FrameStack, PoseNoise

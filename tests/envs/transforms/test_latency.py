@@ -5,7 +5,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 
-from splatrl.build import build_one_world
+from splatrl.building import build_one_world
 from splatrl.configuration import load_config
 from splatrl.envs.transforms import FrameSkip, Latency
 from tests.envs.transforms.test_contract import TransformedContract

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs import EnvBase, TransformedEnv
 
-from splatrl.build import make_env
+from splatrl.building import make_env
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs import SplatEnv

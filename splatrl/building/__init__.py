@@ -1,0 +1,17 @@
+"""Builds objects from configs: the one place that knows which node builds what."""
+
+from splatrl.building.envs import env_makers, make_env, worker_seed
+from splatrl.building.places import check_place
+from splatrl.building.trainers import build_model, build_trainer
+from splatrl.building.worlds import build_one_world, build_world
+
+__all__ = [
+    "build_model",
+    "build_one_world",
+    "build_trainer",
+    "build_world",
+    "check_place",
+    "env_makers",
+    "make_env",
+    "worker_seed",
+]

@@ -1,0 +1,115 @@
+"""Builds policies, and what trains them."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from torchrl.envs import EnvBase
+from torchrl.modules import ActorValueOperator
+
+from splatrl.building.envs import worker_seed
+from splatrl.datasets import Demonstrations, imitate, planner_episodes, read_demonstrations
+from splatrl.device import AUTO
+from splatrl.envs.world import World, Worlds
+from splatrl.evaluation.rollouts import run_episodes, spread_starts
+from splatrl.made_with import made_with
+from splatrl.training import PPO, Actor, Cloner, Trainer, inputs_of, make_tracker
+from splatrl.values import require_number
+
+
+def build_model(cfg: DictConfig, env: EnvBase) -> ActorValueOperator:
+    """Build the actor and critic for an env; their initial weights come from PyTorch's global generator."""
+    image_shape = env.observation_spec["pixels"].shape[1:]
+    inputs = inputs_of(cfg.get("inputs") or {}, env.observation_spec)
+    given = {"inputs": inputs} if inputs else {}
+    if told := inputs_of(cfg.get("critic_inputs") or {}, env.observation_spec, "critic_inputs"):
+        given["critic_inputs"] = told
+    return instantiate(cfg.network)(image_shape, env.action_spec, **given).to(env.device)
+
+
+def build_trainer(cfg: DictConfig, world: World | Worlds, folder: Path) -> Trainer:
+    """Build the learner and the training loop around it.
+
+    Args:
+        cfg: the whole config.
+        world: everything that the envs share.
+        folder: the run folder.
+    """
+    curriculum = instantiate(cfg.curriculum)([one.plan for one in world.worlds])
+    env = world.env(cfg.env.num_envs, curriculum, cfg.seed)
+    torch.manual_seed(cfg.seed)
+    model = build_model(cfg, env)
+    loss, optim, collector = instantiate(cfg.loss), instantiate(cfg.optim), cfg.collector
+    ppo = PPO(
+        env, model, loss, optim, collector.frames_per_batch, collector.total_frames, _cuda_graph(collector.cuda_graph)
+    )
+    starts = spread_starts(world, cfg.logger.num_test_episodes)
+    test_env = world.env(min(cfg.env.num_envs, len(starts.state)), seed=cfg.seed)
+
+    def test() -> dict[str, float]:
+        test_env.set_seed(cfg.logger.test_seed)  # a test depends on the policy alone, not on the tests before it
+        actor, seed = Actor(model, judges=False), cfg.logger.test_seed
+        episodes = run_episodes(test_env, actor, starts.state, seed=seed, scene=starts.scene, memory=starts.memory)
+        result = {"success": episodes.success.double().mean().item()}
+        if world.task.goals_for_success is not None:
+            result["goals"] = episodes.goals.double().mean().item()
+        if measures := episodes.navigation():
+            result["spl"] = measures["spl"]
+        return result
+
+    logger, checkpoint, plain = cfg.logger, cfg.checkpoint, cast(dict[str, Any], OmegaConf.to_container(cfg))
+    return Trainer(
+        ppo,
+        folder,
+        test,
+        logger.test_interval,
+        checkpoint.interval,
+        make_tracker(logger.backend, folder, logger.exp_name, logger.project, logger.online, plain),
+        made_with(cfg, world.digest),
+        _teaching(cfg, world, ppo),
+    )
+
+
+def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], Iterator[dict[str, float]]] | None:
+    """What a policy is taught before it learns from reward; None where there is nothing.
+
+    Raises:
+        ValueError: for ``demos`` that are no folder of demonstrations and no number.
+    """
+    dagger, shown = instantiate(cfg.dagger), []
+    if isinstance(cfg.demos, str):
+        shown = [read_demonstrations(Path(cfg.demos).expanduser())]
+    elif cfg.demos is not None:
+        require_number("demos", cfg.demos, 1, 10**6, whole=True)
+    elif not dagger.rounds:
+        return None
+
+    def teach() -> Iterator[dict[str, float]]:
+        cloner = Cloner(ppo.model, instantiate(cfg.cloning))
+        episodes = shown or _walked(world, cfg.demos or 0, cfg.seed)
+        yield from imitate(ppo, cloner, world, episodes, dagger, worker_seed(cfg.seed, 0))
+
+    return teach
+
+
+def _walked(world: World | Worlds, episodes: int, seed: int) -> list[Demonstrations]:
+    """Episodes of the planner, shared out evenly among the scenes."""
+    every = len(world.worlds)
+    shares = [(episodes + every - 1 - number) // every for number in range(every)]
+    return [planner_episodes(one, share, seed) for one, share in zip(world.worlds, shares, strict=True) if share]
+
+
+def _cuda_graph(choice: bool | str) -> bool | None:
+    """Whether to capture steps; None for auto.
+
+    Raises:
+        ValueError: for anything but true, false and auto.
+    """
+    if choice == AUTO:
+        return None
+    if not isinstance(choice, bool):
+        raise ValueError(f"collector.cuda_graph: expected true, false or auto, got {choice}")
+    return choice

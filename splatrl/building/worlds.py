@@ -1,0 +1,93 @@
+"""Builds worlds: all that envs of a config share."""
+
+from functools import partial
+
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+from torchrl.envs import Transform
+
+from splatrl.building.places import build_places, constructor
+from splatrl.collision.several import SeveralCheckers
+from splatrl.configuration import check_config, place_configs, with_absolute_paths
+from splatrl.device import chosen_device
+from splatrl.envs.drawing import Drawing
+from splatrl.envs.world import World, Worlds
+from splatrl.misfits import check_sprite
+from splatrl.renderers.one_scene import OneScene
+from splatrl.several import stacked
+from splatrl.training import memory_transforms
+
+
+def build_world(cfg: DictConfig) -> World | Worlds:
+    """Build scene, robot, task, collision, drawing and plan from a config, for the device that it names.
+
+    Where the config has several scenes, all of them, for one batch. Paths are planned on the CPU, with the CPU's
+    checker.
+
+    Raises:
+        ValueError: for a value that is missing, or that one of them refuses.
+    """
+    check_config(cfg)
+    given, device = with_absolute_paths(cfg), chosen_device(cfg.device)
+    cfg = cfg.copy()
+    cfg.device = str(device)  # the value of ${device} in nodes
+    configs = place_configs(cfg)
+    places = build_places(configs, device)
+    scenes = [place.scene for place in places]
+    drawn = [*scenes, *places[0].task.models]
+    renderer = constructor(configs[0], "renderer", device)(drawn[0] if len(drawn) == 1 else drawn)
+    if cfg.renderer.cache is not None and device.type == "cpu":
+        renderer = instantiate(cfg.renderer.cache)(renderer)
+    transforms = partial(_make_transforms, cfg.transforms, cfg.network.get("memory", 0))
+    drawing, robot = instantiate(configs[0].drawing)(renderer), places[0].robot
+    sensors = {str(key): instantiate(node) for key, node in (cfg.get("sensors") or {}).items()}
+    for place in places:
+        check_sprite(drawing, place.robot, place.task)
+    drawing = _around(configs[0], drawing)
+    made_by = partial(build_world, given)
+    if len(places) == 1:
+        return places[0].world(drawing, transforms, device, sensors, made_by)
+    worlds = tuple(
+        place.world(_around(one, instantiate(one.drawing)(OneScene(renderer, number))), transforms, device, sensors)
+        for number, (one, place) in enumerate(zip(configs, places, strict=True))
+    )
+    tasks = [place.task for place in places if isinstance(place.task, torch.nn.Module)]
+    if len(tasks) < len(places):
+        raise ValueError(f"task: expected a torch module for several scenes, got {type(places[0].task).__name__}")
+    checker, task = SeveralCheckers([place.checker for place in places]), stacked(tasks)
+    return Worlds(worlds, drawing, checker, robot, task, transforms, device, made_by, sensors)
+
+
+def _around(cfg: DictConfig, drawing: Drawing) -> Drawing:
+    """The drawing inside the one that a transform brings with it, if one does."""
+    return instantiate(cfg.around_drawing)(drawing) if cfg.get("around_drawing") else drawing
+
+
+def build_one_world(cfg: DictConfig) -> World:
+    """Build the world of a config with one scene; see ``build_world``.
+
+    Raises:
+        ValueError: for several scenes, or what ``build_world`` refuses.
+    """
+    if (count := len(place_configs(cfg))) > 1:
+        raise ValueError(f"scene: expected one scene for this command, got {count}; type scene=<one of them>")
+    world = build_world(cfg)
+    assert isinstance(world, World)
+    return world
+
+
+def _make_transforms(nodes: DictConfig, memory: int) -> list[Transform]:
+    """Make new transforms for an env, the innermost first.
+
+    Raises:
+        ValueError: for an order that names an unknown transform, or leaves one out.
+    """
+    order, names = list(nodes.order), [str(name) for name in nodes if name != "order"]
+    unknown = [name for name in order if name not in names]
+    if unknown:
+        raise ValueError(f"transforms.order: expected some of {', '.join(names)}, got {', '.join(map(str, unknown))}")
+    left_out = [name for name in names if nodes[name] and name not in order]
+    if left_out:
+        raise ValueError(f"transforms.order: expected a place for {', '.join(left_out)}, got {order}")
+    return [*(instantiate(nodes[name]) for name in order if nodes[name]), *memory_transforms(memory)]
