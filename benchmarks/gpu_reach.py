@@ -1,4 +1,4 @@
-"""The targets of issue 6 on an H200, and what a run achieved."""
+"""What is to be reached on an H200, and what a run achieved."""
 
 import math
 from dataclasses import dataclass

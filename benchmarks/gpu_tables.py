@@ -86,7 +86,7 @@ TABLES: dict[type, Columns] = {
         "GiB": lambda r: f"{r.memory_bytes / GIB:.1f}",
     },
     Target: {
-        "reach (issue 6, H200)": lambda r: r.name,
+        "reach (H200)": lambda r: r.name,
         "at least": lambda r: number(r.least, r.unit),
         "aim": lambda r: number(r.aim, r.unit),
         "found": lambda r: f"{number(r.found, r.unit)} {r.how and f'({r.how})'}".strip(),

@@ -46,7 +46,7 @@ def test_a_dry_run_measures_everything_and_leaves_no_result(
     code, said = gpu.main(), capsys.readouterr().out
     assert code == 0, said
     assert "no number here is a measurement" in said
-    assert "reach (issue 6, H200)" in said
+    assert "reach (H200)" in said
     (path,) = tmp_path.glob("*.json")
     record = json.loads(path.read_text())
     assert {row["what"] for row in record["results"]} == EVERYTHING | {"target"}

@@ -1,7 +1,5 @@
 """Stable-Baselines3 learns with one robot, and with a batch of them."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +21,7 @@ from splatrl.envs.stable_baselines import StableBaselinesVecEnv
 from splatrl.envs.tasks import Outcome
 from tests.envs.rooms import drive_env
 from tests.envs.sensors.test_sensors import sensing_env
+from tests.preloaded import start
 from tests.tiny import tiny_env, tiny_overrides
 
 FORWARD_X, BACK_X, LEFT_Y, RIGHT_Y, SPIN, SPIN_BACK = range(6)
@@ -135,8 +134,8 @@ def test_processes_take_single_robots(tmp_path: Path) -> None:
 
 def test_without_it_one_line_says_what_to_install() -> None:
     program = "import sys; sys.modules['stable_baselines3'] = None\nimport splatrl.envs.stable_baselines"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert "ImportError: stable_baselines3 is missing: pip install 'splatrl[sb3]'" in done.stderr
+    said, _ = start("-c", program).communicate(timeout=60)
+    assert "ImportError: stable_baselines3 is missing: pip install 'splatrl[sb3]'" in said
 
 
 def test_stable_baselines_drives_with_it() -> None:

@@ -80,7 +80,16 @@ def test_each_worker_has_a_curriculum_of_its_own(tmp_path: Path) -> None:
     assert [int(layers(one)[0].curriculum.level) for one in other._envs] == [1, 0]
 
 
-@pytest.mark.parametrize("snippet", SNIPPETS, ids=range(len(SNIPPETS)))
+WITH_WORKERS = [pytest.mark.slow]  # each imports all libraries anew
+
+
+@pytest.mark.parametrize(
+    "snippet",
+    [
+        pytest.param(snippet, marks=WITH_WORKERS if "__main__" in snippet else [], id=str(number))
+        for number, snippet in enumerate(SNIPPETS)
+    ],
+)
 def test_a_snippet_of_the_page_runs(snippet: str, tmp_path: Path) -> None:
     if "__main__" not in snippet:
         exec(compile(snippet, "clients.md", "exec"), {})
