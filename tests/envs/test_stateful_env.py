@@ -12,8 +12,7 @@ from tensordict.nn import TensorDictModule
 from torchrl.collectors import Collector
 from torchrl.envs import Compose, EnvBase, FrameSkipTransform, RewardScaling, TransformedEnv
 
-from splatrl import build
-from splatrl.building import make_env
+from splatrl.building import make_env, worlds
 from splatrl.envs.gymnasium_env import GymnasiumVectorEnv
 from splatrl.envs.nesting import layers
 from splatrl.envs.stateful_env import StatefulEnv
@@ -99,8 +98,8 @@ def test_a_pickle_holds_paths_and_no_scene(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.chdir("/")
     assert b"tiny.ply" in pickled and b"Gaussians" not in pickled
     read: list[Any] = []
-    make = build.check_config
-    monkeypatch.setattr(build, "check_config", lambda cfg: (read.append(cfg), make(cfg)))
+    make = worlds.check_config
+    monkeypatch.setattr(worlds, "check_config", lambda cfg: (read.append(cfg), make(cfg)))
     pickle.loads(pickled)
     assert len(read) == 1
 
