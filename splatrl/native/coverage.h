@@ -45,12 +45,10 @@ private:
 
 // The patches of a tile on which a splat shows at the centre of some pixel; perhaps a few more, never fewer. Only
 // pixels from (left, top) up to (right, bottom), exclusive, count.
-template <bool ANTIALIASED>
-SPLAT_INLINE uint32_t covered_patches(const Footprint<float>& print, const Tile& tile) {
-    constexpr float LOG2_INVISIBLE = ANTIALIASED ? LOG2_INVISIBLE_ANTIALIASED : LOG2_INVISIBLE_CLASSIC;
-    if (!(print.log2_opacity > LOG2_INVISIBLE && print.depth >= NEAR_DEPTH)) return 0;
+SPLAT_INLINE uint32_t covered_patches(const Footprint<float>& print, const Tile& tile, float log2_invisible) {
+    if (!(print.log2_opacity > log2_invisible && print.depth >= NEAR_DEPTH)) return 0;
     Ellipse ellipse;
-    ellipse.of(print, LOG2_INVISIBLE);
+    ellipse.of(print, log2_invisible);
     constexpr float SLACK = 1e-3f;  // pixels: covers the rounding here
     const float first = max(print.x - print.extent_x, float(tile.left));
     const float last = min(print.x + print.extent_x, float(tile.right));

@@ -74,7 +74,8 @@ struct Row {
     const Part* parts;
     size_t count;
     const float* background;
-    float finished;  // the transmittance at which a pixel is finished
+    float finished;        // the transmittance at which a pixel is finished
+    float log2_invisible;  // the opacity below which a splat does not show
 };
 
 // Accumulated per block: [CHANNELS][BLOCK · BLOCK] floats.

@@ -185,7 +185,8 @@ void Renderer::render(const Batch& batch, size_t threads, const Images& images, 
         Workspace& workspace = **loans[worker];
         const Scratch scratch = workspace.scratch();
         place(batch, row, views.data(), workspace.parts);
-        const Row drawn{workspace.parts.data(), workspace.parts.size(), background_.data(), finished_at(tolerance_)};
+        const Row drawn{workspace.parts.data(), workspace.parts.size(), background_.data(), finished_at(tolerance_),
+                        log2_invisible_at(tolerance_, antialiased_)};
         taken[item] = render_tile_(drawn, tile, antialiased_, images.depth != nullptr, scratch);
         const Images own{offset(images.rgb, 3 * area * row), offset(images.depth, area * row),
                          offset(images.alpha, area * row), offset(images.pixels, 3 * area * row)};

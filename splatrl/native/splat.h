@@ -16,7 +16,7 @@ constexpr float NEAR_DEPTH = 0.01f;           // metres
 constexpr float DILATION = 0.3f;              // square pixels
 constexpr float MAX_ALPHA = 0.999f;
 constexpr float MIN_TRANSMITTANCE = 1e-4f;
-constexpr float LOG2_INVISIBLE_CLASSIC = -7.99435344f;      // log2(1 / 255): a grey level
+constexpr float LOG2_GREY_LEVEL = -7.99435344f;             // log2(1 / 255)
 constexpr float LOG2_INVISIBLE_ANTIALIASED = -9.99435344f;  // a quarter of it: far surfaces are many faint Gaussians
 constexpr float HALF_LOG2_E = 0.72134752f, ROOT_HALF_LOG2_E = 0.84932180f;
 constexpr float SH_C0 = 0.28209479177387814f;
@@ -37,6 +37,16 @@ struct Footprint {
 SPLAT_INLINE float finished_at(float tolerance) {
     constexpr float PER_PIXEL = 1e-3f, MOST = 1e-3f;
     return max(MIN_TRANSMITTANCE, min(PER_PIXEL * tolerance, MOST));
+}
+
+// The opacity below which a splat does not show at a pixel, as a logarithm to base 2: a grey level in classic images
+// and a quarter of it in antialiased ones. Where what is shown may be displaced by half a pixel, a level of its rim may be
+// missing: what is far and faint has been merged, and of a splat's neighbours each covers the rim of the other.
+SPLAT_INLINE float log2_invisible_at(float tolerance, bool antialiased) {
+    constexpr float LEVELS_PER_PIXEL = 2.0f, MOST_LEVELS = 1.0f, LEAST_LEVELS = 0.25f;
+    if (!antialiased) return LOG2_GREY_LEVEL;
+    const float levels = min(LEVELS_PER_PIXEL * tolerance, MOST_LEVELS);
+    return levels > LEAST_LEVELS ? LOG2_GREY_LEVEL + log2(levels) : LOG2_INVISIBLE_ANTIALIASED;
 }
 
 template <class F>
@@ -72,10 +82,10 @@ SPLAT_INLINE void merge_opacities(F x, F members, F& log2_opacity, F& peak) {
 }
 
 // Project a Gaussian whose mean is `offset` from the camera (world axes) and whose covariance has the factor `axes`
-// (row-major 3×3). Meaningful where depth >= NEAR_DEPTH. EWA: eq. 29 to 31 of Zwicker et al. 2001.
+// (row-major 3×3), and which shows where it is no fainter than `log2_invisible`. Meaningful where depth >= NEAR_DEPTH. EWA: eq. 29 to 31 of Zwicker et al. 2001.
 template <bool ANTIALIASED, bool MERGED, class F>
 SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const F* axes, F log2_opacity,
-                                  Merging<F> merging) {
+                                  Merging<F> merging, float log2_invisible) {
     const Vector<F> mean = rotate(camera.rotation, offset.x, offset.y, offset.z);
     const F inverse_depth = reciprocal(max(mean.z, NEAR_DEPTH));
     const F slope_x = mean.x * inverse_depth, slope_y = mean.y * inverse_depth;
@@ -123,9 +133,8 @@ SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const 
     out.l11 = l11;
     out.l12 = -(l11 * (xy * (inverse_root_yy * inverse_root_yy)));
     out.l22 = ROOT_HALF_LOG2_E * inverse_root_yy;
-    // alpha is invisible where (u² + v²) = log2_opacity - LOG2_INVISIBLE; the box of that ellipse, slightly wider.
-    constexpr float LOG2_INVISIBLE = ANTIALIASED ? LOG2_INVISIBLE_ANTIALIASED : LOG2_INVISIBLE_CLASSIC;
-    const F squared_reach = max(out.log2_opacity - LOG2_INVISIBLE, 1e-30f) * (1.0002f / HALF_LOG2_E);
+    // alpha is invisible where (u² + v²) = log2_opacity - log2_invisible; the box of that ellipse, slightly wider.
+    const F squared_reach = max(out.log2_opacity - log2_invisible, 1e-30f) * (1.0002f / HALF_LOG2_E);
     const F reach = squared_reach * reciprocal_sqrt(squared_reach);
     out.extent_x = reach * root_xx;
     out.extent_y = reach * root_yy;
@@ -186,12 +195,12 @@ SPLAT_INLINE void sh_slopes(int degree, F x, F y, F z, const F* weights, F* out)
 }
 
 // The opacity of a splat at a pixel, 0 where it is invisible.
-template <bool ANTIALIASED, class F>
-SPLAT_INLINE F alpha_at(F dx, F dy, float l11, float l12, float l22, float log2_opacity, float peak) {
+template <class F>
+SPLAT_INLINE F alpha_at(F dx, F dy, float l11, float l12, float l22, float log2_opacity, float peak,
+                        float log2_invisible) {
     const F u = dx * l11 + dy * l12, v = dy * l22;
     const F exponent = log2_opacity - u * u - v * v;
-    constexpr float LOG2_INVISIBLE = ANTIALIASED ? LOG2_INVISIBLE_ANTIALIASED : LOG2_INVISIBLE_CLASSIC;
-    return select_if_at_least(exponent, LOG2_INVISIBLE, min(coarse_exp2(exponent), peak));
+    return select_if_at_least(exponent, log2_invisible, min(coarse_exp2(exponent), peak));
 }
 
 }  // namespace splatrl

@@ -95,7 +95,9 @@ def test_a_scene_of_one_leaf_and_an_empty_one_have_no_levels_to_choose_from() ->
     cameras = random_cameras(4, 2)
     for count in (0, 1, 200):
         scene = random_gaussians(3, count)
-        assert torch.equal(NativeRenderer(scene, tolerance=9.0).pixels(cameras), NativeRenderer(scene).pixels(cameras))
+        at_a_pixel = NativeRenderer(scene, tolerance=1.0).pixels(cameras)
+        assert torch.equal(NativeRenderer(scene, tolerance=9.0).pixels(cameras), at_a_pixel)
+        assert psnr(at_a_pixel / 255.0, NativeRenderer(scene).pixels(cameras) / 255.0) >= 45.0
 
 
 def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order_with_any_threads_and_remembered(
@@ -150,6 +152,18 @@ def test_with_a_tolerance_the_splat_that_finishes_a_pixel_is_blended_and_none_be
     assert alpha(0.0, 3) == pytest.approx(0.995, abs=1e-4)  # the second would leave less than 0.0001
     assert alpha(1.0, 3) == pytest.approx(1 - 0.005**2, abs=5e-6)
     assert alpha(1.0, 3) == alpha(1.0, 2)
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "antialiased", "levels"), [(0, True, 0.25), (0.5, True, 1), (9, True, 1), (1, False, 1)]
+)
+def test_with_a_tolerance_the_rim_of_a_splat_shows_down_to_a_level_for_half_a_pixel(
+    tolerance: float, antialiased: bool, levels: float
+) -> None:
+    disc = gaussians([[2.0, 0.0, 0.0]], scale=0.3, opacity=0.5)
+    alpha = NativeRenderer(disc, antialiased, tolerance=tolerance).render(ahead(90, 90)).alpha
+    faintest = float(alpha[alpha > 0].min())
+    assert levels / 255 <= faintest < 1.2 * levels / 255
 
 
 def test_more_tolerance_draws_fewer_gaussians(yard: Gaussians) -> None:

@@ -42,11 +42,12 @@ SPLAT_INLINE Color color_of(const SceneArrays& scene, uint32_t slot, const Vecto
 
 // The projection of the Gaussian in a slot.
 SPLAT_INLINE Footprint<float> footprint_of(const SceneArrays& scene, const Camera& camera, uint32_t slot,
-                                           const Vector<float>& offset) {
+                                           const Vector<float>& offset, float log2_invisible) {
     const float4* shape = scene.shapes + 3 * size_t(slot);
     const float4 a = shape[0], b = shape[1], c = shape[2];
     const float axes[9] = {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x};
-    return project<ANTIALIASED_IMAGE, WITH_LEVELS>(camera, offset, axes, c.y, Merging<float>{c.z, c.w});
+    return project<ANTIALIASED_IMAGE, WITH_LEVELS>(camera, offset, axes, c.y, Merging<float>{c.z, c.w},
+                                                   log2_invisible);
 }
 
 // The part to which an index of the row belongs.
@@ -76,6 +77,7 @@ SPLAT_INLINE Camera camera_of_part(const Views& views, const Shared& shared, int
 
 // Project the Gaussians of a sorted slab, colour those that show, and lay them out in their order. Returns how many.
 SPLAT_INLINE uint32_t load_slab(const SceneArrays& scene, const Views& views, Shared& shared, uint32_t count) {
+    const float log2_invisible = log2_invisible_at(scene.tolerance, ANTIALIASED_IMAGE);
     uint32_t shown = 0;
     for (uint32_t begin = 0; begin < count; begin += THREADS) {
         const uint32_t i = begin + thread();
@@ -89,8 +91,8 @@ SPLAT_INLINE uint32_t load_slab(const SceneArrays& scene, const Views& views, Sh
             const float4 sphere = scene.spheres[slot];
             const Camera camera = camera_of_part(views, shared, part);
             offset = {sphere.x - camera.position[0], sphere.y - camera.position[1], sphere.z - camera.position[2]};
-            print = footprint_of(scene, camera, slot, offset);
-            patches = covered_patches<ANTIALIASED_IMAGE>(print, shared.tile);
+            print = footprint_of(scene, camera, slot, offset, log2_invisible);
+            patches = covered_patches(print, shared.tile, log2_invisible);
         }
         const uint32_t lanes = __ballot_sync(ALL_LANES, patches != 0);
         if (lane() == 0) shared.sums[warp()] = __popc(lanes);
@@ -118,6 +120,7 @@ template <bool WITH_DEPTH>
 struct Pixels {
     float red[QUAD], green[QUAD], blue[QUAD], transmittance[QUAD], depth[QUAD], alpha[QUAD];
     float finished;      // the transmittance at which a pixel is
+    float log2_invisible;
     float x, y;          // of the lane's pixel in the first patch
     uint32_t active;     // patches that are not finished, by bits
     uint32_t blended;    // pairs of a splat and a patch: this lane's share
@@ -126,6 +129,7 @@ struct Pixels {
         const int column = tile.left + warp() % 2 * 2 * PATCH_WIDTH + lane() % PATCH_WIDTH;
         const int row = tile.top + warp() / 2 * 2 * PATCH_HEIGHT + lane() / PATCH_WIDTH;
         finished = finished_at(scene.tolerance);
+        log2_invisible = log2_invisible_at(scene.tolerance, ANTIALIASED_IMAGE);
         x = float(column) + 0.5f, y = float(row) + 0.5f, blended = 0;
 #pragma unroll
         for (int i = 0; i < QUAD; ++i) {
@@ -151,8 +155,7 @@ struct Pixels {
         const float dx = (patch % 2 == 0 ? x : x + PATCH_WIDTH) - place.x;
         const float dy = (patch / 2 == 0 ? y : y + PATCH_HEIGHT) - place.y;
         const float before = transmittance[patch];
-        const float share = before *
-                            alpha_at<ANTIALIASED_IMAGE>(dx, dy, place.z, place.w, fall.x, fall.y, fall.z);
+        const float share = before * alpha_at(dx, dy, place.z, place.w, fall.x, fall.y, fall.z, log2_invisible);
         transmittance[patch] = before - share;
         const float tested = finished > MIN_TRANSMITTANCE ? before : transmittance[patch];
         const float counted = tested > finished ? share : 0.0f;

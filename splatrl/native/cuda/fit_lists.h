@@ -38,8 +38,8 @@ SPLAT_INLINE int project_splat(const FitModel& model, const FitViews& views, int
     using namespace one_lane;
     const Camera camera = views.camera(view);
     const Activated at = activate(model, camera, size_t(index));
-    const Footprint<float> print =
-        project<true, false>(camera, at.offset, at.axes, at.log2_opacity, Merging<float>{});
+    const Footprint<float> print = project<true, false>(camera, at.offset, at.axes, at.log2_opacity, Merging<float>{},
+                                                        LOG2_INVISIBLE_ANTIALIASED);
     if (!(print.depth >= model.near && print.log2_opacity > LOG2_INVISIBLE_ANTIALIASED)) return 0;
     float basis[FIT_HARMONICS], rgb[3];
     basis_of(model, at.offset, inverse_length(at.offset), basis);

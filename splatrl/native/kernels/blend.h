@@ -78,14 +78,15 @@ LANE_INLINE void deal(const Scratch& scratch, const uint64_t* keys, uint32_t cou
 // Blend a list of splats over one block, front to back. Returns whether all its pixels are finished.
 // A splat's share of a pixel is 0 once the transmittance has fallen to `finished`; with FIRM, once it would. The
 // transmittance keeps falling, so a finished pixel stays finished.
-template <bool ANTIALIASED, bool WITH_DEPTH, bool FIRM>
+template <bool WITH_DEPTH, bool FIRM>
 LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const uint16_t* end, float left, float top,
-                             float finished, float* channels) {
+                             const Row& row, float* channels) {
     alignas(64) static constexpr float COLUMNS[LANES] = {0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, 2.5f, 3.5f,
                                                          0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, 2.5f, 3.5f};
     alignas(64) static constexpr float ROWS[LANES] = {0.5f, 0.5f, 0.5f, 0.5f, 1.5f, 1.5f, 1.5f, 1.5f,
                                                       2.5f, 2.5f, 2.5f, 2.5f, 3.5f, 3.5f, 3.5f, 3.5f};
     const Lanes x = load(COLUMNS) + left, y = load(ROWS) + top;
+    const float finished = row.finished, log2_invisible = row.log2_invisible;
     Lanes red = load(channels + RED * LANES), green = load(channels + GREEN * LANES);
     Lanes blue = load(channels + BLUE * LANES), transmittance = load(channels + TRANSMITTANCE * LANES);
     Lanes depth = load(channels + DEPTH * LANES), alpha = load(channels + ALPHA * LANES);
@@ -94,8 +95,8 @@ LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const 
         const SlabSplat& splat = slab[*item];
         const Lanes before = transmittance;
         const Lanes share =
-            before * alpha_at<ANTIALIASED>(x - splat.x, y - splat.y, splat.l11, splat.l12, splat.l22,
-                                                  splat.log2_opacity, splat.peak);
+            before * alpha_at(x - splat.x, y - splat.y, splat.l11, splat.l12, splat.l22, splat.log2_opacity,
+                              splat.peak, log2_invisible);
         transmittance = before - share;
         const LaneMask counted = above(FIRM ? transmittance : before, finished);
         red = add_product_where(counted, red, share, splat.red);
@@ -119,17 +120,17 @@ LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const 
 
 // Blend what has been dealt to the blocks. Returns whether all of them are finished; adds to `blended` how often a
 // splat was blended over a block.
-template <bool ANTIALIASED, bool WITH_DEPTH, bool FIRM>
-LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, float finished, Blocks& blocks,
+template <bool WITH_DEPTH, bool FIRM>
+LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, const Row& row, Blocks& blocks,
                               uint32_t& blended) {
     bool all_finished = true;
     for (int block = 0; block < BLOCKS; ++block) {
         if (blocks.finished[block]) continue;
         const uint16_t *item = blocks.list(block), *end = blocks.ends[block];
         if (item < end) {
-            blocks.finished[block] = blend_block<ANTIALIASED, WITH_DEPTH, FIRM>(
+            blocks.finished[block] = blend_block<WITH_DEPTH, FIRM>(
                 scratch.slab, item, end, float(tile.left + block % ACROSS * BLOCK),
-                float(tile.top + block / ACROSS * BLOCK), finished, scratch.pixels + block * CHANNELS * LANES);
+                float(tile.top + block / ACROSS * BLOCK), row, scratch.pixels + block * CHANNELS * LANES);
             blended += uint32_t(end - item);
         }
         all_finished = all_finished && blocks.finished[block];
@@ -139,7 +140,7 @@ LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, float fi
 }
 
 // Returns how often a splat was blended over a block.
-template <bool ANTIALIASED, bool WITH_DEPTH, bool FIRM>
+template <bool WITH_DEPTH, bool FIRM>
 static uint32_t blend_tile(const Tile& tile, const Row& row, const uint64_t* keys, uint32_t count,
                            const Scratch& scratch) {
     Blocks blocks;
@@ -148,7 +149,7 @@ static uint32_t blend_tile(const Tile& tile, const Row& row, const uint64_t* key
     uint32_t blended = 0;
     for (uint32_t next = 0; next < count; next += SLAB) {
         deal<WITH_DEPTH>(scratch, keys + next, count - next < SLAB ? count - next : SLAB, blocks);
-        if (blend_blocks<ANTIALIASED, WITH_DEPTH, FIRM>(scratch, tile, row.finished, blocks, blended)) break;
+        if (blend_blocks<WITH_DEPTH, FIRM>(scratch, tile, row, blocks, blended)) break;
     }
     return blended;
 }

@@ -17,10 +17,22 @@ LANE_INLINE uint32_t groups_in_view(const Frustum& frustum, const Camera& camera
     return ~bits_above(missed, lanes(0.0f)) & ((2u << (groups - 1)) - 1);
 }
 
-// The groups that may show on a tile, in the order of the scene: none where the root misses it.
+// Append the groups of a cluster that may show on a tile; returns the new count.
+LANE_INLINE uint32_t append_groups(const SceneView& scene, const Frustum& frustum, const Camera& camera, uint32_t c,
+                                   uint32_t* groups, uint32_t count) {
+    const Cluster& cluster = scene.clusters[c];
+    for (uint32_t left = groups_in_view(frustum, camera, scene.group_bounds[c], cluster.groups); left != 0;
+         left &= left - 1)
+        groups[count++] = cluster.first_group + uint32_t(__builtin_ctz(left));
+    return count;
+}
+
+// The groups that may show on a tile, in the order of the scene: none where the root misses it. The bounds of a
+// cluster's groups are fetched while those of the cluster before it are tested.
 LANE_INLINE uint32_t cull(const SceneView& scene, const Camera& camera, const Tile& tile, uint32_t* groups) {
     const Frustum frustum = frustum_of(camera, tile);
-    uint32_t count = 0;
+    const uint32_t none = scene.cluster_count;
+    uint32_t count = 0, fetched = none;
     for (uint32_t c = 0; c < scene.cluster_count;) {
         const Cluster& cluster = scene.clusters[c];
         if (misses(frustum, camera, cluster.bounds)) {
@@ -31,11 +43,12 @@ LANE_INLINE uint32_t cull(const SceneView& scene, const Camera& camera, const Ti
             ++c;
             continue;
         }
-        const GroupBounds& bounds = scene.group_bounds[c];
-        for (uint32_t left = groups_in_view(frustum, camera, bounds, cluster.groups); left != 0; left &= left - 1)
-            groups[count++] = cluster.first_group + uint32_t(__builtin_ctz(left));
+        for (const float(&member)[GROUP] : scene.group_bounds[c].members) __builtin_prefetch(member);
+        if (fetched != none) count = append_groups(scene, frustum, camera, fetched, groups, count);
+        fetched = c;
         c = cluster.skip;
     }
+    if (fetched != none) count = append_groups(scene, frustum, camera, fetched, groups, count);
     for (uint32_t i = 0; i < SPARE; ++i) groups[count + i] = 0;
     return count;
 }

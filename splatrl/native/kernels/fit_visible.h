@@ -40,7 +40,8 @@ LANE_INLINE uint32_t project_all(const FitModel& model, const Camera& camera, co
     for (size_t first = 0; first < model.count; first += LANES) {
         const Activated gaussians = activate(model, camera, first);
         const Footprint<Lanes> print = project<true, false>(camera, gaussians.offset, gaussians.axes,
-                                                            gaussians.log2_opacity, Merging<Lanes>{});
+                                                            gaussians.log2_opacity, Merging<Lanes>{},
+                                                            LOG2_INVISIBLE_ANTIALIASED);
         const float far_off = model.near;
         if (bits_above(print.depth + 1e-30f, lanes(far_off)) == 0) {
             for (int lane = 0; lane < LANES; ++lane) scratch.ranks[first + lane] = ~0u;

@@ -71,7 +71,7 @@ LANE_INLINE void patches_of(const Tile& tile, const Lanes& left, const Lanes& ri
 
 template <bool ANTIALIASED, bool MERGED>
 static uint32_t project_group(const SceneView& scene, const Camera& camera, uint32_t first_index, const Tile& tile,
-                              uint32_t group, const Scratch& scratch, uint32_t count) {
+                              float log2_invisible, uint32_t group, const Scratch& scratch, uint32_t count) {
     const float* geometry = scene.geometry + size_t(group) * GEOMETRY * GROUP;
     const Vector<Lanes> offset{load(geometry) - camera.position[0], load(geometry + GROUP) - camera.position[1],
                                load(geometry + 2 * GROUP) - camera.position[2]};
@@ -83,14 +83,13 @@ static uint32_t project_group(const SceneView& scene, const Camera& camera, uint
         merging = {load(merged + MEMBERS * GROUP), load(merged + SUM * GROUP)};
     }
     const Footprint<Lanes> print =
-        project<ANTIALIASED, MERGED>(camera, offset, axes, load(geometry + LOG2_OPACITY * GROUP), merging);
+        project<ANTIALIASED, MERGED>(camera, offset, axes, load(geometry + LOG2_OPACITY * GROUP), merging, log2_invisible);
     Lanes left, right, top, bottom;
     pixels_between(print.x, print.extent_x, tile.left, tile.right - 1, left, right);
     pixels_between(print.y, print.extent_y, tile.top, tile.bottom - 1, top, bottom);
     const uint32_t hidden =
         bits_above(lanes(NEAR_DEPTH), print.depth) | bits_above(left, right) | bits_above(top, bottom);
-    constexpr float LOG2_INVISIBLE = ANTIALIASED ? LOG2_INVISIBLE_ANTIALIASED : LOG2_INVISIBLE_CLASSIC;
-    const uint32_t visible = bits_above(print.log2_opacity, lanes(LOG2_INVISIBLE)) & ~hidden;
+    const uint32_t visible = bits_above(print.log2_opacity, lanes(log2_invisible)) & ~hidden;
     if (visible == 0) return count;
 
     IntLanes rgb[3];
@@ -111,21 +110,26 @@ LANE_INLINE void fetch_group(const SceneView& scene, uint32_t group) {
     const size_t bytes = size_t(3 * (scene.degree + 1) * (scene.degree + 1)) * GROUP * sizeof(uint16_t);
     const char* colors = reinterpret_cast<const char*>(scene.colors) + group * bytes;
     for (size_t line = 0; line < bytes; line += 64) __builtin_prefetch(colors + line, 0, 1);
+    __builtin_prefetch(scene.original_index + size_t(group) * GROUP);
+    if (group < scene.first_merged) return;
+    const float* merging = scene.merging + size_t(group - scene.first_merged) * MERGING * GROUP;
+    for (int line = 0; line < MERGING; ++line) __builtin_prefetch(merging + GROUP * line);
 }
 
 // Project the groups of a part that scratch names, after the first `count` splats. Returns the new number of splats.
 template <bool ANTIALIASED>
-static uint32_t project_groups(const Part& part, const Tile& tile, uint32_t groups, const Scratch& scratch,
-                               uint32_t count) {
-    constexpr uint32_t GROUPS_AHEAD = 1;
+static uint32_t project_groups(const Part& part, const Tile& tile, float log2_invisible, uint32_t groups,
+                               const Scratch& scratch, uint32_t count) {
+    constexpr uint32_t GROUPS_AHEAD = 4;
+    static_assert(GROUPS_AHEAD <= SPARE, "the array has room to read ahead");
     const SceneView& scene = *part.scene;
     const Camera& camera = part.camera;
     for (uint32_t i = 0; i < groups; ++i) {
         fetch_group(scene, scratch.groups[i + GROUPS_AHEAD]);
         const uint32_t group = scratch.groups[i], first = part.first_index;
         count = group < scene.first_merged
-                    ? project_group<ANTIALIASED, false>(scene, camera, first, tile, group, scratch, count)
-                    : project_group<ANTIALIASED, true>(scene, camera, first, tile, group, scratch, count);
+                    ? project_group<ANTIALIASED, false>(scene, camera, first, tile, log2_invisible, group, scratch, count)
+                    : project_group<ANTIALIASED, true>(scene, camera, first, tile, log2_invisible, group, scratch, count);
     }
     return count;
 }

@@ -18,13 +18,13 @@ static Effort render(const Row& row, const Tile& tile, const Scratch& scratch) {
     for (const Part* part = row.parts; part != row.parts + row.count; ++part) {
         const uint32_t groups = cull(*part->scene, part->camera, tile, scratch.groups);
         effort.projected += groups * GROUP;
-        effort.visible = project_groups<ANTIALIASED>(*part, tile, groups, scratch, effort.visible);
+        effort.visible = project_groups<ANTIALIASED>(*part, tile, row.log2_invisible, groups, scratch, effort.visible);
     }
     const auto projected = Clock::now();
     const uint64_t* keys = sort_by_depth(scratch, effort.visible);
     const auto sorted = Clock::now();
-    const auto blend = row.finished > MIN_TRANSMITTANCE ? blend_tile<ANTIALIASED, WITH_DEPTH, false>
-                                                        : blend_tile<ANTIALIASED, WITH_DEPTH, true>;
+    const auto blend =
+        row.finished > MIN_TRANSMITTANCE ? blend_tile<WITH_DEPTH, false> : blend_tile<WITH_DEPTH, true>;
     effort.blended = blend(tile, row, keys, effort.visible, scratch);
     const auto blended = Clock::now();
     effort.project_ms = Milliseconds(projected - start).count();
