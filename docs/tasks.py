@@ -21,7 +21,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from splatrl.building import build_world
-from splatrl.cameras import Cameras, look_at
+from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.configuration import load_config
 from splatrl.curriculum import plan
 from splatrl.datasets import planner_episodes
@@ -59,11 +59,12 @@ def main() -> None:
 
 
 def _page(films: Sequence[NDArray[np.uint8]], path: Path) -> None:
-    """Write a few frames of each film [T, SIDE, SIDE, 3], one film below the other."""
-    page = Image.new("RGB", (VIEWS * (SIDE + GAP) - GAP, len(films) * (SIDE + GAP) - GAP), "white")
-    for row, views in enumerate(films):
+    """Write a few frames of each film [T, H, SIDE, 3], one film below the other."""
+    tops = np.cumsum([0, *(views.shape[1] + GAP for views in films)]).tolist()
+    page = Image.new("RGB", (VIEWS * (SIDE + GAP) - GAP, tops[-1] - GAP), "white")
+    for top, views in zip(tops, films, strict=False):
         for column, step in enumerate(_evenly(len(views), VIEWS)):
-            page.paste(Image.fromarray(views[step]), (column * (SIDE + GAP), row * (SIDE + GAP)))
+            page.paste(Image.fromarray(views[step]), (column * (SIDE + GAP), top))
     page.save(path, quality=82)
 
 
@@ -120,7 +121,7 @@ def _there(world: World, target: Tensor, state: Tensor) -> Tensor:
 
 def _taught() -> list[NDArray[np.uint8]]:
     """An episode of push that ends at the mark: what the robot sees, and robot and ball seen from behind and above."""
-    world = build_world(load_config([f"task={TAUGHT}", *SETTINGS]))
+    world = build_world(load_config([f"task={TAUGHT}", *SETTINGS, f"robot.image_height={SIDE // 2}"]))
     env, task = world.env(EPISODES), world.task
     given = task.episodes(world.plan.starts, EPISODES, SEED)
     now = env.reset(TensorDict(given, [EPISODES]), set_state=True)
@@ -138,7 +139,7 @@ def _taught() -> list[NDArray[np.uint8]]:
     middle = 0.5 * (episode["mark"][0] + episode["ball"][0])
     eye = middle + torch.tensor([0.0, 0.0, 1.0]) - 1.6 * torch.nn.functional.normalize(middle - robot[0, :3, 3], dim=0)
     camera = look_at(eye.tolist(), middle.tolist()).expand(len(episode), 4, 4)
-    cameras = Cameras(camera, world.robot.K, SIDE, SIDE)
+    cameras = Cameras(camera, intrinsics(math.radians(85.0), SIDE, SIDE), SIDE, SIDE)
     beside = world.drawing.draw(cameras, memory, task.parts(episode["state"], memory)).pixels
     print(f"{TAUGHT}: {len(episode)} steps")
     return [episode["pixels"].numpy(), beside.numpy()]

@@ -26,6 +26,8 @@ class CloningSettings:
         mini_batch_size: frames in a gradient step.
         lr: learning rate of Adam.
         critic_coeff: weight of the critic's loss, which learns the demonstrations' discounted returns.
+        power: to which distances of continuous actions are raised. With 2 the policy does the mean of what was right in
+            states that look alike, with 1 the median: where half of them turn left and half of them right, it turns.
 
     Raises:
         ValueError: names the value that is out of range.
@@ -35,18 +37,20 @@ class CloningSettings:
     mini_batch_size: int
     lr: float
     critic_coeff: float
+    power: float = 2.0
 
     def __post_init__(self) -> None:
         for name in ("epochs", "mini_batch_size"):
             require_number(f"cloning.{name}", getattr(self, name), 1, whole=True)
         for name in ("lr", "critic_coeff"):
             require_number(f"cloning.{name}", getattr(self, name), 0.0)
+        require_number("cloning.power", self.power, 1.0, 2.0)
 
 
 class Cloner:
-    """Adam on the cross entropy of right actions, or for continuous ones on the squared distance of the policy's mode.
+    """Adam on the cross entropy of right actions, or for continuous ones on the distance of the policy's mode, squared.
 
-    The distance is in halves of an action's range. How widely continuous actions are sampled learns to be as wide as
+    The distance is in halves of an action's range, and ``CloningSettings.power`` may be another. How widely continuous actions are sampled learns to be as wide as
     the mode is off on average, so that a policy that knows what to do does not act at random. A policy with memory
     learns from whole episodes. The optimiser keeps its moments from one ``fit`` to the next.
 
@@ -108,7 +112,7 @@ class Cloner:
         given = prepared if isinstance(prepared, tuple) else (prepared,)
         hidden = self._hidden(self._trunk(*given), frames["frame"])
         policy = distribution(self._policy, hidden)
-        loss = imitation(policy, frames["target"])
+        loss = imitation(policy, frames["target"], self.settings.power)
         critic = smooth_l1_loss(self._value(hidden).squeeze(-1), frames["value_target"])
         self.optimizer.zero_grad()
         (loss + width(policy, frames["target"]) + self.settings.critic_coeff * critic).backward()
@@ -132,18 +136,19 @@ class Cloner:
         return hidden
 
 
-def imitation(policy: Distribution, target: Tensor) -> Tensor:
+def imitation(policy: Distribution, target: Tensor, power: float = 2.0) -> Tensor:
     """How far a policy is from right actions, the mean over frames: [] float32; see ``Cloner``.
 
     Args:
         policy: distribution of actions in each frame, [N].
         target: [N, A] float32, shares of the A discrete actions, which sum to 1; or [N, D] float32, the action where
             actions are continuous. NaN in frames for which no right action is known, which count nothing.
+        power: see ``CloningSettings``.
     """
     if isinstance(policy, Choice):
         each = -(policy.logits * target.nan_to_num()).sum(-1)
     else:
-        each = _off(policy, target).square().mean(-1)
+        each = _off(policy, target).abs().pow(power).mean(-1)
     return _mean(each, target)
 
 

@@ -89,6 +89,20 @@ def test_the_distance_of_actions() -> None:
     assert squashed(0.0, [nan, nan], [1.0, 0.0]) == squashed(0.0, [1.0, 0.0]), "nothing is known of the first"
 
 
+@pytest.mark.parametrize(("power", "learned"), [(2.0, -0.2), (1.0, -1.0)])
+def test_of_views_that_look_alike_the_mean_or_the_median_is_learned(power: float, learned: float) -> None:
+    low, high = torch.tensor([-1.0]), torch.tensor([1.0])
+    target = torch.tensor([[-1.0], [-1.0], [-1.0], [1.0], [1.0]])
+    loc = torch.zeros(1, requires_grad=True)
+    optimiser = torch.optim.Adam([loc], lr=0.05)
+    for _ in range(200):
+        policy = Squashed(loc.expand(5, 1), torch.ones(5, 1), low, high)
+        optimiser.zero_grad()
+        imitation(policy, target, power).backward()
+        optimiser.step()
+    assert policy.deterministic_sample[0].item() == pytest.approx(learned, abs=0.02)
+
+
 def test_frames_without_a_right_action_teach_nothing() -> None:
     logits = torch.tensor([[2.0, 0.0], [0.0, 3.0]], requires_grad=True)
     target = torch.tensor([[1.0, 0.0], [math.nan, math.nan]])
@@ -104,6 +118,12 @@ def test_settings_out_of_range_are_named(name: str) -> None:
     values = {"epochs": 1, "mini_batch_size": 1, "lr": 1e-3, "critic_coeff": 0.5}
     with pytest.raises(ValueError, match=f"cloning.{name}: expected"):
         CloningSettings(**(values | {name: -1}))
+
+
+@pytest.mark.parametrize("power", [0.5, 3.0])
+def test_a_power_that_learns_neither_mean_nor_median_is_refused(power: float) -> None:
+    with pytest.raises(ValueError, match=r"cloning\.power: expected a number from 1\.0 to 2\.0, got"):
+        CloningSettings(1, 1, 1e-3, 0.5, power)
 
 
 def test_the_width_of_actions_learns_how_far_the_mode_is_off() -> None:

@@ -6,11 +6,14 @@ from typing import Any
 
 import pytest
 import torch
+from hydra.utils import instantiate
 
 from splatrl.collision.nothing import NoChecker
+from splatrl.configuration import load_config
 from splatrl.envs.tasks import Outcome, Push, PushRewards, Step, Verdict
 from splatrl.envs.tasks.base import Anywhere
 from splatrl.motions import DriveMotion, Move, PhysicsMotion
+from splatrl.motions.physics import FIRST
 from splatrl.physics import Terrain
 from splatrl.training import actor_critic
 from splatrl.training.dagger import visited
@@ -160,6 +163,26 @@ def test_a_robot_that_drives_at_the_ball_pushes_it_to_the_mark() -> None:
         if verdict.terminated.item():
             break
     assert verdict.outcome.item() == Outcome.GOAL and 10 < steps < 40
+
+
+def test_a_ball_that_is_let_go_soon_stops() -> None:
+    task = push(success_distance=0.1)
+    state, model = states(task, (-1.0, 0.0, 0.0), (0.0, 0.5)), task.motion.physics.model
+    first = FIRST + model.nq + int(model.joint("ball/free").dofadr[0])
+    state[:, first], state[:, first + 4] = 0.6, 0.6 / 0.09
+    nothing: Any = NoChecker.__new__(NoChecker)
+    places = []
+    for _ in range(40):
+        state = task.motion.move(state, torch.zeros(1, 2), nothing).state
+        places.append(state[0, task.ball][0].item())
+    assert 0.4 < places[-1] < 0.6 and places[-1] - places[-10] < 0.01
+
+
+def test_the_camera_is_as_wide_as_the_docs_say() -> None:
+    robot = instantiate(load_config(["task=push"]).robot)
+    assert round(robot.fov_deg) == 138
+    high = 2.0 * math.atan(0.5 * robot.image_height / robot.K[1, 1].item())
+    assert round(math.degrees(high)) == 105
 
 
 class TestPush(ConfiguredContract):
