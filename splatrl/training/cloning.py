@@ -50,9 +50,10 @@ class CloningSettings:
 class Cloner:
     """Adam on the cross entropy of right actions, or for continuous ones on the distance of the policy's mode, squared.
 
-    The distance is in halves of an action's range, and ``CloningSettings.power`` may be another. How widely continuous actions are sampled learns to be as wide as
-    the mode is off on average, so that a policy that knows what to do does not act at random. A policy with memory
-    learns from whole episodes. The optimiser keeps its moments from one ``fit`` to the next.
+    The distance is in halves of an action's range; ``CloningSettings.power`` may be another than two. How widely
+    continuous actions are sampled learns to be as wide as the mode is off on average, so that a policy that knows what
+    to do does not act at random. A policy with memory learns from whole episodes. The optimiser keeps its moments from
+    one ``fit`` to the next.
 
     Args:
         model: actor and critic over a shared trunk.
