@@ -21,13 +21,12 @@ ROOT = Path(__file__).parents[1]
 FLAGS = "-fsanitize=address,undefined -fno-sanitize=vptr -fno-sanitize-recover=undefined -fno-omit-frame-pointer -g1"
 TESTS = ["tests/native", "tests/collision", "tests/renderers", "tests/capture/test_fit.py", "tests/test_fuzzing.py"]
 ALONE = ["-n", "0", "--capture=sys", "-p", "no:cacheprovider", "-m", "not slow and not gpu"]
-LEFT_OUT = "emulated or test_compiler or threads_that_cannot_start or every_instruction_set_gives_the_same_bytes"
-"""CUDA sources are compiled by other tools; a shadow of all memory does not fit under a limit of addresses; and a
-process that a test starts does not find the tests."""
+LEFT_OUT = "emulated or test_compiler or threads_that_cannot_start"
+"""CUDA sources are compiled by other tools, and a shadow of all memory does not fit under a limit of addresses."""
 
 
-def environment() -> Path:
-    """The Python of an environment that has this one's packages and a watched build of splatrl."""
+def environment() -> tuple[Path, Path]:
+    """The Python of an environment that has this one's packages and a watched build of splatrl, and where that lies."""
     folder = Path(tempfile.gettempdir()) / f"splatrl-sanitized-{hashlib.sha256(str(ROOT).encode()).hexdigest()[:12]}"
     python = folder / "env" / "bin" / "python"
     if not python.exists():
@@ -38,7 +37,7 @@ def environment() -> Path:
     settings = {"build-dir": folder / "build", "cmake.define.CMAKE_CXX_FLAGS": FLAGS, "install.strip": "false"}
     chosen = [f"-C{key}={value}" for key, value in settings.items()]
     subprocess.run([*install, "--target", str(packages), *chosen, str(ROOT)], check=True)
-    return python
+    return python, packages
 
 
 def preloaded() -> str:
@@ -50,12 +49,13 @@ def preloaded() -> str:
 
 def main() -> int:
     """Build, and run pytest; returns its exit status."""
-    python = environment()
+    python, packages = environment()
     watching = {
         "LD_PRELOAD": preloaded(),
         "ASAN_OPTIONS": "detect_leaks=0:abort_on_error=1",
         "UBSAN_OPTIONS": "print_stacktrace=1",
         "PYTHONSAFEPATH": "1",  # the build is to be imported, not the sources
+        "PYTHONPATH": f"{packages}:{ROOT}",  # so the tests come last
     }
     asked = sys.argv[1:] or TESTS
     command = [str(python), "-c", RUN, *ALONE, "-k", f"not ({LEFT_OUT})", *asked]
@@ -64,7 +64,6 @@ def main() -> int:
 
 RUN = """
 import sys, pytest, splatrl
-sys.path.append(".")
 print("splatrl from", splatrl.__path__[0])
 sys.exit(pytest.main(sys.argv[1:]))
 """
