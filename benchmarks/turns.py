@@ -16,7 +16,7 @@ import torch
 from scenes import BUILT
 
 import splatrl
-from splatrl.bodies import Box, Sphere
+from splatrl.bodies import Box, Capsule, Sphere
 from splatrl.building import build_trainer, build_world
 from splatrl.collision import NativeChecker
 from splatrl.configuration import load_config
@@ -55,8 +55,8 @@ def steps(batch: int) -> Iterator[tuple[str, Turn]]:
     def repeated(call: Turn) -> Turn:
         return lambda: [call() for _ in range(STEPS)]
 
-    yield f"step {batch}", repeated(lambda: env.step(given.clone()))
-    yield f"step with resets {batch}", repeated(lambda: env.step_and_maybe_reset(given.clone()))
+    yield f"step {batch}", repeated(lambda: env.step(given.clone(False)))
+    yield f"step with resets {batch}", repeated(lambda: env.step_and_maybe_reset(given.clone(False)))
     base = getattr(env, "base_env", env)
     motion, state = base.task.motion, given["state"]
     start, end = motion.body_to_world(state), motion.body_to_world(motion.advance(state, given["action"]))
@@ -90,10 +90,12 @@ def queries() -> Iterator[tuple[str, Turn]]:
     yaw = axis_rotations(2, 6.28 * torch.rand(count, generator=generator))
     poses = rigid(yaw, places)
     ends = rigid(yaw, places + 0.2 * torch.randn(count, 3, generator=generator).nan_to_num())
-    for name, body in (("sphere", Sphere(0.2)), ("box", Box((0.4, 0.4, 0.1)))):
+    turned = rigid(axis_rotations(2, torch.full((count,), 0.4)) @ yaw, places)
+    for name, body in (("sphere", Sphere(0.2)), ("box", Box((0.4, 0.4, 0.1))), ("capsule", Capsule(0.1, 0.4))):
         checker = NativeChecker(world.occupancy, body, threads=1)
         yield f"query {name}", lambda checker=checker: checker.collides(poses)
         yield f"query swept {name}", lambda checker=checker: checker.free_fraction(poses, ends)
+        yield f"query turned {name}", lambda checker=checker: checker.free_fraction(poses, turned)
 
 
 GROUPS: dict[str, Callable[[], Iterator[tuple[str, Turn]]]] = {

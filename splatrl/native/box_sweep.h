@@ -8,6 +8,7 @@
 #include "columns.h"
 
 namespace splatrl {
+inline namespace EACH_ISA {
 
 struct Normal {
     Vec3 axis;
@@ -117,4 +118,5 @@ struct BoxSweep {
     }
 };
 
+}  // namespace EACH_ISA
 }  // namespace splatrl

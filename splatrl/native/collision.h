@@ -10,6 +10,7 @@
 #include "collision_shape.h"
 
 namespace splatrl {
+inline namespace EACH_ISA {
 
 constexpr double MARGIN = 1e-4;      // voxels: more than the rounding of the distance field to single precision
 constexpr double TURN_SLACK = 0.1;   // voxels
@@ -83,4 +84,5 @@ HOST_DEVICE inline double free_fraction(const Grid& grid, const Shape& shape, co
     return 1.0;
 }
 
+}  // namespace EACH_ISA
 }  // namespace splatrl

@@ -8,23 +8,32 @@
 
 #include "arrays.h"
 #include "bindings.h"
-#include "collision.h"
-#include "first_contact.h"
 #include "interpreter.h"
 #include "packed_grid.h"
-#include "rigid.h"
+#include "query_kernels.h"
 #include "threads.h"
 
 namespace nb = nanobind;
 
 namespace splatrl {
 
+const QueryKernels& query_kernels_of(Isa isa) {
+    switch (isa) {
+#ifdef SPLATRL_X86
+        case Isa::avx512: return avx512::query_kernels;
+        case Isa::avx2: return avx2::query_kernels;
+        case Isa::baseline: return baseline::query_kernels;
+#endif
+        default: return portable::query_kernels;
+    }
+}
+
 namespace {
 
 constexpr double FINEST = 1e-4, COARSEST = 1e3, FARTHEST_CORNER = 2e15;  // metres, as in voxel_grid.py
 constexpr double TOUCH = 1e-6;   // metres: a gap within the rounding of a pose is a touch, wherever it is in the world
 constexpr size_t CHUNK = 2048;   // queries that a thread takes at once
-constexpr size_t AT_ONCE = 32;  // queries that are prepared before they are answered
+constexpr size_t AT_ONCE = 32;   // places that are fetched before they are asked
 
 using Solid = Tensor<const bool, -1, -1, -1>;
 using Distances = Tensor<const float, -1, -1, -1>;
@@ -42,60 +51,15 @@ Vec3 quotient(const std::array<double, 3>& numbers, double divisor) {
     return {numbers[0] / divisor, numbers[1] / divisor, numbers[2] / divisor};
 }
 
-// Prefetch the distance at a point: grids are larger than caches, and poses come in no order.
-void fetch(const Grid& grid, const Vec3& point) {
-    if (!grid.empty) __builtin_prefetch(&grid.distance[nearest_place(grid, point).voxel]);
-}
-
-// Not inlined on purpose: inlined, their answers become branches that cannot be predicted.
-__attribute__((noinline)) Verdict judged(const Grid& grid, const Shape& shape, const Vec3& position) {
-    return judge(grid, shape, position);
-}
-
-__attribute__((noinline)) bool passed(const Grid& grid, const Shape& shape, const Vec3& start, const Vec3& way) {
-    return passes(grid, shape, start, way);
-}
-
-__attribute__((noinline)) bool rigid(const float* matrix) { return is_pose_by_fours(matrix); }
-
-// A grid and a body in it, whose lengths are in voxels of that grid.
-struct Fitted {
-    Grid grid;
-    Shape shape;
-};
-
-// Which grid a query of a batch asks: always the same one,
-struct Same {
-    const Fitted& fitted;
-    bool knows(size_t) const { return true; }
-    const Fitted& operator()(size_t) const { return fitted; }
-};
-
-// or the one of the query's place.
-struct ByPlace {
-    const std::vector<const Fitted*>& fitted;
-    const int64_t* places;
-    bool knows(size_t i) const { return uint64_t(places[i]) < fitted.size(); }
-    const Fitted& operator()(size_t i) const { return *fitted[size_t(places[i])]; }
-};
-
-// Over a whole batch, call prepare(i, query), which may refuse, for some queries at a time, so that what they need is
-// fetched meanwhile, and then answer(first, count, queries). Returns -1, or the first i that was refused.
-template <class Query, class Prepare, class Answer>
-int64_t each(size_t count, size_t threads, const Prepare& prepare, const Answer& answer) {
+// Over a whole batch, call answer(begin, end) for parts of it, which returns the first query that it refuses, or `end`.
+// Returns -1, or the first that was refused.
+template <class Answer>
+int64_t each(size_t count, size_t threads, const Answer& answer) {
     std::atomic<size_t> bad{count};
     const auto run = [&](size_t, size_t chunk) {
-        Query queries[AT_ONCE];
-        const size_t end = std::min(count, (chunk + 1) * CHUNK);
-        for (size_t first = chunk * CHUNK; first < end; first += AT_ONCE) {
-            const size_t last = std::min(end, first + AT_ONCE);
-            for (size_t i = first; i < last; ++i)
-                if (!prepare(i, queries[i - first])) {
-                    for (size_t seen = bad; i < seen && !bad.compare_exchange_weak(seen, i);) {
-                    }
-                    return;
-                }
-            answer(first, last - first, queries);
+        const size_t end = std::min(count, (chunk + 1) * CHUNK), first = answer(chunk * CHUNK, end);
+        if (first == end) return;
+        for (size_t seen = bad; first < seen && !bad.compare_exchange_weak(seen, first);) {
         }
     };
     const size_t chunks = (count + CHUNK - 1) / CHUNK;
@@ -108,131 +72,88 @@ int64_t each(size_t count, size_t threads, const Prepare& prepare, const Answer&
     return bad == count ? -1 : int64_t(bad);
 }
 
-// Queries take addresses, which cost less than arrays; Python takes care of types, sizes and lifetimes. `in` says which
-// grid each of them asks.
-template <class In>
-int64_t collides(const In& in, uintptr_t poses, uintptr_t out, size_t count, size_t threads) {
-    const auto* matrices = reinterpret_cast<const float*>(poses);
-    auto* hits = reinterpret_cast<bool*>(out);
-    return each<Vec3>(
-        count, threads,
-        [&](size_t i, Vec3& position) {
-            if (!in.knows(i) || !rigid(matrices + 16 * i)) return false;
-            position = position_of(in(i).grid, matrices + 16 * i);
-            fetch(in(i).grid, position);
-            return true;
-        },
-        [&](size_t first, size_t some, const Vec3* positions) {
-            // First judge all without a branch, then search those that are left: the verdicts cannot be predicted.
-            size_t left[AT_ONCE], open = 0;
-            for (size_t i = 0; i < some; ++i) {
-                const Verdict verdict = judged(in(first + i).grid, in(first + i).shape, positions[i]);
-                hits[first + i] = verdict == Verdict::HIT;
-                left[open] = i;
-                open += verdict == Verdict::MAYBE;
-            }
-            for (size_t i = 0; i < open; ++i) {
-                const size_t row = first + left[i];
-                const Grid& grid = in(row).grid;
-                hits[row] = touches(in(row).shape, pose_of(grid, matrices + 16 * row), FirstContact{grid});
-            }
-        });
-}
+// Queries of one body in one grid, or in several. They take addresses, which cost less than arrays; Python takes care
+// of types, sizes and lifetimes.
+struct Queries {
+    const QueryKernels& kernels;
+    Asked asked;
 
-struct Move {
-    Vec3 start, way;
+    int64_t collides(uintptr_t poses, uintptr_t out, size_t count, size_t threads) const {
+        const auto* matrices = reinterpret_cast<const float*>(poses);
+        auto* hits = reinterpret_cast<bool*>(out);
+        return each(count, threads,
+                    [&](size_t begin, size_t end) { return kernels.collides(asked, matrices, hits, begin, end); });
+    }
+
+    int64_t free_fraction(uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) const {
+        const auto *from = reinterpret_cast<const float*>(starts), *to = reinterpret_cast<const float*>(ends);
+        auto* shares = reinterpret_cast<float*>(out);
+        return each(count, threads, [&](size_t begin, size_t end) {
+            return kernels.free_fraction(asked, from, to, shares, begin, end);
+        });
+    }
+
+    int64_t sweeps(uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) const {
+        const auto *from = reinterpret_cast<const float*>(starts), *to = reinterpret_cast<const float*>(ends);
+        auto* hits = reinterpret_cast<bool*>(out);
+        return each(count, threads,
+                    [&](size_t begin, size_t end) { return kernels.sweeps(asked, from, to, hits, begin, end); });
+    }
+
+    int64_t clearance(uintptr_t points, uintptr_t out, size_t count, size_t threads) const {
+        const auto* from = reinterpret_cast<const float*>(points);
+        auto* metres = reinterpret_cast<float*>(out);
+        return each(count, threads, [&](size_t begin, size_t end) {
+            Vec3 places[AT_ONCE];
+            for (size_t first = begin; first < end; first += AT_ONCE) {
+                const size_t last = std::min(end, first + AT_ONCE);
+                for (size_t i = first; i < last; ++i) {
+                    const float* at = from + 3 * i;
+                    const bool finite = std::isfinite(at[0]) && std::isfinite(at[1]) && std::isfinite(at[2]);
+                    if (!asked.knows(i) || !finite) return i;
+                    const Grid& grid = asked(i).grid;
+                    const Vec3 place = places[i - first] = place_of(grid, at[0], at[1], at[2]);
+                    if (!grid.empty) __builtin_prefetch(&grid.distance[nearest_place(grid, place).voxel]);
+                }
+                for (size_t i = first; i < last; ++i) metres[i] = clearance_in_metres(asked(i).grid, places[i - first]);
+            }
+            return end;
+        });
+    }
 };
-
-template <class In, class Answer>
-int64_t moves(const In& in, uintptr_t starts, uintptr_t ends, size_t count, size_t threads, bool any,
-              const Answer& answer) {
-    const auto *from = reinterpret_cast<const float*>(starts), *to = reinterpret_cast<const float*>(ends);
-    return each<Move>(
-        count, threads,
-        [&](size_t i, Move& move) {
-            if (!in.knows(i) || !rigid(from + 16 * i) || !rigid(to + 16 * i)) return false;
-            const Grid& grid = in(i).grid;
-            move.start = position_of(grid, from + 16 * i);
-            move.way = between(move.start, position_of(grid, to + 16 * i));
-            fetch(grid, along(move.start, move.way, 0.5));
-            return true;
-        },
-        [&](size_t first, size_t some, const Move* moves) {
-            size_t left[AT_ONCE], open = 0;
-            for (size_t i = 0; i < some; ++i) {
-                const Fitted& fitted = in(first + i);
-                const bool free = passed(fitted.grid, fitted.shape, moves[i].start, moves[i].way);
-                if (free) answer(first + i, 1.0);
-                left[open] = i;
-                open += !free;
-            }
-            for (size_t i = 0; i < open; ++i) {
-                const size_t row = first + left[i];
-                const Grid& grid = in(row).grid;
-                answer(row, free_fraction(grid, in(row).shape, pose_of(grid, from + 16 * row),
-                                          pose_of(grid, to + 16 * row), any, FirstContact{grid}));
-            }
-        });
-}
-
-template <class In>
-int64_t free_fractions(const In& in, uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) {
-    auto* fractions = reinterpret_cast<float*>(out);
-    return moves(in, starts, ends, count, threads, false, [&](size_t i, double fraction) {
-        fractions[i] = rounded_down(fraction);  // a move that touches stays below 1
-    });
-}
-
-template <class In>
-int64_t sweeps(const In& in, uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) {
-    auto* hits = reinterpret_cast<bool*>(out);
-    return moves(in, starts, ends, count, threads, true, [&](size_t i, double fraction) { hits[i] = fraction < 1.0; });
-}
-
-template <class In>
-int64_t clearance(const In& in, uintptr_t points, uintptr_t out, size_t count, size_t threads) {
-    const auto* from = reinterpret_cast<const float*>(points);
-    auto* metres = reinterpret_cast<float*>(out);
-    return each<Vec3>(
-        count, threads,
-        [&](size_t i, Vec3& point) {
-            const float* place = from + 3 * i;
-            if (!in.knows(i)) return false;
-            if (!std::isfinite(place[0]) || !std::isfinite(place[1]) || !std::isfinite(place[2])) return false;
-            point = place_of(in(i).grid, place[0], place[1], place[2]);
-            fetch(in(i).grid, point);
-            return true;
-        },
-        [&](size_t first, size_t some, const Vec3* points) {
-            for (size_t i = 0; i < some; ++i)
-                metres[first + i] = clearance_in_metres(in(first + i).grid, points[i]);
-        });
-}
 
 // A body in a grid.
 class Collider {
 public:
-    Collider(PackedGrid packed, const Shape& shape) : packed_(std::move(packed)), fitted_{packed_.view(), shape} {}
+    Collider(PackedGrid packed, const Shape& shape)
+        : packed_(std::move(packed)), fitted_{packed_.view(), shape, balls_in(shape)},
+          kernels_(query_kernels_of(choose_isa())) {}
+    Collider(const Collider&) = delete;  // `here_` points into it
 
     const Fitted& fitted() const { return fitted_; }
-    Same in() const { return {fitted_}; }
+    Queries queries() const { return {kernels_, {&here_, 1, nullptr}}; }
 
 private:
     PackedGrid packed_;
     Fitted fitted_;
+    const Fitted* here_ = &fitted_;
+    const QueryKernels& kernels_;
 };
 
 // A body in several grids: each query says by number which one it asks. Python keeps the colliders.
 class Colliders {
 public:
-    explicit Colliders(const std::vector<const Collider*>& colliders) {
+    explicit Colliders(const std::vector<const Collider*>& colliders) : kernels_(query_kernels_of(choose_isa())) {
         for (const Collider* collider : colliders) fitted_.push_back(&collider->fitted());
     }
 
-    ByPlace in(uintptr_t places) const { return {fitted_, reinterpret_cast<const int64_t*>(places)}; }
+    Queries queries(uintptr_t places) const {
+        return {kernels_, {fitted_.data(), fitted_.size(), reinterpret_cast<const int64_t*>(places)}};
+    }
 
 private:
     std::vector<const Fitted*> fitted_;
+    const QueryKernels& kernels_;
 };
 
 const Grid& grid_in(nb::handle collider) { return nb::cast<const Collider&>(collider).fitted().grid; }
@@ -275,30 +196,30 @@ void bind_collision(nb::module_& m) {
                                                shape.outer);
                      })
         .def("collides", [](const Collider& self, uintptr_t poses, uintptr_t out, size_t count,
-                            size_t threads) { return collides(self.in(), poses, out, count, threads); })
+                            size_t threads) { return self.queries().collides(poses, out, count, threads); })
         .def("free_fraction",
              [](const Collider& self, uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) {
-                 return free_fractions(self.in(), starts, ends, out, count, threads);
+                 return self.queries().free_fraction(starts, ends, out, count, threads);
              })
         .def("sweeps",
              [](const Collider& self, uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count, size_t threads) {
-                 return sweeps(self.in(), starts, ends, out, count, threads);
+                 return self.queries().sweeps(starts, ends, out, count, threads);
              })
         .def("clearance", [](const Collider& self, uintptr_t points, uintptr_t out, size_t count, size_t threads) {
-            return clearance(self.in(), points, out, count, threads);
+            return self.queries().clearance(points, out, count, threads);
         });
     nb::class_<Colliders>(m, "Colliders")
         .def(nb::init<const std::vector<const Collider*>&>(), nb::arg("colliders"))
         .def("collides", [](const Colliders& self, uintptr_t places, uintptr_t poses, uintptr_t out, size_t count,
-                            size_t threads) { return collides(self.in(places), poses, out, count, threads); })
+                            size_t threads) { return self.queries(places).collides(poses, out, count, threads); })
         .def("free_fraction",
              [](const Colliders& self, uintptr_t places, uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count,
-                size_t threads) { return free_fractions(self.in(places), starts, ends, out, count, threads); })
+                size_t threads) { return self.queries(places).free_fraction(starts, ends, out, count, threads); })
         .def("sweeps",
              [](const Colliders& self, uintptr_t places, uintptr_t starts, uintptr_t ends, uintptr_t out, size_t count,
-                size_t threads) { return sweeps(self.in(places), starts, ends, out, count, threads); })
+                size_t threads) { return self.queries(places).sweeps(starts, ends, out, count, threads); })
         .def("clearance", [](const Colliders& self, uintptr_t places, uintptr_t points, uintptr_t out, size_t count,
-                             size_t threads) { return clearance(self.in(places), points, out, count, threads); });
+                             size_t threads) { return self.queries(places).clearance(points, out, count, threads); });
 }
 
 }  // namespace splatrl

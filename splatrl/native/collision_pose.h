@@ -4,6 +4,7 @@
 #include "collision_grid.h"
 
 namespace splatrl {
+inline namespace EACH_ISA {
 
 struct Pose {
     Mat3 rotation;  // body_to_world
@@ -57,4 +58,5 @@ HOST_DEVICE inline double turn_between(const Mat3& from, const Mat3& to, Vec3& a
     return atan2(sine, cosine);
 }
 
+}  // namespace EACH_ISA
 }  // namespace splatrl

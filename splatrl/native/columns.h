@@ -4,6 +4,7 @@
 #include "collision_grid.h"
 
 namespace splatrl {
+inline namespace EACH_ISA {
 
 constexpr double SLACK = 1e-9;  // voxels: covers the rounding of what is computed here
 
@@ -83,4 +84,5 @@ struct Columns {
     }
 };
 
+}  // namespace EACH_ISA
 }  // namespace splatrl

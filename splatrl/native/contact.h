@@ -5,6 +5,7 @@
 #include "columns.h"
 
 namespace splatrl {
+inline namespace EACH_ISA {
 
 // By how much a point lies beyond the unit box at `corner`, along each axis.
 SPLAT_INLINE Vec3 excess(const Vec3& corner, const Vec3& p) {
@@ -97,4 +98,25 @@ HOST_DEVICE inline double capsule_contact(const Vec3& corner, const Vec3& p, con
     return t;
 }
 
+// Whether a capsule on its way touches the unit box, as `capsule_contact` says. The gap is at most |v| t away from what
+// it was, so a few of them mostly say enough.
+HOST_DEVICE inline bool capsule_touches(const Vec3& corner, const Vec3& p, const Vec3& axis, const Vec3& v,
+                                        double radius) {
+    constexpr double SURE = 1e-6;
+    const double speed = norm(v);
+    const auto gap = [&](double t) { return distance_to_segment(corner, along(p, v, t), axis) - radius; };
+    const auto apart = [&](double from, double to, double length) { return from + to - length > 2.0 * SURE; };
+    const double start = gap(0.0);
+    if (start <= 0.0) return true;
+    if (speed == 0.0 || start > speed + SURE) return false;
+    const double end = gap(1.0);
+    if (end <= 0.0) return true;
+    if (apart(start, end, speed)) return false;
+    const double middle = gap(0.5);
+    if (middle <= 0.0) return true;
+    if (apart(start, middle, 0.5 * speed) && apart(middle, end, 0.5 * speed)) return false;
+    return capsule_contact(corner, p, axis, v, radius) < NEVER;
+}
+
+}  // namespace EACH_ISA
 }  // namespace splatrl

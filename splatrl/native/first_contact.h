@@ -5,6 +5,7 @@
 #include "round_sweep.h"
 
 namespace splatrl {
+inline namespace EACH_ISA {
 
 // The columns that the box around a shape on its way touches.
 SPLAT_INLINE Columns columns_on_way(const Grid& grid, const Shape& shape, const Pose& pose, const Vec3& way) {
@@ -54,4 +55,5 @@ struct FirstContact {
     }
 };
 
+}  // namespace EACH_ISA
 }  // namespace splatrl

@@ -17,3 +17,13 @@
 #define SPLAT_INLINE static inline __attribute__((always_inline))
 #define INLINE_MEMBER inline __attribute__((always_inline))  // for members of a class
 #endif
+
+// What kernels compile anew for each instruction set is in a namespace of its own, or the linker would keep one of them
+// for all.
+#ifdef SPLATRL_ISA
+#define SPLATRL_JOINED(a, b) a##b
+#define SPLATRL_JOIN(a, b) SPLATRL_JOINED(a, b)
+#define EACH_ISA SPLATRL_JOIN(each_, SPLATRL_ISA)
+#else
+#define EACH_ISA each
+#endif

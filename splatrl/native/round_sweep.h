@@ -6,6 +6,7 @@
 #include "contact.h"
 
 namespace splatrl {
+inline namespace EACH_ISA {
 
 struct RoundSweep {
     Vec3 bottom, axis, way;  // the cylinder is bottom to bottom + axis at the start
@@ -16,9 +17,13 @@ struct RoundSweep {
         double first = NEVER;
         any_solid(column, [&](int z) {
             const Vec3 corner{double(column.x), double(column.y), double(z)};
-            const double t = ball ? ball_contact(corner, bottom, way, radius)
-                                  : capsule_contact(corner, bottom, axis, way, radius);
-            first = any && t < NEVER ? 0.0 : min(first, t);
+            if (!ball && any)
+                first = capsule_touches(corner, bottom, axis, way, radius) ? 0.0 : NEVER;
+            else {
+                const double t = ball ? ball_contact(corner, bottom, way, radius)
+                                      : capsule_contact(corner, bottom, axis, way, radius);
+                first = any && t < NEVER ? 0.0 : min(first, t);
+            }
             return first == 0.0;
         });
         return first;
@@ -34,4 +39,5 @@ SPLAT_INLINE RoundSweep round_sweep(const Shape& shape, const Pose& pose, const 
     return out;
 }
 
+}  // namespace EACH_ISA
 }  // namespace splatrl

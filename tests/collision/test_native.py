@@ -15,6 +15,7 @@ from splatrl.collision import FclChecker, Occupancy, TorchChecker, verify, verif
 from splatrl.collision.displacement import Displacement
 from splatrl.collision.native import NativeChecker
 from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
+from splatrl.native import _core
 from tests.collision.test_fcl import BODIES, CUBE, at, clutter, random_poses
 
 SURE = 1e-5
@@ -207,6 +208,55 @@ def test_neither_threads_nor_the_size_of_a_batch_change_an_answer(scenes, thread
     assert torch.equal(many.collides(start[:count]), one.collides(start)[:count])
     assert torch.equal(many.sweeps(start[:count], end[:count]), one.sweeps(start, end)[:count])
     assert torch.equal(many.free_fraction(start[:count], end[:count]), one.free_fraction(start, end)[:count])
+
+
+def answers(checker: NativeChecker, start: torch.Tensor, end: torch.Tensor) -> list[torch.Tensor]:
+    return [checker.collides(start), checker.sweeps(start, end), checker.free_fraction(start, end)]
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_a_pose_gets_its_answers_in_any_lane_beside_any_others(scenes, body):
+    checker = NativeChecker(scenes["rooms"], body)
+    start, end = moves_in(scenes["rooms"], 80, turning=False)
+    expected = answers(checker, start, end)
+    assert 5 < expected[0].sum() < expected[1].sum() < 75
+    for count in range(1, 40):
+        for mine, whole in zip(answers(checker, start[-count:], end[-count:]), expected, strict=True):
+            assert torch.equal(mine, whole[-count:])
+
+
+@pytest.mark.parametrize("isa", _core.supported_isas())
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("name", SCENES)
+def test_every_instruction_set_gives_the_same_answers(scenes, name, body, isa, monkeypatch):
+    moves = [moves_in(scenes[name], 300, turning) for turning in (False, True)]
+    expected = [answers(NativeChecker(scenes[name], body), *ends) for ends in moves]
+    monkeypatch.setenv("SPLATRL_ISA", isa)  # read by each checker that is made
+    mine = [answers(NativeChecker(scenes[name], body), *ends) for ends in moves]
+    assert all(
+        torch.equal(a, b) for some, same in zip(mine, expected, strict=True) for a, b in zip(some, same, strict=True)
+    )
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_a_body_whose_middle_is_in_a_solid_voxel_hits_however_thin_it_is(body):
+    thin = {Box: Box((0.4, 0.3, 1e-3)), Sphere: Sphere(1e-3), Capsule: Capsule(1e-3, 0.4)}[type(body)]
+    spots = at((0.03, 0.04, 0.05), (0.0, 0.02, 0.02), (0.1, 0.1, 0.1), (0.102, 0.1, 0.1))
+    checker = NativeChecker(Occupancy(np.ones((1, 1, 1), bool), (0, 0, 0), 0.1), thin)
+    touched = [True, True, True, type(body) is Box]  # its long side reaches back
+    assert checker.collides(spots).tolist() == touched
+    away = at((1.0, 1.0, 1.0)).expand(4, 4, 4)
+    assert checker.sweeps(spots, away).tolist() == checker.sweeps(away, spots).tolist() == touched
+    assert (checker.free_fraction(spots, away) == 0).tolist() == touched
+
+
+@pytest.mark.parametrize("row", [0, 5, 31, 32, 39])
+def test_the_first_of_several_poses_that_are_not_rigid_is_named(row):
+    checker = NativeChecker(CUBE, Box((0.2, 0.2, 0.2)))
+    bad = at(*[(0.0, 0.0, 0.0)] * 41)
+    bad[row, 0, 3], bad[40, 1, 1] = math.nan, 2.0
+    with pytest.raises(ValueError, match=f"body_to_world: expected finite numbers, got .* in row {row}"):
+        checker.collides(bad)
 
 
 @pytest.mark.parametrize("body", BODIES)

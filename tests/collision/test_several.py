@@ -8,12 +8,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatrl.bodies import Box, Sphere
+from splatrl.bodies import Body, Box, Capsule, Sphere
 from splatrl.collision import NativeChecker, Occupancy, TorchChecker
 from splatrl.collision.base import Checker
 from splatrl.collision.nothing import NoChecker
 from splatrl.collision.several import SeveralCheckers
 from splatrl.geometry import axis_rotations, rigid
+from splatrl.native import _core
 
 BODY = Box((0.3, 0.2, 0.1))
 KINDS = [NativeChecker, TorchChecker, NoChecker]
@@ -60,6 +61,25 @@ def test_native_rows_come_from_any_scene_in_any_order_and_number() -> None:
     assert torch.equal(several.at(scene[order]).collides(start[order]), answers[order])
     assert torch.equal(several.at(scene[:7]).collides(start[:7]), answers[:7])
     assert torch.equal(pickle.loads(pickle.dumps(several)).at(scene).collides(start), answers)
+
+
+@pytest.mark.parametrize("isa", _core.supported_isas())
+@pytest.mark.parametrize("body", [BODY, Sphere(0.15), Capsule(0.1, 0.3)])
+def test_native_rows_of_several_grids_one_of_them_empty_have_their_own_answers(
+    body: Body, isa: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPLATRL_ISA", isa)
+    checkers = [NativeChecker(occupancy, body) for occupancy in (*occupancies(), Occupancy.empty())]
+    count = 77
+    start, end = poses(count, 3), poses(count, 4)
+    scene = torch.randint(4, (count,), generator=torch.Generator().manual_seed(1))
+    several = SeveralCheckers(checkers).at(scene)
+    for row in range(count):
+        one, ends = checkers[int(scene[row])], (start[row : row + 1], end[row : row + 1])
+        assert several.collides(start)[row] == one.collides(ends[0])[0]
+        assert several.sweeps(start, end)[row] == one.sweeps(*ends)[0]
+        assert several.free_fraction(start, end)[row] == one.free_fraction(*ends)[0]
+    assert not several.sweeps(start, end)[scene == 3].any() and several.sweeps(start, end).any()
 
 
 @pytest.mark.parametrize("scene", [3, -1])

@@ -2,35 +2,15 @@
 #include "ray_kernels.h"
 
 #include <cmath>
-#include <cstring>
 
-#if defined(SPLATRL_AVX512)
-#define SPLATRL_DOUBLES 8
-#elif defined(SPLATRL_AVX2)
-#define SPLATRL_DOUBLES 4
-#else
-#define SPLATRL_DOUBLES 2
-#endif
+#include "doubles.h"
 
 namespace splatrl {
 namespace SPLATRL_ISA {
 
 constexpr int LANES = 16;  // rays that go on side by side, so that they wait for memory together
-constexpr int WIDTH = SPLATRL_DOUBLES, PARTS = LANES / WIDTH;
+constexpr int PARTS = LANES / WIDTH;
 constexpr int AT_ONCE = 512;  // rays that are prepared at once
-
-typedef double Part __attribute__((vector_size(8 * SPLATRL_DOUBLES)));
-typedef int64_t Mask __attribute__((vector_size(8 * SPLATRL_DOUBLES)));
-
-static inline Part load(const double* from) {
-    Part out;
-    std::memcpy(&out, __builtin_assume_aligned(from, 64), sizeof(out));
-    return out;
-}
-
-static inline void store(double* to, const Part& value) {
-    std::memcpy(__builtin_assume_aligned(to, 64), &value, sizeof(value));
-}
 
 template <int COUNT>
 struct alignas(64) Rays {
