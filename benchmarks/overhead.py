@@ -4,25 +4,62 @@
     python benchmarks/overhead.py --batches 1 64
 
 ``step`` is a step without resets, ``automatic`` one with TorchRL's automatic resets, ``reset one`` a reset of a single
-row to a given state. All rows take turns, round by round. To compare two versions, run both, more than once.
+row to a given state. ``alone`` is what renderer and checker take for the moves and views of that step; with automatic
+resets, for the views of the rows that begin anew as well. ``TorchRL`` is the step of an env with the same specs that
+does nothing. Ratios are those of a round, in time of the thread: of the call to renderer and checker alone, with the
+quarter and three quarters of the rounds. All rows take turns, round by round. To compare two versions, use
+``against.py``.
 """
 
 import argparse
+import time
 from collections.abc import Callable
-from statistics import median
+from statistics import median, quantiles
 
 import torch
+from record import print_markdown
+from tensordict import TensorDictBase
 from timing import take_turns
+from torchrl.envs import EnvBase
 
 import splatrl
+from splatrl.envs.nesting import layers
 
 CALLS = 20
 """Of a turn: a single call is too short to time."""
 WARM_UP = 60
 """Steps that fill the cache of views."""
+ALONE = {"step": "alone", "automatic": "alone, with resets"}
+"""What a call is compared with."""
 
 
-def calls_of(batch: int) -> dict[str, Callable[[], None]]:
+class Idle(EnvBase):
+    """TorchRL's own part of a step: an env that answers with what it was given.
+
+    Args:
+        env: whose specs it has.
+        after: what every step returns.
+    """
+
+    batch_locked = True
+
+    def __init__(self, env: EnvBase, after: TensorDictBase):
+        super().__init__(device=env.device, batch_size=env.batch_size)
+        self.observation_spec, self.action_spec = env.observation_spec.clone(), env.full_action_spec.clone()
+        self.reward_spec, self.done_spec = env.full_reward_spec.clone(), env.full_done_spec.clone()
+        self.after = after
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return self.after.copy()
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
+        raise NotImplementedError
+
+    def _set_seed(self, seed: int | None) -> None:
+        pass
+
+
+def calls_of(batch: int) -> dict[str, Callable[[], object]]:
     """The calls of one batch size, each always with the same input, so that its views are remembered."""
     env = splatrl.make_env(["device=cpu", "curriculum=none"], batch_size=[batch])
     torch.manual_seed(0)
@@ -32,14 +69,33 @@ def calls_of(batch: int) -> dict[str, Callable[[], None]]:
     given = env.rand_action(td)
     one = torch.zeros(batch, 1, dtype=torch.bool)
     one[0] = True
+    base = layers(env)[0]
+    stepped, begun = env.step_and_maybe_reset(given.clone(False))
+    after = stepped["next"]
+    motion, idle = base.task.motion, Idle(env, after)
+    start, end = (
+        motion.body_to_world(given["state"]),
+        motion.body_to_world(motion.advance(given["state"], given["action"])),
+    )
+    seen = base.robot.cameras(motion.body_to_world(after["state"]))
+    anew = base.robot.cameras(motion.body_to_world(begun["state"]))[after["done"].flatten()]
+
+    def alone(*views: object) -> None:
+        base.checker.free_fraction(start, end)
+        for cameras in views:
+            base.drawing.renderer.pixels(cameras)
+
     return {
-        "step": lambda: env.step(given.clone()),
-        "automatic": lambda: env.step_and_maybe_reset(given.clone()),
-        "reset one": lambda: env.reset(given.clone().set("_reset", one.clone()), set_state=True),
+        "step": lambda: env.step(given.clone(False)),
+        "automatic": lambda: env.step_and_maybe_reset(given.clone(False)),
+        "reset one": lambda: env.reset(given.clone(False).set("_reset", one.clone()), set_state=True),
+        "alone": lambda: alone(seen),
+        "alone, with resets": lambda: alone(seen, *([anew] if len(anew) else [])),
+        "TorchRL": lambda: idle.step(given.clone(False)),
     }
 
 
-def repeated(call: Callable[[], None]) -> Callable[[], None]:
+def repeated(call: Callable[[], object]) -> Callable[[], None]:
     """A turn."""
 
     def turn() -> None:
@@ -52,15 +108,21 @@ def repeated(call: Callable[[], None]) -> Callable[[], None]:
 def main() -> None:
     """Measure and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--batches", type=int, nargs="+", default=[1, 8, 64, 512])
+    parser.add_argument("--batches", type=int, nargs="+", default=[1, 64, 1024])
     parser.add_argument("--rounds", type=int, default=30)
     options = parser.parse_args()
     torch.set_num_threads(1)
     turns = {(b, name): repeated(call) for b in options.batches for name, call in calls_of(b).items()}
-    seconds = take_turns(turns, options.rounds)
-    print("| robots | call | µs, median | fastest round |\n| ---: | --- | ---: | ---: |")
+    seconds = take_turns(turns, options.rounds, time.thread_time)
+    rows = []
     for (batch, name), times in seconds.items():
-        print(f"| {batch} | {name} | {1e6 * median(times) / CALLS:,.0f} | {1e6 * min(times) / CALLS:,.0f} |")
+        row = [str(batch), name, f"{1e6 * median(times) / CALLS:,.0f}", f"{1e6 * min(times) / CALLS:,.0f}", ""]
+        if name in ALONE:
+            ratios = [mine / base for mine, base in zip(times, seconds[batch, ALONE[name]], strict=True)]
+            low, middle, high = quantiles(ratios, n=4)
+            row[-1] = f"{middle:.2f} ({low:.2f} to {high:.2f})"
+        rows.append(row)
+    print_markdown(["robots", "call", "µs, median", "fastest round", "× renderer and checker alone"], rows)
 
 
 if __name__ == "__main__":

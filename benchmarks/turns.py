@@ -62,9 +62,8 @@ def steps(batch: int) -> Iterator[tuple[str, Turn]]:
     start, end = motion.body_to_world(state), motion.body_to_world(motion.advance(state, given["action"]))
     cameras = base.robot.cameras(start)
 
-    def alone() -> None:
-        base.checker.free_fraction(start, end)
-        base.drawing.renderer.pixels(cameras)
+    def alone() -> object:
+        return base.checker.free_fraction(start, end), base.drawing.renderer.pixels(cameras)
 
     yield f"step, its renderer and checker alone {batch}", repeated(alone)
 

@@ -1,9 +1,14 @@
-"""Start new episodes where the last ones ended, without synchronising with the host."""
+"""Start new episodes where the last ones ended: by a mask, without synchronising with the host, or by row."""
+
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.envs import EnvBase
+from torchrl.envs import Compose, EnvBase
+
+from splatrl.envs.nesting import layers
+from splatrl.renderers.base import with_rows
 
 
 def restart(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
@@ -19,50 +24,57 @@ def restart(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
     Returns:
         [B], what the next step starts from, with the keys of a reset.
     """
-    return TensorDict(_merged(env, after, None), env.batch_size, device=env.device)
+    done = after["done"]
+
+    def chosen(fresh: Tensor, old: Tensor) -> Tensor:
+        return torch.where(done.view(-1, *[1] * (fresh.ndim - 1)), fresh, old)
+
+    values: dict[str, Tensor | TensorDictBase] = {}
+    for key, fresh in _reset_where(env, done).items():
+        old = after.get(key, None)
+        if old is None:
+            values[key] = fresh
+        else:
+            values[key] = fresh.apply(chosen, old) if isinstance(fresh, TensorDictBase) else chosen(fresh, old)
+    return TensorDict(values, env.batch_size, device=env.device)
 
 
 def maybe_reset(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
     """Do what ``EnvBase.maybe_reset`` does, which merges old and new rows by a mask over every entry; here by row.
 
+    Without transforms, what the robots see is drawn for the rows that are reset and goes straight to its place.
+
     Args:
         env: a ``SplatEnv``, bare or under transforms.
-        after: [B], from ``step_mdp``.
+        after: [B], from ``step_mdp``; it is not modified.
 
     Returns:
         [B], what the next step starts from.
     """
-    if not env.any_done(after):
+    done = after["done"]
+    rows = done.flatten().nonzero().squeeze(1)
+    if not len(rows):
         return after
-    result, rows = after.exclude("_reset"), after["done"].flatten().nonzero().squeeze(1)
-    for key, value in _merged(env, after, rows).items():
-        result.set(key, value)
+    result = after.copy()
+    base, around = layers(env)
+    if any(not isinstance(one.transform, Compose) or len(one.transform) for one in around):
+        for key, fresh in _reset_where(env, done).items():
+            result.set(key, _with_rows_of(after.get(key, None), rows, fresh))
+    else:
+        for key, fresh in base.begun(rows).items():
+            result.set(key, with_rows(after.get(key), rows, fresh))
     return result
 
 
-def _merged(env: EnvBase, after: TensorDictBase, rows: Tensor | None) -> dict[str, Tensor | TensorDictBase]:
-    """The entries of a reset, in rows that are done new, in the others those of ``after``.
+def _reset_where(env: EnvBase, mask: Tensor) -> TensorDictBase:
+    """What a reset of some rows of an env returns, [B]; in the others it may hold anything: [B, 1] bool."""
+    return env._reset(TensorDict({"_reset": mask}, env.batch_size, device=env.device), set_state=False)
 
-    Args:
-        env: see ``restart``.
-        after: see ``restart``.
-        rows: [N] int64, those that are done; None merges by mask, which reads nothing on the host.
-    """
-    done = after["done"]
-    begun = env._reset(TensorDict({"_reset": done}, env.batch_size, device=env.device), set_state=False)
 
-    def chosen(fresh: Tensor, old: Tensor) -> Tensor:
-        if rows is None:
-            return torch.where(done.view(-1, *[1] * (fresh.ndim - 1)), fresh, old)
-        return old.index_copy(0, rows, fresh.index_select(0, rows))
-
-    values: dict[str, Tensor | TensorDictBase] = {}
-    for key, fresh in begun.items():
-        old = after.get(key, None)
-        if old is None:
-            values[key] = fresh
-        elif isinstance(fresh, TensorDictBase):
-            values[key] = fresh.apply(chosen, old)
-        else:
-            values[key] = chosen(fresh, old)
-    return values
+def _with_rows_of(old: Tensor | TensorDictBase | None, rows: Tensor, fresh: Tensor | TensorDictBase) -> Any:
+    """An entry of which some rows are those of another one, or that one where there is none: [B, ...] each."""
+    if old is None:
+        return fresh
+    if isinstance(fresh, TensorDictBase):
+        return fresh.apply(lambda new, one: _with_rows_of(one, rows, new), old)
+    return with_rows(old, rows, fresh.index_select(0, rows))

@@ -22,6 +22,7 @@ from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks.base import Anywhere, Outcome, Step, Task
 from splatrl.faults import Faulty
 from splatrl.motions.physics import PhysicsMotion
+from splatrl.renderers.base import among_zeros
 from splatrl.renderers.parts import in_scenes
 
 RESERVED = {"pixels", "state", "step_count", "episode_return", "level", "outcome", "free_fraction", "camera_offset"}
@@ -204,7 +205,32 @@ class SplatEnv(EnvBase):
     ) -> TensorDictBase:
         given = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
         mask = given.get("_reset", None)
-        only = None if mask is None else mask.flatten()
+        values, shown = self._beginning(given, set_state, seeds, None if mask is None else mask.flatten(), None)
+        return TensorDict(values | shown, batch_size=self.batch_size, device=self.device)
+
+    def begun(self, rows: Tensor) -> dict[str, Tensor]:
+        """The entries of episodes that begin in some rows, [N] int64: [N, ...] each, as a reset has them there."""
+        only = torch.zeros(self.numel(), dtype=torch.bool, device=self.device).index_fill_(0, rows, True)
+        values, shown = self._beginning(TensorDict(batch_size=self.batch_size), False, None, only, rows)
+        return {key: value.index_select(0, rows) for key, value in values.items()} | shown
+
+    def _beginning(
+        self,
+        given: TensorDictBase,
+        set_state: bool,
+        seeds: Sequence[int | None] | None,
+        only: Tensor | None,
+        rows: Tensor | None,
+    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """The entries of new episodes, and apart from them what the drawing shows.
+
+        Args:
+            given: see ``_reset``.
+            set_state: see ``_reset``.
+            seeds: see ``_reset``.
+            only: [B] bool, the rows that are asked for; None asks for all. In other rows entries may hold anything.
+            rows: [N] int64, the same for a host that knows them: then only these are shown, [N, ...].
+        """
         if set_state:
             scene, state = self._given_scene(given, only), self._checked_state(given["state"], only)
             level = torch.full((self.numel(), 1), -1, device=self.device)  # given states belong to no level
@@ -218,12 +244,13 @@ class SplatEnv(EnvBase):
         if set_state:
             memory |= {key: given[key].clone() for key in memory if given.get(key, None) is not None}
         poses, offset = task.motion.body_to_world(state), given.get("camera_offset", None)
-        view = self._view(task, scene, state, poses, memory, offset, only)
+        view = self._view(task, scene, state, poses, memory, offset, only if rows is None else rows)
         sensed: dict[str, Tensor] = {}
         if self.sensors:
             free = torch.ones(self.numel(), device=self.device)
             look = partial(self._look, task, scene, state, memory, only)
-            known = task.motion.planar(state), poses, free, memory, view.depth, checker, look
+            depth = view.depth if rows is None or view.depth is None else among_zeros(view.depth, rows, self.numel())
+            known = task.motion.planar(state), poses, free, memory, depth, checker, look
             moment = Moment(*known, state, task.motion)
             begun = {key: value for sensor in self.sensors.values() for key, value in sensor.begin(moment).items()}
             if set_state:
@@ -231,8 +258,6 @@ class SplatEnv(EnvBase):
             sensed = begun | self._sensed(moment._replace(memory=memory | begun))
         count = torch.zeros(self.numel(), 1, dtype=torch.int64, device=self.device)
         values = {
-            "pixels": view.pixels,
-            **view.shown,
             "state": state,
             **memory,
             **sensed,
@@ -246,7 +271,7 @@ class SplatEnv(EnvBase):
             "free_fraction": torch.ones_like(count, dtype=torch.float32),
             **{key: count.bool() for key in ("done", "terminated", "truncated")},
         }
-        return TensorDict(values, batch_size=self.batch_size, device=self.device)
+        return values, {"pixels": view.pixels, **view.shown}
 
     def _at(self, scene: Tensor | None) -> tuple[Task, Checker]:
         """Task and checker of rows in some scenes, [B] int64; those of the only scene for None."""
@@ -356,10 +381,14 @@ class SplatEnv(EnvBase):
         camera_offset: Tensor | None,
         only: Tensor | None = None,
     ) -> View:
-        """What robots in given states see; ``only`` as for ``Renderer``."""
+        """What robots in given states see; ``only`` as for ``Renderer``, or [N] int64, then these rows alone."""
         cameras, parts = self.robot.cameras(body_to_world, camera_offset), task.parts(state, memory)
         if scene is not None:
             parts = in_scenes(scene, parts, body_to_world)
+        if only is not None and only.dtype == torch.int64:
+            rows, only = only, None
+            cameras, parts = cameras[rows], None if parts is None else parts.rows(rows)
+            memory = {key: value.index_select(0, rows) for key, value in memory.items()}
         if self._needs_depth:
             return self.drawing.draw(cameras, memory, parts, only, depth=True)
         return self.drawing.draw(cameras, memory, parts, only)

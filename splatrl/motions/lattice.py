@@ -28,8 +28,9 @@ class LatticeMotion(FiniteMotion):
         ValueError: for a step that does not divide the bounds or an angle that does not divide a turn.
     """
 
-    rotations: Tensor  # [headings, 3, 3]
+    turned: Tensor  # [headings, 4, 4], poses at the world's origin
     origin: Tensor  # [2] float64
+    spacing: Tensor  # [3] float32, what an index of each kind is worth
     elevation: Tensor  # [] float32, the height
     of_scene = (*FiniteMotion.of_scene, "origin", "elevation")
 
@@ -50,7 +51,10 @@ class LatticeMotion(FiniteMotion):
         names = ("+x", "-x", "+y", "-y", "+spin", "-spin")
         super().__init__((columns, rows, headings), moves, names, step, math.tau / headings, height)
         yaws = torch.arange(headings, dtype=torch.float64) * self.angle_step
-        self.register_buffer("rotations", axis_rotations(2, yaws).float(), persistent=False)
+        turned = rigid(axis_rotations(2, yaws).float(), torch.zeros(headings, 3))
+        self.register_buffer("turned", turned, persistent=False)
+        spacing = torch.tensor([step, step, self.angle_step], dtype=torch.float32)
+        self.register_buffer("spacing", spacing, persistent=False)
         self.register_buffer("origin", torch.tensor(tuple(lower), dtype=torch.float64), persistent=False)
         self.register_buffer("elevation", torch.tensor(height, dtype=torch.float32), persistent=False)
 
@@ -64,22 +68,27 @@ class LatticeMotion(FiniteMotion):
         Returns:
             [B, 3] int64, heading wrapped.
         """
-        moved = state + self.moves[action]
-        return torch.cat([moved[:, :2], moved[:, 2:] % self.shape[2]], 1)
+        moved = state + self.moves.index_select(0, action)
+        moved[:, 2].remainder_(self.shape[2])
+        return moved
 
     def inside(self, state: Tensor) -> Tensor:
         """Whether states are within the bounds, which are inclusive: [B, 3] -> [B] bool."""
-        x, y = state[:, 0], state[:, 1]
-        return (x >= 0) & (x < self.counts[..., 0]) & (y >= 0) & (y < self.counts[..., 1])
+        place = state[:, :2]
+        return ((place >= 0) & (place < self.counts[..., :2])).all(1)
 
     def planar(self, state: Tensor) -> Tensor:
         """Position and heading of states: [B, 3] int64 -> [B, 3] float64, x and y in metres, yaw in radians."""
-        return torch.cat([self.origin + state[:, :2] * self.step, state[:, 2:] * self.angle_step], 1)
+        planar = (state * self.spacing).double()
+        planar[:, :2] += self.origin
+        return planar
 
     def body_to_world(self, state: Tensor) -> Tensor:
         """Poses of states: [B, 3] int64 -> [B, 4, 4] float32; equal states have poses of equal bytes."""
-        position, height = self.planar(state)[:, :2].float(), self.elevation.expand(len(state)).unsqueeze(1)
-        return rigid(self.rotations[state[:, 2]], torch.cat([position, height], 1))
+        poses = self.turned.index_select(0, state[:, 2])
+        poses[:, :2, 3] = self.origin + state[:, :2] * self.spacing[:2]
+        poses[:, 2, 3] = self.elevation
+        return poses
 
 
 def whole_steps(name: str, length: float, step: float) -> int:

@@ -95,9 +95,29 @@ def draw_only(
     drawn = draw(cameras[rows], None if parts is None else parts.rows(rows))
 
     def placed(images: Tensor) -> Tensor:
-        return images.new_zeros(len(only), *images.shape[1:]).index_copy_(0, rows.to(images.device), images)
+        return among_zeros(images, rows.to(images.device), len(only))
 
     return RenderOutput(*(placed(images) for images in drawn)) if isinstance(drawn, RenderOutput) else placed(drawn)
+
+
+def among_zeros(fresh: Tensor, rows: Tensor, count: int) -> Tensor:
+    """Some rows of a batch whose other rows are zero: [N, ...], [N] int64 -> [count, ...]."""
+    return _put(fresh.new_zeros(count, *fresh.shape[1:]), rows, fresh)
+
+
+def with_rows(old: Tensor, rows: Tensor, fresh: Tensor) -> Tensor:
+    """A copy of a batch in which some rows are others: [B, ...], [N] int64, [N, ...] -> [B, ...]."""
+    if old.ndim <= 2:
+        return old.index_copy(0, rows, fresh)
+    return _put(old.clone(memory_format=torch.contiguous_format), rows, fresh)
+
+
+def _put(values: Tensor, rows: Tensor, fresh: Tensor) -> Tensor:
+    """Write rows in place. On a CPU by NumPy, which copies row by row where ``index_copy_`` goes number by number."""
+    if values.device.type != "cpu" or values.ndim == 1 or fresh.requires_grad:
+        return values.index_copy_(0, rows, fresh)
+    values.view(torch.uint8).numpy()[rows.numpy()] = fresh.contiguous().view(torch.uint8).numpy()
+    return values
 
 
 def to_pixels(rgb: Tensor) -> Tensor:

@@ -5,7 +5,9 @@ import torch
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import step_mdp
 
+from splatrl.renderers.base import among_zeros, with_rows
 from tests.envs.test_device import WORLDS, made, whole_overlay
+from tests.tiny import CountingRenderer, tiny_env, tiny_renderer
 
 __all__ = ["whole_overlay"]
 
@@ -34,3 +36,28 @@ def test_rows_that_are_done_begin_as_in_torchrl_and_the_others_go_on(name: str) 
         ended += int(done.sum())
         assert torch.equal(mine["state"][~done], kept["state"][~done])
     assert ended > 0  # else this shows nothing
+
+
+def test_what_begins_anew_is_all_that_is_drawn_for_it() -> None:
+    counting = CountingRenderer(tiny_renderer())
+    env = tiny_env([6], renderer=counting)
+    torch.manual_seed(0)
+    td = env.reset()
+    ended = 0
+    for step in range(1, 12):
+        stepped, td = env.step_and_maybe_reset(env.rand_action(td))
+        ended += int(stepped["next", "done"].sum())
+        assert counting.rendered == 6 * (1 + step) + ended
+    assert 0 < ended < 66
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.bool, torch.int64, torch.float32, torch.bfloat16])
+@pytest.mark.parametrize("shape", [(), (1,), (2, 3)])
+def test_rows_go_to_their_places_and_the_others_stay(dtype: torch.dtype, shape: tuple[int, ...]) -> None:
+    generator = torch.Generator().manual_seed(0)
+    old, fresh = ((100 * torch.rand(count, *shape, generator=generator)).to(dtype) for count in (7, 3))
+    rows, before = torch.tensor([5, 0, 3]), old.clone()
+    merged, alone = with_rows(old, rows, fresh), among_zeros(fresh, rows, 7)
+    assert torch.equal(old, before) and torch.equal(merged[rows], fresh) and torch.equal(alone[rows], fresh)
+    assert torch.equal(merged[[1, 2, 4, 6]], old[[1, 2, 4, 6]]) and not alone[[1, 2, 4, 6]].any()
+    assert torch.equal(with_rows(old, rows[:0], fresh[:0]), old)

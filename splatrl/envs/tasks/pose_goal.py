@@ -43,16 +43,16 @@ class PoseGoal(OutcomeTask):
             got = goal if goal is None else list(goal)
             raise ValueError(f"task.goal: expected finite x, y (metres) and yaw (degrees), got {got}")
         tolerance = torch.tensor([motion.step, motion.step, motion.angle_step], dtype=torch.float64)
-        self.register_buffer("tolerance", tolerance, persistent=False)
+        self.register_buffer("tolerance", tolerance * (1 + SLACK), persistent=False)
         x, y, yaw_deg = goal
         self.register_buffer("goal", torch.tensor([x, y, math.radians(yaw_deg)], dtype=torch.float64), persistent=False)
 
     def reached(self, state: Tensor) -> Tensor:
         """Whether states are within one step and one angle step of the goal: [B, ...] -> [B] bool."""
-        offset = (self.motion.planar(state) - self.goal).abs()
-        turn = offset[:, 2] % math.tau
-        offset[:, 2] = torch.minimum(turn, math.tau - turn)
-        return (offset <= self.tolerance * (1 + SLACK)).all(1)
+        offset = (self.motion.planar(state) - self.goal).abs_()
+        turn = offset[:, 2].remainder_(math.tau)
+        torch.minimum(turn, math.tau - turn, out=turn)
+        return (offset <= self.tolerance).all(1)
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
         """The goal pose; see ``Task.marks``."""

@@ -76,6 +76,5 @@ class OutcomeTask(TaskModule):
 
     def _outcome(self, step: Step, goal: Tensor) -> Tensor:
         """The outcome of each step, collision before bounds before goal: [B] bool -> [B] int64."""
-        outcome = torch.where(goal, Outcome.GOAL, Outcome.RUNNING)
-        outcome = torch.where(step.move.inside, outcome, Outcome.OUT_OF_BOUNDS)
+        outcome = torch.where(step.move.inside, goal * Outcome.GOAL, Outcome.OUT_OF_BOUNDS)  # RUNNING is 0
         return torch.where(step.move.free_fraction < 1, Outcome.COLLISION, outcome)
