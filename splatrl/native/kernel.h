@@ -12,7 +12,7 @@ namespace splatrl {
 constexpr int BLOCK = 4;     // a block is 4×4 pixels; the lanes of a vector
 constexpr int TILE = 64;     // a tile is at most 64×64 pixels: its lists and pixels stay in the second-level cache
 constexpr int ACROSS = TILE / BLOCK, BLOCKS = ACROSS * ACROSS;  // blocks of a tile
-constexpr int WASTE = BLOCKS, LISTS = WASTE + 3 * GROUP;  // lists of a tile; those behind WASTE are not blended
+constexpr int LISTS = BLOCKS + 2 * ACROSS + 2;  // of a tile; those behind its blocks stay empty
 constexpr uint32_t SLAB = 2048;  // splats that are dealt to blocks at once
 
 // One group in memory: [GEOMETRY][GROUP] floats.
@@ -35,31 +35,22 @@ struct SceneView {
     float tolerance;                  // pixels by which what is shown may be displaced
 };
 
-// A visible Gaussian: half a cache line.
+// A visible Gaussian: half a cache line, so that one fetch brings all of it.
 struct alignas(32) Splat {
     float x, y, l11, l12, l22, log2_opacity;
-    uint16_t color[4];  // half floats: red, green, blue, the most that alpha can be
+    uint16_t red, green, blue;  // half floats
+    uint16_t patch;
 };
+
+// The blocks of a tile that a splat is dealt to, in the bits of a patch: the first block, how many there are to the
+// right of it, and below. Nearly all splats are on at most 2×2 blocks; others have one of the bits of LARGE.
+constexpr int RIGHT = 8, DOWN = 12;
+constexpr uint32_t LARGE = 0xee00;
 
 // The same splat as blending reads it: a cache line.
 struct alignas(64) SlabSplat {
-    float x, y, l11, l12, l22, log2_opacity;
-    float red, green, blue, peak;
-    float depth;
-};
-
-// The lists that a splat is dealt to. Nearly all splats are on at most 2×2 blocks of a tile: those name a list for
-// each, which is one of the waste lists for blocks that the splat is not on. A splat on more blocks has LARGE, the
-// first block, and how many blocks there are to the right of it and below.
-struct Patch {
-    uint16_t lists[4];
-};
-constexpr uint16_t LARGE = 0xffff;
-
-// Decides between splats whose depths are equal in single precision.
-struct Tie {
-    float depth_rest;         // what single precision drops from the depth
-    uint32_t original_index;  // across all that a row draws: it breaks the remaining ties
+    Splat splat;
+    float red, green, blue, peak, depth;
 };
 
 // A model as a camera of the batch sees it.
@@ -81,19 +72,19 @@ struct Row {
 // Accumulated per block: [CHANNELS][BLOCK · BLOCK] floats.
 enum Channel { RED, GREEN, BLUE, TRANSMITTANCE, DEPTH, ALPHA, CHANNELS };
 
-constexpr uint32_t SPARE = 16;  // extra items at the end of an array that may be read or overwritten
-constexpr uint32_t LIST = SLAB + 2 * SPARE;  // not a power of two, so that lists do not share cache sets
+constexpr uint32_t SPARE = 64;  // extra items at the end of an array that may be read or overwritten
+constexpr uint32_t LIST = SLAB + 32;  // not a power of two, so that lists do not share cache sets
 
 // Memory that a worker keeps from frame to frame. The arrays of splats hold [groups · GROUP + SPARE], of all parts.
 struct Scratch {
     uint32_t* groups;        // [groups + SPARE] in view, of one part at a time
     Splat* splats;
-    Patch* patches;
-    Tie* ties;
+    float* peaks;            // of the splats, where some can be merged
+    uint64_t* ties;          // what decides between depths that are equal in single precision
     uint64_t* keys;          // depth in the high, splat in the low half
     uint64_t* sorted;        // also [groups · GROUP + SPARE]
     uint32_t* tied;          // the same
-    SlabSplat* slab;         // [SLAB] nearest first
+    SlabSplat* slab;         // [SLAB + 1] nearest first, and one that shows nowhere
     uint16_t* lists;         // [LISTS, LIST] splats of the slab on each block, nearest first
     float* pixels;           // [BLOCKS, CHANNELS, BLOCK · BLOCK]
 };

@@ -3,6 +3,7 @@
 // Everything lives in the namespace of the instruction set, so that the linker never mixes variants.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <cstring>
 
@@ -22,6 +23,7 @@ namespace splatrl {
 namespace SPLATRL_ISA {
 
 #define LANE_INLINE static inline __attribute__((always_inline))
+#define OUT_OF_LINE __attribute__((noinline))  // long loops in one function get in each other's registers
 
 constexpr int LANES = 16;
 constexpr int PARTS = LANES / SPLATRL_REGISTER;
@@ -30,15 +32,20 @@ typedef float FloatPart __attribute__((vector_size(4 * SPLATRL_REGISTER)));
 typedef int32_t IntPart __attribute__((vector_size(4 * SPLATRL_REGISTER)));
 typedef uint32_t UnsignedPart __attribute__((vector_size(4 * SPLATRL_REGISTER)));
 
-struct Lanes {
-    FloatPart part[PARTS];
+// So many registers of floats.
+template <int COUNT>
+struct FloatLanes {
+    FloatPart part[COUNT];
 };
+
+using Lanes = FloatLanes<PARTS>;
 
 struct IntLanes {
     IntPart part[PARTS];
 };
 
 #define FOR_PARTS for (int p = 0; p < PARTS; ++p)
+#define FOR_PARTS_OF(count) for (int p = 0; p < count; ++p)
 
 LANE_INLINE FloatPart splat_part(float value) { return value - FloatPart{}; }
 
@@ -59,20 +66,45 @@ LANE_INLINE void store(float* to, const Lanes& value) {
     std::memcpy(__builtin_assume_aligned(to, 64), &value, sizeof(value));
 }
 
+// Lanes side by side: those of an array, or a number of each of its items. And one of them again.
+template <size_t COUNT>
+LANE_INLINE FloatLanes<int(COUNT) * PARTS> joined(const Lanes (&from)[COUNT]) {
+    FloatLanes<int(COUNT) * PARTS> out;
+    FOR_PARTS_OF(int(COUNT) * PARTS) out.part[p] = from[p / PARTS].part[p % PARTS];
+    return out;
+}
+
+template <class T, size_t COUNT>
+LANE_INLINE FloatLanes<int(COUNT) * PARTS> joined(const T (&from)[COUNT], Lanes T::*number) {
+    FloatLanes<int(COUNT) * PARTS> out;
+    FOR_PARTS_OF(int(COUNT) * PARTS) out.part[p] = (from[p / PARTS].*number).part[p % PARTS];
+    return out;
+}
+
+template <int COUNT>
+LANE_INLINE Lanes lanes_of(const FloatLanes<COUNT>& from, uint32_t i) {
+    Lanes out;
+    FOR_PARTS out.part[p] = from.part[int(i) * PARTS + p];
+    return out;
+}
+
 #define LANE_OPERATOR(op)                                                                                 \
-    LANE_INLINE Lanes operator op(const Lanes& a, const Lanes& b) {                                       \
-        Lanes out;                                                                                        \
-        FOR_PARTS out.part[p] = a.part[p] op b.part[p];                                                   \
+    template <int COUNT>                                                                                  \
+    LANE_INLINE FloatLanes<COUNT> operator op(const FloatLanes<COUNT>& a, const FloatLanes<COUNT>& b) {   \
+        FloatLanes<COUNT> out;                                                                            \
+        FOR_PARTS_OF(COUNT) out.part[p] = a.part[p] op b.part[p];                                         \
         return out;                                                                                       \
     }                                                                                                     \
-    LANE_INLINE Lanes operator op(const Lanes& a, float b) {                                              \
-        Lanes out;                                                                                        \
-        FOR_PARTS out.part[p] = a.part[p] op b;                                                           \
+    template <int COUNT>                                                                                  \
+    LANE_INLINE FloatLanes<COUNT> operator op(const FloatLanes<COUNT>& a, float b) {                      \
+        FloatLanes<COUNT> out;                                                                            \
+        FOR_PARTS_OF(COUNT) out.part[p] = a.part[p] op b;                                                 \
         return out;                                                                                       \
     }                                                                                                     \
-    LANE_INLINE Lanes operator op(float a, const Lanes& b) {                                              \
-        Lanes out;                                                                                        \
-        FOR_PARTS out.part[p] = a op b.part[p];                                                           \
+    template <int COUNT>                                                                                  \
+    LANE_INLINE FloatLanes<COUNT> operator op(float a, const FloatLanes<COUNT>& b) {                      \
+        FloatLanes<COUNT> out;                                                                            \
+        FOR_PARTS_OF(COUNT) out.part[p] = a op b.part[p];                                                 \
         return out;                                                                                       \
     }
 LANE_OPERATOR(+)
@@ -81,34 +113,52 @@ LANE_OPERATOR(*)
 LANE_OPERATOR(/)
 #undef LANE_OPERATOR
 
-LANE_INLINE Lanes operator-(const Lanes& a) {
-    Lanes out;
-    FOR_PARTS out.part[p] = -a.part[p];
+template <int COUNT>
+LANE_INLINE FloatLanes<COUNT> operator-(const FloatLanes<COUNT>& a) {
+    FloatLanes<COUNT> out;
+    FOR_PARTS_OF(COUNT) out.part[p] = -a.part[p];
     return out;
 }
 
-LANE_INLINE Lanes min(const Lanes& a, const Lanes& b) {
-    Lanes out;
+template <int COUNT>
+LANE_INLINE FloatLanes<COUNT> min(const FloatLanes<COUNT>& a, const FloatLanes<COUNT>& b) {
+    FloatLanes<COUNT> out;
+    FOR_PARTS_OF(COUNT) {
 #if defined(SPLATRL_AVX512)
-    out.part[0] = (FloatPart)_mm512_maskz_min_ps(0xffff, (__m512)a.part[0], (__m512)b.part[0]);
+        out.part[p] = (FloatPart)_mm512_maskz_min_ps(0xffff, (__m512)a.part[p], (__m512)b.part[p]);
 #else
-    FOR_PARTS out.part[p] = a.part[p] < b.part[p] ? a.part[p] : b.part[p];
+        out.part[p] = a.part[p] < b.part[p] ? a.part[p] : b.part[p];
 #endif
+    }
     return out;
 }
 
-LANE_INLINE Lanes max(const Lanes& a, const Lanes& b) {
-    Lanes out;
+template <int COUNT>
+LANE_INLINE FloatLanes<COUNT> max(const FloatLanes<COUNT>& a, const FloatLanes<COUNT>& b) {
+    FloatLanes<COUNT> out;
+    FOR_PARTS_OF(COUNT) {
 #if defined(SPLATRL_AVX512)
-    out.part[0] = (FloatPart)_mm512_maskz_max_ps(0xffff, (__m512)a.part[0], (__m512)b.part[0]);
+        out.part[p] = (FloatPart)_mm512_maskz_max_ps(0xffff, (__m512)a.part[p], (__m512)b.part[p]);
 #else
-    FOR_PARTS out.part[p] = a.part[p] > b.part[p] ? a.part[p] : b.part[p];
+        out.part[p] = a.part[p] > b.part[p] ? a.part[p] : b.part[p];
 #endif
+    }
     return out;
 }
 
-LANE_INLINE Lanes min(const Lanes& a, float b) { return min(a, lanes(b)); }
-LANE_INLINE Lanes max(const Lanes& a, float b) { return max(a, lanes(b)); }
+template <int COUNT>
+LANE_INLINE FloatLanes<COUNT> min(const FloatLanes<COUNT>& a, float b) {
+    FloatLanes<COUNT> all;
+    FOR_PARTS_OF(COUNT) all.part[p] = splat_part(b);
+    return min(a, all);
+}
+
+template <int COUNT>
+LANE_INLINE FloatLanes<COUNT> max(const FloatLanes<COUNT>& a, float b) {
+    FloatLanes<COUNT> all;
+    FOR_PARTS_OF(COUNT) all.part[p] = splat_part(b);
+    return max(a, all);
+}
 
 // `value` where `tested` >= `bound`, else 0.
 LANE_INLINE Lanes select_if_at_least(const Lanes& tested, float bound, const Lanes& value) {
@@ -130,6 +180,16 @@ LANE_INLINE LaneMask above(const Lanes& a, float bound) {
 #else
     LaneMask out;
     FOR_PARTS out.part[p] = a.part[p] > splat_part(bound);
+    return out;
+#endif
+}
+
+LANE_INLINE LaneMask all_lanes() {
+#if defined(SPLATRL_AVX512)
+    return 0xffff;
+#else
+    LaneMask out;
+    FOR_PARTS out.part[p] = ~IntPart{};
     return out;
 #endif
 }
@@ -164,25 +224,30 @@ LANE_INLINE uint32_t bits_above(const Lanes& a, const Lanes& b) {
 }
 
 // A vector of sixteen has only merged Gaussians, or none.
-LANE_INLINE bool stand_for_many(const Lanes&) { return true; }
+template <int COUNT>
+LANE_INLINE bool stand_for_many(const FloatLanes<COUNT>&) {
+    return true;
+}
 
 // 1 / a and 1 / sqrt(a) to the last bit or two, for normal a > 0: an estimate and one step of Newton's method.
-LANE_INLINE Lanes reciprocal(const Lanes& a) {
-    Lanes out;
+template <int COUNT>
+LANE_INLINE FloatLanes<COUNT> reciprocal(const FloatLanes<COUNT>& a) {
+    FloatLanes<COUNT> out;
 #if defined(SPLATRL_AVX512)
-    FOR_PARTS {
+    FOR_PARTS_OF(COUNT) {
         const FloatPart r = (FloatPart)_mm512_maskz_rcp14_ps(0xffff, (__m512)a.part[p]);
         out.part[p] = r * (2.0f - a.part[p] * r);
     }
 #else
-    FOR_PARTS out.part[p] = 1.0f / a.part[p];
+    FOR_PARTS_OF(COUNT) out.part[p] = 1.0f / a.part[p];
 #endif
     return out;
 }
 
-LANE_INLINE Lanes reciprocal_sqrt(const Lanes& a) {
-    Lanes out;
-    FOR_PARTS {
+template <int COUNT>
+LANE_INLINE FloatLanes<COUNT> reciprocal_sqrt(const FloatLanes<COUNT>& a) {
+    FloatLanes<COUNT> out;
+    FOR_PARTS_OF(COUNT) {
 #if defined(SPLATRL_AVX512)
         const FloatPart r = (FloatPart)_mm512_maskz_rsqrt14_ps(0xffff, (__m512)a.part[p]);
 #elif defined(SPLATRL_AVX2)
@@ -199,23 +264,26 @@ LANE_INLINE Lanes reciprocal_sqrt(const Lanes& a) {
 }
 
 // The largest integer <= a, and the smallest >= a, for a in [0, 2^31).
-LANE_INLINE Lanes floor(const Lanes& a) {
-    Lanes out;
-    FOR_PARTS out.part[p] = __builtin_convertvector(__builtin_convertvector(a.part[p], IntPart), FloatPart);
+template <int COUNT>
+LANE_INLINE FloatLanes<COUNT> floor(const FloatLanes<COUNT>& a) {
+    FloatLanes<COUNT> out;
+    FOR_PARTS_OF(COUNT) out.part[p] = __builtin_convertvector(__builtin_convertvector(a.part[p], IntPart), FloatPart);
     return out;
 }
 
-LANE_INLINE Lanes ceil(const Lanes& a) {
-    Lanes out = floor(a);
-    FOR_PARTS out.part[p] += a.part[p] > out.part[p] ? splat_part(1.0f) : FloatPart{};
+template <int COUNT>
+LANE_INLINE FloatLanes<COUNT> ceil(const FloatLanes<COUNT>& a) {
+    FloatLanes<COUNT> out = floor(a);
+    FOR_PARTS_OF(COUNT) out.part[p] += a.part[p] > out.part[p] ? splat_part(1.0f) : FloatPart{};
     return out;
 }
 
 // 2^a for a in [-126, 126], arbitrary beyond, relative error 3e-6: 2^(a - round(a)) by a polynomial, then the exponent.
-LANE_INLINE Lanes exp2(const Lanes& a) {
+template <int COUNT>
+LANE_INLINE FloatLanes<COUNT> exp2(const FloatLanes<COUNT>& a) {
     constexpr float ROUND = 12582912.0f;  // 1.5 · 2^23: adding it rounds to an integer in the lowest bits
-    Lanes out;
-    FOR_PARTS {
+    FloatLanes<COUNT> out;
+    FOR_PARTS_OF(COUNT) {
         const FloatPart shifted = a.part[p] + ROUND;
         const FloatPart f = a.part[p] - (shifted - ROUND);
         const FloatPart power =
@@ -249,9 +317,10 @@ LANE_INLINE Lanes coarse_exp2(const Lanes& a) {
 }
 
 // log2(a) for normal a > 0, absolute error 1e-7 plus rounding: exponent, and the atanh series of the mantissa.
-LANE_INLINE Lanes log2(const Lanes& a) {
-    Lanes above, below, whole;
-    FOR_PARTS {
+template <int COUNT>
+LANE_INLINE FloatLanes<COUNT> log2(const FloatLanes<COUNT>& a) {
+    FloatLanes<COUNT> above, below, whole;
+    FOR_PARTS_OF(COUNT) {
         const IntPart bits = (IntPart)a.part[p];
         const IntPart exponent = (bits - 0x3f3504f3) >> 23;  // the mantissa is in [√½, √2)
         const FloatPart mantissa = (FloatPart)(bits - (exponent << 23));
@@ -259,7 +328,7 @@ LANE_INLINE Lanes log2(const Lanes& a) {
         below.part[p] = mantissa + 1.0f;
         whole.part[p] = __builtin_convertvector(exponent, FloatPart);
     }
-    const Lanes s = above * reciprocal(below), q = s * s;
+    const FloatLanes<COUNT> s = above * reciprocal(below), q = s * s;
     return ((((0.32059889f * q + 0.41219858f) * q + 0.57707802f) * q + 0.96179669f) * q + 2.88539008f) * s + whole;
 }
 

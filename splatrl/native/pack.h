@@ -108,10 +108,10 @@ LANE_INLINE IntLanes to_halves(const Lanes& a) {
     return out;
 }
 
-// Four half floats to four numbers; `to` is aligned to 8 bytes.
+// Four half floats to four numbers; `to` is aligned to 16 bytes.
 LANE_INLINE void store_four_halves(float* to, const uint16_t* from) {
 #if defined(SPLATRL_AVX512) || defined(SPLATRL_AVX2)
-    _mm_storeu_ps(to, _mm_cvtph_ps(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(from))));
+    _mm_store_ps(to, _mm_cvtph_ps(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(from))));
 #else
     for (int i = 0; i < 4; ++i) to[i] = from_half(from[i]);
 #endif
@@ -168,9 +168,10 @@ LANE_INLINE void transpose(const Lanes (&columns)[COLUMNS], float (*rows)[COLUMN
 // What is appended for every visible lane. `words` are those of a Splat.
 struct Record {
     Lanes words[8];
-    IntLanes patch_low, patch_high;
-    Lanes depth, depth_rest;
-    IntLanes original_index;
+    Lanes depth;
+    IntLanes rest, original_index;  // decide between equal depths
+    Lanes peak;
+    bool merging;  // peaks are kept
 };
 
 // Write the lanes of the mask, in their order, at `count` and beyond, and return the new count. Up to SPARE places
@@ -200,28 +201,25 @@ LANE_INLINE uint32_t append(const Record& record, uint32_t mask, const Scratch& 
         _mm256_store_ps(to + 64, _mm256_castpd_ps(_mm512_castpd512_pd256(high)));
         _mm256_store_ps(to + 96, _mm256_castpd_ps(_mm512_extractf64x4_pd(high, 1)));
     }
-    append_words(scratch.patches + count, _mm512_castps_si512(kept(from_bits(record.patch_low), kept_lanes)),
-                 _mm512_castps_si512(kept(from_bits(record.patch_high), kept_lanes)));
+    if (record.merging) _mm512_storeu_ps(scratch.peaks + count, kept(record.peak, kept_lanes));
     const __m512 depth = kept(record.depth, kept_lanes);
     append_words(scratch.keys + count, _mm512_add_epi32(ordinals, _mm512_set1_epi32(int32_t(count))),
                  _mm512_castps_si512(depth));
-    append_words(scratch.ties + count, _mm512_castps_si512(kept(record.depth_rest, kept_lanes)),
-                 _mm512_castps_si512(kept(from_bits(record.original_index), kept_lanes)));
+    append_words(scratch.ties + count, _mm512_castps_si512(kept(from_bits(record.original_index), kept_lanes)),
+                 _mm512_castps_si512(kept(from_bits(record.rest), kept_lanes)));
     return count + uint32_t(__builtin_popcount(mask));
 #else
-    alignas(64) float rows[LANES][8], depths[LANES], rests[LANES];
-    alignas(64) uint32_t lows[LANES], highs[LANES], indices[LANES];
+    alignas(64) float rows[LANES][8], depths[LANES], peaks[LANES];
+    alignas(64) uint32_t rests[LANES], indices[LANES];
     transpose(record.words, rows);
     store(depths, record.depth);
-    store(rests, record.depth_rest);
+    store(peaks, record.peak);
+    std::memcpy(rests, &record.rest, sizeof(rests));
     std::memcpy(indices, &record.original_index, sizeof(indices));
-    std::memcpy(lows, &record.patch_low, sizeof(lows));
-    std::memcpy(highs, &record.patch_high, sizeof(highs));
     for (uint32_t lane = 0; lane < uint32_t(LANES); ++lane) {  // write each, then overwrite it unless it is kept
         std::memcpy(&scratch.splats[count], rows[lane], sizeof(Splat));
-        std::memcpy(&scratch.patches[count], &lows[lane], 4);
-        std::memcpy(reinterpret_cast<char*>(&scratch.patches[count]) + 4, &highs[lane], 4);
-        scratch.ties[count] = {rests[lane], indices[lane]};
+        if (record.merging) scratch.peaks[count] = peaks[lane];
+        scratch.ties[count] = uint64_t(rests[lane]) << 32 | indices[lane];
         uint32_t depth_bits;
         std::memcpy(&depth_bits, &depths[lane], sizeof(depth_bits));
         scratch.keys[count] = uint64_t(depth_bits) << 32 | count;

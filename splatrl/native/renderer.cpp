@@ -47,10 +47,9 @@ T* offset(T* images, size_t items) {
 struct Renderer::Workspace {
     Buffer<uint32_t> groups, tied;
     Buffer<Splat> splats;
-    Buffer<Patch> patches;
-    Buffer<Tie> ties;
-    Buffer<uint64_t> keys, sorted;
-    Buffer<SlabSplat> slab = make_buffer<SlabSplat>(SLAB);
+    Buffer<float> peaks;
+    Buffer<uint64_t> ties, keys, sorted;
+    Buffer<SlabSplat> slab = make_buffer<SlabSplat>(SLAB + 1);
     Buffer<uint16_t> lists = make_buffer<uint16_t>(LISTS * LIST);
     Buffer<float> pixels = make_buffer<float>(BLOCKS * CHANNELS * BLOCK * BLOCK);
     std::vector<Part> parts;
@@ -60,15 +59,15 @@ struct Renderer::Workspace {
         : groups(make_buffer<uint32_t>(capacity / GROUP + SPARE)),
           tied(make_buffer<uint32_t>(capacity + SPARE)),
           splats(make_buffer<Splat>(capacity + SPARE)),
-          patches(make_buffer<Patch>(capacity + SPARE)),
-          ties(make_buffer<Tie>(capacity + SPARE)),
+          peaks(make_buffer<float>(capacity + SPARE)),
+          ties(make_buffer<uint64_t>(capacity + SPARE)),
           keys(make_buffer<uint64_t>(capacity + SPARE)),
           sorted(make_buffer<uint64_t>(capacity + SPARE)),
           capacity(capacity) {}
 
     Scratch scratch() const {
-        return {groups.get(), splats.get(), patches.get(), ties.get(), keys.get(), sorted.get(),
-                tied.get(),   slab.get(),   lists.get(),   pixels.get()};
+        return {groups.get(), splats.get(), peaks.get(), ties.get(),  keys.get(),
+                sorted.get(), tied.get(),   slab.get(),  lists.get(), pixels.get()};
     }
 };
 

@@ -15,6 +15,7 @@ namespace splatrl {
 constexpr float NEAR_DEPTH = 0.01f;           // metres
 constexpr float DILATION = 0.3f;              // square pixels
 constexpr float MAX_ALPHA = 0.999f;
+constexpr float LOG2_BELOW_PEAK = -0.0016f;   // opacities up to here stay below MAX_ALPHA, however they are rounded
 constexpr float MIN_TRANSMITTANCE = 1e-4f;
 constexpr float LOG2_GREY_LEVEL = -7.99435344f;             // log2(1 / 255)
 constexpr float LOG2_INVISIBLE_ANTIALIASED = -9.99435344f;  // a quarter of it: far surfaces are many faint Gaussians
@@ -40,8 +41,8 @@ SPLAT_INLINE float finished_at(float tolerance) {
 }
 
 // The opacity below which a splat does not show at a pixel, as a logarithm to base 2: a grey level in classic images
-// and a quarter of it in antialiased ones. Where what is shown may be displaced by half a pixel, a level of its rim may be
-// missing: what is far and faint has been merged, and of a splat's neighbours each covers the rim of the other.
+// and a quarter of it in antialiased ones. Where what is shown may be displaced by half a pixel, a level of its rim may
+// be missing: what is far and faint has been merged, and of a splat's neighbours each covers the rim of the other.
 SPLAT_INLINE float log2_invisible_at(float tolerance, bool antialiased) {
     constexpr float LEVELS_PER_PIXEL = 2.0f, MOST_LEVELS = 1.0f, LEAST_LEVELS = 0.25f;
     if (!antialiased) return LOG2_GREY_LEVEL;
@@ -81,11 +82,18 @@ SPLAT_INLINE void merge_opacities(F x, F members, F& log2_opacity, F& peak) {
     log2_opacity = log2(max(opacity * ratio, 1e-12f));
 }
 
-// Project a Gaussian whose mean is `offset` from the camera (world axes) and whose covariance has the factor `axes`
-// (row-major 3×3), and which shows where it is no fainter than `log2_invisible`. Meaningful where depth >= NEAR_DEPTH. EWA: eq. 29 to 31 of Zwicker et al. 2001.
-template <bool ANTIALIASED, bool MERGED, class F>
-SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const F* axes, F log2_opacity,
-                                  Merging<F> merging, float log2_invisible) {
+// A Gaussian on the image plane, before dilation.
+template <class F>
+struct Flat {
+    F x, y, depth;  // pixels, pixels, metres
+    F xx, yy, xy;   // covariance, square pixels
+    F determinant;
+};
+
+// Flatten a Gaussian whose mean is `offset` from the camera (world axes) and whose covariance has the factor `axes`
+// (row-major 3×3). Meaningful where depth >= NEAR_DEPTH. EWA: eq. 29 to 31 of Zwicker et al. 2001.
+template <class F>
+SPLAT_INLINE Flat<F> flatten(const Camera& camera, Vector<F> offset, const F* axes) {
     const Vector<F> mean = rotate(camera.rotation, offset.x, offset.y, offset.z);
     const F inverse_depth = reciprocal(max(mean.z, NEAR_DEPTH));
     const F slope_x = mean.x * inverse_depth, slope_y = mean.y * inverse_depth;
@@ -102,27 +110,37 @@ SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const 
     const F minor_x = jx[1] * jy[2] - jx[2] * jy[1];
     const F minor_y = jx[2] * jy[0] - jx[0] * jy[2];
     const F minor_z = jx[0] * jy[1] - jx[1] * jy[0];
-    const F bare_xx = jx[0] * jx[0] + jx[1] * jx[1] + jx[2] * jx[2];
-    const F bare_yy = jy[0] * jy[0] + jy[1] * jy[1] + jy[2] * jy[2];
-    const F xy = jx[0] * jy[0] + jx[1] * jy[1] + jx[2] * jy[2];
-    // det(M Mᵀ) is the sum of the squared minors of M (Cauchy–Binet).
-    const F bare_determinant = minor_x * minor_x + minor_y * minor_y + minor_z * minor_z;
-    const F determinant = bare_determinant + (bare_xx + bare_yy) * DILATION + DILATION * DILATION;
-    const F xx = bare_xx + DILATION, yy = bare_yy + DILATION;
-
-    Footprint<F> out;
+    Flat<F> out;
     out.x = slope_x * camera.fx + camera.cx;
     out.y = slope_y * camera.fy + camera.cy;
     out.depth = mean.z;
+    out.xx = jx[0] * jx[0] + jx[1] * jx[1] + jx[2] * jx[2];
+    out.yy = jy[0] * jy[0] + jy[1] * jy[1] + jy[2] * jy[2];
+    out.xy = jx[0] * jy[0] + jx[1] * jy[1] + jx[2] * jy[2];
+    // det(M Mᵀ) is the sum of the squared minors of M (Cauchy–Binet).
+    out.determinant = minor_x * minor_x + minor_y * minor_y + minor_z * minor_z;
+    return out;
+}
+
+// The footprint of a flattened Gaussian, which shows where it is no fainter than `log2_invisible`.
+template <bool ANTIALIASED, bool MERGED, class F>
+SPLAT_INLINE Footprint<F> dilate(const Flat<F>& flat, F log2_opacity, Merging<F> merging, float log2_invisible) {
+    const F determinant = flat.determinant + (flat.xx + flat.yy) * DILATION + DILATION * DILATION;
+    const F xx = flat.xx + DILATION, yy = flat.yy + DILATION;
+
+    Footprint<F> out;
+    out.x = flat.x;
+    out.y = flat.y;
+    out.depth = flat.depth;
     out.log2_opacity = log2_opacity;
     out.peak = log2_opacity * 0.0f + MAX_ALPHA;
     const F inverse_root = reciprocal_sqrt(determinant);
     if (ANTIALIASED)
-        out.log2_opacity = log2_opacity + 0.5f * log2(max(bare_determinant * (inverse_root * inverse_root), 1e-30f));
+        out.log2_opacity = log2_opacity + 0.5f * log2(max(flat.determinant * (inverse_root * inverse_root), 1e-30f));
     if (MERGED && stand_for_many(merging.members)) {
         F mass = exp2(max(out.log2_opacity, -60.0f));
         if (!ANTIALIASED) {  // each member was dilated
-            const F bare = max(bare_determinant, 1e-20f);
+            const F bare = max(flat.determinant, 1e-20f);
             mass = (mass * (bare * reciprocal_sqrt(bare)) + DILATION * merging.sum) * inverse_root;
         }
         merge_opacities(mass, merging.members, out.log2_opacity, out.peak);
@@ -131,7 +149,7 @@ SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const 
     const F root_xx = xx * reciprocal_sqrt(xx), inverse_root_yy = reciprocal_sqrt(yy), root_yy = yy * inverse_root_yy;
     const F l11 = ROOT_HALF_LOG2_E * (root_yy * inverse_root);
     out.l11 = l11;
-    out.l12 = -(l11 * (xy * (inverse_root_yy * inverse_root_yy)));
+    out.l12 = -(l11 * (flat.xy * (inverse_root_yy * inverse_root_yy)));
     out.l22 = ROOT_HALF_LOG2_E * inverse_root_yy;
     // alpha is invisible where (u² + v²) = log2_opacity - log2_invisible; the box of that ellipse, slightly wider.
     const F squared_reach = max(out.log2_opacity - log2_invisible, 1e-30f) * (1.0002f / HALF_LOG2_E);
@@ -139,6 +157,13 @@ SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const 
     out.extent_x = reach * root_xx;
     out.extent_y = reach * root_yy;
     return out;
+}
+
+// Project a Gaussian: flatten it, then dilate it.
+template <bool ANTIALIASED, bool MERGED, class F>
+SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const F* axes, F log2_opacity,
+                                  Merging<F> merging, float log2_invisible) {
+    return dilate<ANTIALIASED, MERGED>(flatten(camera, offset, axes), log2_opacity, merging, log2_invisible);
 }
 
 // The (degree + 1)² basis functions along a unit direction, as in spherical_harmonics.py. A colour is their product
@@ -194,13 +219,14 @@ SPLAT_INLINE void sh_slopes(int degree, F x, F y, F z, const F* weights, F* out)
              1.1195289977703462f * (w[12] * (2.0f * zz - xx - yy)) + 1.445305721320277f * (w[14] * (xx - yy));
 }
 
-// The opacity of a splat at a pixel, 0 where it is invisible.
-template <class F>
+// The opacity of a splat at a pixel, 0 where it is invisible. Not PEAKED where that cannot exceed the peak anyway.
+template <bool PEAKED = true, class F>
 SPLAT_INLINE F alpha_at(F dx, F dy, float l11, float l12, float l22, float log2_opacity, float peak,
                         float log2_invisible) {
     const F u = dx * l11 + dy * l12, v = dy * l22;
     const F exponent = log2_opacity - u * u - v * v;
-    return select_if_at_least(exponent, log2_invisible, min(coarse_exp2(exponent), peak));
+    const F alpha = coarse_exp2(exponent);
+    return select_if_at_least(exponent, log2_invisible, PEAKED ? min(alpha, peak) : alpha);
 }
 
 }  // namespace splatrl

@@ -154,13 +154,51 @@ def test_more_gaussians_on_a_block_than_one_slab_holds_are_all_blended() -> None
     assert_alike(NativeRenderer(scene).render(cameras), ReferenceRenderer(scene).render(cameras))
 
 
-def test_gaussians_of_equal_depth_are_blended_in_the_order_of_the_scene() -> None:
+@pytest.mark.parametrize("run", [2, 3, 600])
+def test_gaussians_of_equal_depth_are_blended_in_the_order_of_the_scene(run: int) -> None:
     g = torch.Generator().manual_seed(1)
     offsets = 0.3 * torch.randn(600, 2, generator=g)
-    means = torch.cat([torch.full((600, 1), 2.0), offsets], 1)
+    depths = 2.0 + 0.001 * (torch.arange(600) // run).unsqueeze(1)
+    means = torch.cat([depths, offsets], 1)[torch.randperm(600, generator=g)]
     scene = gaussians(means.tolist(), torch.rand(600, 3, generator=g).tolist(), scale=0.2, opacity=0.3)
     cameras = ahead()
     assert psnr(NativeRenderer(scene).render(cameras).rgb, ReferenceRenderer(scene).render(cameras).rgb) > LIKENESS
+
+
+@pytest.mark.parametrize("isa", _core.supported_isas())
+def test_splats_of_every_size_show_on_all_that_they_touch(isa: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPLATRL_ISA", isa)
+    g = torch.Generator().manual_seed(2)
+    for scale in (0.01, 0.03, 0.06, 0.1, 0.2, 0.5):  # from one block of 4×4 pixels to more than 4×4 blocks
+        means = torch.cat([torch.full((6, 1), 2.0), 0.8 * torch.randn(6, 2, generator=g)], 1)
+        for mean, across, down in zip(means.tolist(), (1, 1, 0.2, 5, 1, 3), (1, 4, 1, 1, 0.3, 1), strict=True):
+            scene = gaussians([mean], scale=[scale, scale * across, scale * down])
+            fast, reference = (made(scene).render(ahead(64, 64)) for made in (NativeRenderer, ReferenceRenderer))
+            assert psnr(fast.alpha, reference.alpha) >= LIKENESS
+
+
+@pytest.mark.parametrize("isa", _core.supported_isas())
+@pytest.mark.parametrize("faint", [0, 1, 2, 3])
+def test_a_splat_that_would_finish_a_pixel_of_an_exact_image_is_left_out_wherever_in_the_list(
+    isa: str, faint: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPLATRL_ISA", isa)
+    sheets = gaussians([[1.0 + 0.1 * i, 0.0, 0.0] for i in range(faint + 3)], scale=50.0, opacity=0.995)
+    sheets.opacities[:faint] = 0.01
+    sheets.opacities[-1] = 0.5  # is behind the pixel that is finished
+    alpha = NativeRenderer(sheets).render(ahead(9, 6)).alpha[0, 3, 4]
+    assert float(alpha) == pytest.approx(1 - 0.99**faint * 0.005, abs=1e-4)
+
+
+def test_an_opaque_splat_changes_no_byte_where_it_does_not_show() -> None:
+    g = torch.Generator().manual_seed(3)
+    means = torch.cat([1.5 + torch.rand(300, 1, generator=g), 0.4 + 0.2 * torch.randn(300, 2, generator=g)], 1)
+    scene = gaussians(means.tolist(), torch.rand(300, 3, generator=g).tolist(), 0.05)
+    scene.opacities = 0.2 + 0.79 * torch.rand(300, generator=g, dtype=torch.float64)
+    opaque = gaussians([[1.0, -0.9, 0.0]], scale=0.1, opacity=1.0)
+    alone, beside = (NativeRenderer(shown).render(ahead(64, 48)) for shown in (scene, torch.cat([scene, opaque])))
+    assert torch.equal(alone.rgb[:, :, :48], beside.rgb[:, :, :48]) and alone.rgb[:, :, :48].any()
+    assert not torch.equal(alone.rgb[:, :, 48:], beside.rgb[:, :, 48:])
 
 
 @pytest.mark.parametrize(

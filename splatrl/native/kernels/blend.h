@@ -2,6 +2,8 @@
 // that they touch, then each block is blended with its pixels in registers. Finished blocks are given no more splats.
 #pragma once
 
+#include <type_traits>
+
 #include "kernel.h"
 #include "lanes.h"
 #include "pack.h"
@@ -9,9 +11,13 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
-// Items to prefetch: enough for the caches to keep up. What is fetched past the end of a list is never used.
-constexpr uint32_t FETCH = 16, AHEAD = 4;
+// Items to prefetch: enough for the caches to keep up, and for memory. What is fetched past the end of a list is never
+// used.
+constexpr uint32_t FETCH = 64, AHEAD = 4;
 static_assert(FETCH <= SPARE && AHEAD <= SPARE, "the arrays have room to read ahead");
+
+// Splats after which a block is looked at for finished pixels. Lists are filled up with a splat that shows nowhere.
+constexpr uint32_t ROUND = 2, NOWHERE = SLAB;
 
 // Lists of the splats on each block, and which blocks are finished.
 struct Blocks {
@@ -25,7 +31,11 @@ struct Blocks {
         for (int block = 0; block < LISTS; ++block) ends[block] = list(block);
     }
 
-    void add(uint32_t block, uint32_t splat) { *ends[block]++ = uint16_t(splat); }
+    // Without a branch: the splat is on the block once or, where the count is 0, overwritten by the next.
+    void add(uint32_t block, uint32_t splat, uint32_t count) {
+        *ends[block] = uint16_t(splat);
+        ends[block] += count;
+    }
 };
 
 // Start with nothing drawn; pixels outside the tile are finished from the start.
@@ -49,36 +59,46 @@ LANE_INLINE void start_tile(float* pixels, Blocks& blocks, const Tile& tile, con
 }
 
 // Lay out the splats of a slab, nearest first, with their colours in single precision, and deal them to their blocks.
-template <bool WITH_DEPTH>
-LANE_INLINE void deal(const Scratch& scratch, const uint64_t* keys, uint32_t count, Blocks& blocks) {
+// `peaks` are those of all splats, or null where all have the same.
+template <bool WITH_DEPTH, bool PEAKED>
+LANE_INLINE void deal(const Scratch& scratch, const float* peaks, const uint64_t* keys, uint32_t count,
+                      Blocks& blocks) {
     const Splat* splats = scratch.splats;
-    const Patch* patches = scratch.patches;
     SlabSplat* slab = scratch.slab;
     for (uint32_t i = 0; i < count; ++i) {
-        const uint32_t ahead = uint32_t(keys[i + FETCH]), from = uint32_t(keys[i]);
-        __builtin_prefetch(&splats[ahead]);
-        __builtin_prefetch(&patches[ahead]);
-        std::memcpy(&slab[i], &splats[from], 6 * sizeof(float));
-        store_four_halves(&slab[i].red, splats[from].color);
+        const uint32_t from = uint32_t(keys[i]);
+        const Splat& splat = splats[from];
+        __builtin_prefetch(&splats[uint32_t(keys[i + FETCH])]);
+        slab[i].splat = splat;
+        store_four_halves(&slab[i].red, &splat.red);
+        if (PEAKED) slab[i].peak = peaks == nullptr ? MAX_ALPHA : peaks[from];
         if (WITH_DEPTH) {
             const uint32_t depth_bits = uint32_t(keys[i] >> 32);
             std::memcpy(&slab[i].depth, &depth_bits, sizeof(depth_bits));
         }
-        const Patch patch = patches[from];
-        if (patch.lists[0] != LARGE) {
-            for (int corner = 0; corner < 4; ++corner) blocks.add(patch.lists[corner], i);
+        const uint32_t patch = splat.patch, first = patch % BLOCKS;
+        const uint32_t right = patch >> RIGHT & (ACROSS - 1), down = patch >> DOWN;
+        if (!(patch & LARGE)) {
+            blocks.add(first, i, 1);
+            blocks.add(first + 1, i, right);
+            blocks.add(first + ACROSS, i, down);
+            blocks.add(first + ACROSS + 1, i, right & down);
             continue;
         }
-        const uint32_t first = patch.lists[1], right = patch.lists[2], down = patch.lists[3];
+        if (right <= 2 && down <= 2) {
+            for (uint32_t y = 0; y <= 2; ++y)
+                for (uint32_t x = 0; x <= 2; ++x) blocks.add(first + y * ACROSS + x, i, (x <= right) & (y <= down));
+            continue;
+        }
         for (uint32_t line = first; line <= first + down * ACROSS; line += ACROSS)
-            for (uint32_t block = line; block <= line + right; ++block) blocks.add(block, i);
+            for (uint32_t block = line; block <= line + right; ++block) blocks.add(block, i, 1);
     }
 }
 
 // Blend a list of splats over one block, front to back. Returns whether all its pixels are finished.
 // A splat's share of a pixel is 0 once the transmittance has fallen to `finished`; with FIRM, once it would. The
-// transmittance keeps falling, so a finished pixel stays finished.
-template <bool WITH_DEPTH, bool FIRM>
+// transmittance keeps falling, so a finished pixel stays finished, and where none is after a round, all shares count.
+template <bool WITH_DEPTH, bool FIRM, bool PEAKED>
 LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const uint16_t* end, float left, float top,
                              const Row& row, float* channels) {
     alignas(64) static constexpr float COLUMNS[LANES] = {0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, 2.5f, 3.5f,
@@ -86,26 +106,43 @@ LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const 
     alignas(64) static constexpr float ROWS[LANES] = {0.5f, 0.5f, 0.5f, 0.5f, 1.5f, 1.5f, 1.5f, 1.5f,
                                                       2.5f, 2.5f, 2.5f, 2.5f, 3.5f, 3.5f, 3.5f, 3.5f};
     const Lanes x = load(COLUMNS) + left, y = load(ROWS) + top;
-    const float finished = row.finished, log2_invisible = row.log2_invisible;
     Lanes red = load(channels + RED * LANES), green = load(channels + GREEN * LANES);
     Lanes blue = load(channels + BLUE * LANES), transmittance = load(channels + TRANSMITTANCE * LANES);
     Lanes depth = load(channels + DEPTH * LANES), alpha = load(channels + ALPHA * LANES);
-    for (; item < end; ++item) {
-        __builtin_prefetch(&slab[item[AHEAD]]);
-        const SlabSplat& splat = slab[*item];
-        const Lanes before = transmittance;
-        const Lanes share =
-            before * alpha_at(x - splat.x, y - splat.y, splat.l11, splat.l12, splat.l22, splat.log2_opacity,
-                              splat.peak, log2_invisible);
-        transmittance = before - share;
-        const LaneMask counted = above(FIRM ? transmittance : before, finished);
-        red = add_product_where(counted, red, share, splat.red);
-        green = add_product_where(counted, green, share, splat.green);
-        blue = add_product_where(counted, blue, share, splat.blue);
-        if (WITH_DEPTH) {
-            depth = add_product_where(counted, depth, share, splat.depth);
-            alpha = add_product_where(counted, alpha, share, 1.0f);
+    constexpr uint32_t ALL = (1u << LANES) - 1;
+    const float finished = row.finished, log2_invisible = row.log2_invisible;
+    const Lanes bound = lanes(finished);
+    for (; item < end; item += ROUND) {
+        Lanes shares[ROUND], seen[ROUND];
+#pragma GCC unroll 2
+        for (uint32_t i = 0; i < ROUND; ++i) {
+            __builtin_prefetch(&slab[item[AHEAD + i]]);
+            const SlabSplat& colors = slab[item[i]];
+            const Splat& splat = colors.splat;
+            const Lanes before = transmittance;
+            shares[i] = before * alpha_at<PEAKED>(x - splat.x, y - splat.y, splat.l11, splat.l12, splat.l22,
+                                                  splat.log2_opacity, colors.peak, log2_invisible);
+            transmittance = before - shares[i];
+            seen[i] = FIRM ? transmittance : before;
         }
+        const auto add = [&](auto open) {
+#pragma GCC unroll 2
+            for (uint32_t i = 0; i < ROUND; ++i) {
+                const SlabSplat& colors = slab[item[i]];
+                const LaneMask counted = decltype(open)::value ? all_lanes() : above(seen[i], finished);
+                red = add_product_where(counted, red, shares[i], colors.red);
+                green = add_product_where(counted, green, shares[i], colors.green);
+                blue = add_product_where(counted, blue, shares[i], colors.blue);
+                if (WITH_DEPTH) {
+                    depth = add_product_where(counted, depth, shares[i], colors.depth);
+                    alpha = add_product_where(counted, alpha, shares[i], 1.0f);
+                }
+            }
+        };
+        if (bits_above(transmittance, bound) == ALL)
+            add(std::true_type());
+        else
+            add(std::false_type());
     }
     store(channels + RED * LANES, red);
     store(channels + GREEN * LANES, green);
@@ -115,20 +152,21 @@ LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const 
         store(channels + DEPTH * LANES, depth);
         store(channels + ALPHA * LANES, alpha);
     }
-    return bits_above(transmittance, lanes(finished)) == 0;
+    return bits_above(transmittance, bound) == 0;
 }
 
 // Blend what has been dealt to the blocks. Returns whether all of them are finished; adds to `blended` how often a
 // splat was blended over a block.
-template <bool WITH_DEPTH, bool FIRM>
-LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, const Row& row, Blocks& blocks,
-                              uint32_t& blended) {
+template <bool WITH_DEPTH, bool FIRM, bool PEAKED>
+static OUT_OF_LINE bool blend_blocks(const Scratch& scratch, const Tile& tile, const Row& row, Blocks& blocks,
+                                     uint32_t& blended) {
     bool all_finished = true;
     for (int block = 0; block < BLOCKS; ++block) {
         if (blocks.finished[block]) continue;
-        const uint16_t *item = blocks.list(block), *end = blocks.ends[block];
+        uint16_t *item = blocks.list(block), *end = blocks.ends[block];
         if (item < end) {
-            blocks.finished[block] = blend_block<WITH_DEPTH, FIRM>(
+            for (uint32_t i = 0; i + 1 < ROUND; ++i) end[i] = NOWHERE;
+            blocks.finished[block] = blend_block<WITH_DEPTH, FIRM, PEAKED>(
                 scratch.slab, item, end, float(tile.left + block % ACROSS * BLOCK),
                 float(tile.top + block / ACROSS * BLOCK), row, scratch.pixels + block * CHANNELS * LANES);
             blended += uint32_t(end - item);
@@ -140,16 +178,19 @@ LANE_INLINE bool blend_blocks(const Scratch& scratch, const Tile& tile, const Ro
 }
 
 // Returns how often a splat was blended over a block.
-template <bool WITH_DEPTH, bool FIRM>
+template <bool WITH_DEPTH, bool FIRM, bool PEAKED>
 static uint32_t blend_tile(const Tile& tile, const Row& row, const uint64_t* keys, uint32_t count,
                            const Scratch& scratch) {
     Blocks blocks;
     blocks.lists = scratch.lists;
+    scratch.slab[NOWHERE] = {};
+    scratch.slab[NOWHERE].splat.log2_opacity = -1e30f;
+    const float* peaks = row.count > 0 && row.parts->scene->tolerance > 0.0f ? scratch.peaks : nullptr;
     start_tile<WITH_DEPTH>(scratch.pixels, blocks, tile, row.background);
     uint32_t blended = 0;
     for (uint32_t next = 0; next < count; next += SLAB) {
-        deal<WITH_DEPTH>(scratch, keys + next, count - next < SLAB ? count - next : SLAB, blocks);
-        if (blend_blocks<WITH_DEPTH, FIRM>(scratch, tile, row, blocks, blended)) break;
+        deal<WITH_DEPTH, PEAKED>(scratch, peaks, keys + next, count - next < SLAB ? count - next : SLAB, blocks);
+        if (blend_blocks<WITH_DEPTH, FIRM, PEAKED>(scratch, tile, row, blocks, blended)) break;
     }
     return blended;
 }

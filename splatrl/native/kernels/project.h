@@ -30,13 +30,15 @@ LANE_INLINE void shade(const SceneView& scene, uint32_t group, const Vector<Lane
 
 // The first and the last pixel whose centre is in [middle - extent, middle + extent] and which is in [low, high]; the
 // last is before the first where there is none.
-LANE_INLINE void pixels_between(const Lanes& middle, const Lanes& extent, int low, int high, Lanes& first, Lanes& last) {
+template <class F>
+LANE_INLINE void pixels_between(const F& middle, const F& extent, int low, int high, F& first, F& last) {
     first = ceil(min(max(middle - extent - 0.5f, float(low)), float(high + 1)));
     last = floor(max(min(middle + extent - 0.5f, float(high)) + 1.0f, 0.0f)) - 1.0f;
 }
 
-// Depths in double precision, split into two floats: the order of two Gaussians must not depend on rounding.
-LANE_INLINE void exact_depths(const float* means, const Camera& camera, Lanes& depths, Lanes& rests) {
+// Depths in double precision, split into two floats, as the order of two Gaussians must not depend on rounding. What
+// single precision drops is given as bits in the order of the numbers.
+LANE_INLINE void exact_depths(const float* means, const Camera& camera, Lanes& depths, IntLanes& rests) {
     const float *forward = camera.rotation + 6, *position = camera.position;
     alignas(64) float near[GROUP], rest[GROUP];
     for (int lane = 0; lane < GROUP; ++lane) {
@@ -46,62 +48,91 @@ LANE_INLINE void exact_depths(const float* means, const Camera& camera, Lanes& d
         near[lane] = float(depth);
         rest[lane] = float(depth - double(near[lane]));
     }
-    depths = load(near), rests = load(rest);
+    depths = load(near), rests = bits_of(load(rest));
+    FOR_PARTS rests.part[p] ^= (rests.part[p] >> 31) | INT32_MIN;
 }
 
 // The patches of sixteen splats that show on the pixels of these columns and rows.
-LANE_INLINE void patches_of(const Tile& tile, const Lanes& left, const Lanes& right, const Lanes& top,
-                            const Lanes& bottom, IntLanes& low, IntLanes& high) {
+LANE_INLINE IntLanes patches_of(const Tile& tile, const Lanes& left, const Lanes& right, const Lanes& top,
+                                const Lanes& bottom) {
     const IntLanes first_column = to_ints((left - float(tile.left)) * (1.0f / BLOCK));
     const IntLanes first_row = to_ints((top - float(tile.top)) * (1.0f / BLOCK));
     const IntLanes last_column = to_ints((right - float(tile.left)) * (1.0f / BLOCK));
     const IntLanes last_row = to_ints((bottom - float(tile.top)) * (1.0f / BLOCK));
-    alignas(64) static constexpr uint32_t TURNS[GROUP] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
-    const IntLanes turns = load_ints(TURNS);  // waste lists take turns, so that no splat waits for the one before it
+    IntLanes out;
     FOR_PARTS {
-        const IntPart first = first_row.part[p] * ACROSS + first_column.part[p], waste = turns.part[p] + WASTE;
-        const IntPart right_by = last_column.part[p] - first_column.part[p], down_by = last_row.part[p] - first_row.part[p];
-        const IntPart second = right_by == 0 ? waste : first + 1, third = down_by == 0 ? waste + GROUP : first + ACROSS;
-        const IntPart fourth = ((right_by == 0) | (down_by == 0)) ? waste + 2 * GROUP : first + (ACROSS + 1);
-        const IntPart large = (right_by | down_by) > 1;
-        low.part[p] = large ? LARGE | first << 16 : first | second << 16;
-        high.part[p] = large ? right_by | down_by << 16 : third | fourth << 16;
+        const IntPart first = first_row.part[p] * ACROSS + first_column.part[p];
+        const IntPart right_by = last_column.part[p] - first_column.part[p];
+        const IntPart down_by = last_row.part[p] - first_row.part[p];
+        out.part[p] = first | right_by << RIGHT | down_by << DOWN;
     }
+    return out;
 }
 
-template <bool ANTIALIASED, bool MERGED>
-static uint32_t project_group(const SceneView& scene, const Camera& camera, uint32_t first_index, const Tile& tile,
-                              float log2_invisible, uint32_t group, const Scratch& scratch, uint32_t count) {
-    const float* geometry = scene.geometry + size_t(group) * GEOMETRY * GROUP;
-    const Vector<Lanes> offset{load(geometry) - camera.position[0], load(geometry + GROUP) - camera.position[1],
-                               load(geometry + 2 * GROUP) - camera.position[2]};
-    Lanes axes[9];
-    for (int i = 0; i < 9; ++i) axes[i] = load(geometry + (AXES + i) * GROUP);
-    Merging<Lanes> merging{lanes(1.0f), lanes(0.0f)};
-    if (MERGED) {
-        const float* merged = scene.merging + size_t(group - scene.first_merged) * MERGING * GROUP;
-        merging = {load(merged + MEMBERS * GROUP), load(merged + SUM * GROUP)};
-    }
-    const Footprint<Lanes> print =
-        project<ANTIALIASED, MERGED>(camera, offset, axes, load(geometry + LOG2_OPACITY * GROUP), merging, log2_invisible);
-    Lanes left, right, top, bottom;
-    pixels_between(print.x, print.extent_x, tile.left, tile.right - 1, left, right);
-    pixels_between(print.y, print.extent_y, tile.top, tile.bottom - 1, top, bottom);
-    const uint32_t hidden =
-        bits_above(lanes(NEAR_DEPTH), print.depth) | bits_above(left, right) | bits_above(top, bottom);
-    const uint32_t visible = bits_above(print.log2_opacity, lanes(log2_invisible)) & ~hidden;
-    if (visible == 0) return count;
+// Groups whose footprints are computed at once: each alone would wait for its own results, if there are the registers.
+constexpr uint32_t AT_ONCE = SPLATRL_REGISTER == LANES ? 4 : 1;
 
-    IntLanes rgb[3];
-    shade(scene, group, offset, rgb);
-    Lanes depths, rests;
-    exact_depths(geometry, camera, depths, rests);
-    Record record{{print.x, print.y, print.l11, print.l12, print.l22, print.log2_opacity,
-                   from_bits(join_halves(rgb[0], rgb[1])), from_bits(join_halves(rgb[2], to_halves(print.peak)))},
-                  {}, {}, depths, rests,
-                  plus(load_ints(scene.original_index + group * GROUP), first_index)};
-    patches_of(tile, left, right, top, bottom, record.patch_low, record.patch_high);
-    return append(record, visible, scratch, count);
+// Append what a tile shows of some groups, at most AT_ONCE, after the first `count` splats. Returns the new number of
+// splats. However many there are, the same code computes them, so that they are rounded alike.
+template <bool ANTIALIASED, bool MERGED>
+static uint32_t project_some(const Part& part, const Tile& tile, float log2_invisible,
+                             const uint32_t* groups, uint32_t some, const Scratch& scratch, uint32_t count,
+                             bool& peaked) {
+    using Wide = FloatLanes<AT_ONCE * PARTS>;
+    const SceneView& scene = *part.scene;
+    const Camera& camera = part.camera;
+    const float* geometry[AT_ONCE];
+    Vector<Lanes> offsets[AT_ONCE];
+    Flat<Lanes> flat[AT_ONCE];
+    Lanes log2_opacity[AT_ONCE];
+    Merging<Lanes> merging[AT_ONCE];
+#pragma GCC unroll 1
+    for (uint32_t i = 0; i < AT_ONCE; ++i) {
+        const uint32_t group = groups[i < some ? i : 0];
+        geometry[i] = scene.geometry + size_t(group) * GEOMETRY * GROUP;
+        offsets[i] = {load(geometry[i]) - camera.position[0], load(geometry[i] + GROUP) - camera.position[1],
+                      load(geometry[i] + 2 * GROUP) - camera.position[2]};
+        Lanes axes[9];
+        for (int k = 0; k < 9; ++k) axes[k] = load(geometry[i] + (AXES + k) * GROUP);
+        flat[i] = flatten(camera, offsets[i], axes);
+        log2_opacity[i] = load(geometry[i] + LOG2_OPACITY * GROUP);
+        merging[i] = {lanes(1.0f), lanes(0.0f)};
+        if (MERGED) {
+            const float* merged = scene.merging + size_t(group - scene.first_merged) * MERGING * GROUP;
+            merging[i] = {load(merged + MEMBERS * GROUP), load(merged + SUM * GROUP)};
+        }
+    }
+    using From = Flat<Lanes>;
+    const Flat<Wide> wide{joined(flat, &From::x),  joined(flat, &From::y),  joined(flat, &From::depth),
+                          joined(flat, &From::xx), joined(flat, &From::yy), joined(flat, &From::xy),
+                          joined(flat, &From::determinant)};
+    const Merging<Wide> merged{joined(merging, &Merging<Lanes>::members), joined(merging, &Merging<Lanes>::sum)};
+    const Footprint<Wide> prints = dilate<ANTIALIASED, MERGED>(wide, joined(log2_opacity), merged, log2_invisible);
+    Wide lefts, rights, tops, bottoms;
+    pixels_between(prints.x, prints.extent_x, tile.left, tile.right - 1, lefts, rights);
+    pixels_between(prints.y, prints.extent_y, tile.top, tile.bottom - 1, tops, bottoms);
+    for (uint32_t i = 0; i < some; ++i) {
+        const Lanes left = lanes_of(lefts, i), right = lanes_of(rights, i), top = lanes_of(tops, i);
+        const Lanes bottom = lanes_of(bottoms, i), opacity = lanes_of(prints.log2_opacity, i);
+        const uint32_t close = bits_above(lanes(NEAR_DEPTH), lanes_of(prints.depth, i));
+        const uint32_t hidden = close | bits_above(left, right) | bits_above(top, bottom);
+        const uint32_t visible = bits_above(opacity, lanes(log2_invisible)) & ~hidden;
+        if (visible == 0) continue;
+        peaked |= MERGED || (bits_above(opacity, lanes(LOG2_BELOW_PEAK)) & visible) != 0;
+        IntLanes rgb[3], rests;
+        shade(scene, groups[i], offsets[i], rgb);
+        Lanes depths;
+        exact_depths(geometry[i], camera, depths, rests);
+        const IntLanes patches = patches_of(tile, left, right, top, bottom);
+        const Record record{{lanes_of(prints.x, i), lanes_of(prints.y, i), lanes_of(prints.l11, i),
+                             lanes_of(prints.l12, i), lanes_of(prints.l22, i), opacity,
+                             from_bits(join_halves(rgb[0], rgb[1])), from_bits(join_halves(rgb[2], patches))},
+                            depths, rests,
+                            plus(load_ints(scene.original_index + groups[i] * GROUP), part.first_index),
+                            lanes_of(prints.peak, i), scene.tolerance > 0.0f};
+        count = append(record, visible, scratch, count);
+    }
+    return count;
 }
 
 LANE_INLINE void fetch_group(const SceneView& scene, uint32_t group) {
@@ -116,20 +147,23 @@ LANE_INLINE void fetch_group(const SceneView& scene, uint32_t group) {
     for (int line = 0; line < MERGING; ++line) __builtin_prefetch(merging + GROUP * line);
 }
 
-// Project the groups of a part that scratch names, after the first `count` splats. Returns the new number of splats.
+// Project the groups of a part that scratch names, after the first `count` splats. Returns the new number of splats;
+// `peaked` becomes true where one of them could exceed its peak.
 template <bool ANTIALIASED>
 static uint32_t project_groups(const Part& part, const Tile& tile, float log2_invisible, uint32_t groups,
-                               const Scratch& scratch, uint32_t count) {
-    constexpr uint32_t GROUPS_AHEAD = 4;
-    static_assert(GROUPS_AHEAD <= SPARE, "the array has room to read ahead");
+                               const Scratch& scratch, uint32_t count, bool& peaked) {
     const SceneView& scene = *part.scene;
-    const Camera& camera = part.camera;
-    for (uint32_t i = 0; i < groups; ++i) {
-        fetch_group(scene, scratch.groups[i + GROUPS_AHEAD]);
-        const uint32_t group = scratch.groups[i], first = part.first_index;
-        count = group < scene.first_merged
-                    ? project_group<ANTIALIASED, false>(scene, camera, first, tile, log2_invisible, group, scratch, count)
-                    : project_group<ANTIALIASED, true>(scene, camera, first, tile, log2_invisible, group, scratch, count);
+    constexpr uint32_t GROUPS_AHEAD = 4;  // some kilobytes, as memory may be far away
+    static_assert(GROUPS_AHEAD + AT_ONCE <= SPARE, "the array has room to read ahead");
+    for (uint32_t i = 0; i < groups;) {
+        const uint32_t* group = scratch.groups + i;
+        const bool merged = group[0] >= scene.first_merged;
+        uint32_t some = 1;
+        while (some < AT_ONCE && i + some < groups && (group[some] >= scene.first_merged) == merged) ++some;
+        for (uint32_t k = 0; k < some; ++k) fetch_group(scene, group[GROUPS_AHEAD + k]);
+        const auto project = merged ? project_some<ANTIALIASED, true> : project_some<ANTIALIASED, false>;
+        count = project(part, tile, log2_invisible, group, some, scratch, count, peaked);
+        i += some;
     }
     return count;
 }

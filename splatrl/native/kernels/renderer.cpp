@@ -14,17 +14,20 @@ static Effort render(const Row& row, const Tile& tile, const Scratch& scratch) {
     using Clock = std::chrono::steady_clock;
     using Milliseconds = std::chrono::duration<float, std::milli>;
     Effort effort{};
+    bool peaked = false;
     const auto start = Clock::now();
     for (const Part* part = row.parts; part != row.parts + row.count; ++part) {
         const uint32_t groups = cull(*part->scene, part->camera, tile, scratch.groups);
         effort.projected += groups * GROUP;
-        effort.visible = project_groups<ANTIALIASED>(*part, tile, row.log2_invisible, groups, scratch, effort.visible);
+        effort.visible =
+            project_groups<ANTIALIASED>(*part, tile, row.log2_invisible, groups, scratch, effort.visible, peaked);
     }
     const auto projected = Clock::now();
     const uint64_t* keys = sort_by_depth(scratch, effort.visible);
     const auto sorted = Clock::now();
-    const auto blend =
-        row.finished > MIN_TRANSMITTANCE ? blend_tile<WITH_DEPTH, false> : blend_tile<WITH_DEPTH, true>;
+    const bool firm = row.finished <= MIN_TRANSMITTANCE;
+    const auto blend = firm ? (peaked ? blend_tile<WITH_DEPTH, true, true> : blend_tile<WITH_DEPTH, true, false>)
+                            : (peaked ? blend_tile<WITH_DEPTH, false, true> : blend_tile<WITH_DEPTH, false, false>);
     effort.blended = blend(tile, row, keys, effort.visible, scratch);
     const auto blended = Clock::now();
     effort.project_ms = Milliseconds(projected - start).count();

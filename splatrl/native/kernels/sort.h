@@ -8,14 +8,11 @@ namespace splatrl {
 namespace SPLATRL_ISA {
 
 // Whether splat `a` is blended before splat `b`: by depth in double precision, then in the order of parts and scenes.
-LANE_INLINE bool before(const Tie* ties, uint64_t a, uint64_t b) {
-    if (a >> 32 != b >> 32) return a < b;
-    const Tie &first = ties[uint32_t(a)], &second = ties[uint32_t(b)];
-    if (first.depth_rest != second.depth_rest) return first.depth_rest < second.depth_rest;
-    return first.original_index < second.original_index;
+LANE_INLINE bool before(const uint64_t* ties, uint64_t a, uint64_t b) {
+    return a >> 32 != b >> 32 ? a < b : ties[uint32_t(a)] < ties[uint32_t(b)];
 }
 
-static void sift_down(const Tie* ties, uint64_t* heap, uint32_t root, uint32_t count) {
+static void sift_down(const uint64_t* ties, uint64_t* heap, uint32_t root, uint32_t count) {
     const uint64_t key = heap[root];
     for (uint32_t child = 2 * root + 1; child < count; child = 2 * root + 1) {
         if (child + 1 < count && before(ties, heap[child], heap[child + 1])) ++child;
@@ -27,7 +24,7 @@ static void sift_down(const Tie* ties, uint64_t* heap, uint32_t root, uint32_t c
 }
 
 // Heapsort, for walls of equal depth.
-static void order_by_heap(const Tie* ties, uint64_t* keys, uint32_t count) {
+static void order_by_heap(const uint64_t* ties, uint64_t* keys, uint32_t count) {
     for (uint32_t root = count / 2; root-- > 0;) sift_down(ties, keys, root, count);
     for (uint32_t last = count - 1; last > 0; --last) {
         const uint64_t farthest = keys[0];
@@ -39,8 +36,8 @@ static void order_by_heap(const Tie* ties, uint64_t* keys, uint32_t count) {
 
 // Order runs of keys that agree in the bits that were sorted by. Single precision alone leaves many where Gaussians
 // lie on a grid, as in quantised files. `found` has room for `count` numbers.
-static void order_ties(const Tie* ties, uint64_t* keys, uint32_t count, uint32_t low, int unsorted, uint32_t* found) {
-    constexpr uint32_t LONG = 24, FETCH_TIES = 8;
+static void order_ties(const uint64_t* ties, uint64_t* keys, uint32_t count, uint32_t low, int unsorted, uint32_t* found) {
+    constexpr uint32_t LONG = 24, FETCH_TIES = 16;
     uint32_t tied = 0;  // keys that agree with the one before them
     uint32_t last = count > 0 ? (uint32_t(keys[0] >> 32) - low) >> unsorted : 0;
     for (uint32_t i = 1; i < count; ++i) {
@@ -64,6 +61,13 @@ static void order_ties(const Tie* ties, uint64_t* keys, uint32_t count, uint32_t
             continue;
         }
         const uint32_t first = at - 1;
+        if (more == 1) {  // nearly always, and a guess which one is nearer would be wrong half of the time
+            const uint64_t a = keys[first], b = keys[at];
+            const bool nearer = ties[uint32_t(b)] < ties[uint32_t(a)];
+            const uint64_t turned = (a ^ b) & -uint64_t((b >> 32 < a >> 32) | ((b >> 32 == a >> 32) & nearer));
+            keys[first] = a ^ turned, keys[at] = b ^ turned;
+            continue;
+        }
         for (uint32_t place = at; place < at + more; ++place) {
             const uint64_t key = keys[place];
             uint32_t j = place;
@@ -93,6 +97,8 @@ static const uint64_t* sort_by_depth(const Scratch& scratch, uint32_t count) {
         ++starts[0][value % VALUES];
         ++starts[1][value / VALUES];
     }
+    constexpr uint32_t LINE = 64 / sizeof(uint64_t);
+    for (uint32_t i = 0; i < count; i += LINE) __builtin_prefetch(&sorted[i], 1);
     uint32_t sums[2] = {};
     for (int value = 0; value < VALUES; ++value)
         for (int pass = 0; pass < 2; ++pass) {
