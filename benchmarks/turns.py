@@ -9,24 +9,26 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from itertools import product
 from pathlib import Path
 from statistics import median
 
 import torch
+from collision import BODIES, RESOLUTIONS, queries_in, yard
 from scenes import BUILT
 
 import splatrl
-from splatrl.bodies import Box, Capsule, Sphere
 from splatrl.building import build_trainer, build_world
 from splatrl.collision import NativeChecker
 from splatrl.configuration import load_config
-from splatrl.geometry import axis_rotations, rigid
+from splatrl.envs import World
 from splatrl.renderers import NativeRenderer
 
 Turn = Callable[[], object]
 VIEWS = 64
 STEPS = 20
 """Of an env in a turn."""
+QUERIES = 16_384
 
 
 def training(task: str) -> Iterator[tuple[str, Turn]]:
@@ -80,21 +82,24 @@ def frames(scene: str, tolerance: float, size: int) -> Iterator[tuple[str, Turn]
 
 
 def queries() -> Iterator[tuple[str, Turn]]:
-    """Collision queries in the backyard on one core."""
+    """Collision queries on one core: the bodies and yards of ``collision.py``, and moves of the grid task."""
+    for (voxels, resolution), near in product(RESOLUTIONS.items(), (False, True)):
+        occupancy = yard(resolution)
+        start, end = queries_in(occupancy, near, QUERIES)
+        for name, body in BODIES.items():
+            checker = NativeChecker(occupancy, body, threads=1)
+            what = f"query {name}, {voxels}, {'near' if near else 'uniform'}"
+            yield what, lambda checker=checker, start=start: checker.collides(start)
+            yield f"{what}, swept", lambda checker=checker, start=start, end=end: checker.sweeps(start, end)
     world = build_world(load_config(["device=cpu"]))
-    assert not isinstance(world, tuple)
+    assert isinstance(world, World)
     generator = torch.Generator().manual_seed(0)
-    count = 8192
-    places = torch.rand(count, 3, generator=generator) * torch.tensor([5.0, 5.0, 0.6]) - torch.tensor([2.5, 2.5, 0.0])
-    yaw = axis_rotations(2, 6.28 * torch.rand(count, generator=generator))
-    poses = rigid(yaw, places)
-    ends = rigid(yaw, places + 0.2 * torch.randn(count, 3, generator=generator).nan_to_num())
-    turned = rigid(axis_rotations(2, torch.full((count,), 0.4)) @ yaw, places)
-    for name, body in (("sphere", Sphere(0.2)), ("box", Box((0.4, 0.4, 0.1))), ("capsule", Capsule(0.1, 0.4))):
-        checker = NativeChecker(world.occupancy, body, threads=1)
-        yield f"query {name}", lambda checker=checker: checker.collides(poses)
-        yield f"query swept {name}", lambda checker=checker: checker.free_fraction(poses, ends)
-        yield f"query turned {name}", lambda checker=checker: checker.free_fraction(poses, turned)
+    state = world.plan.states[torch.randint(len(world.plan.states), (QUERIES,), generator=generator)]
+    checker, motion = NativeChecker(world.occupancy, world.robot.body, threads=1), world.task.motion
+    begin = motion.body_to_world(state)
+    for name, action in (("step", 0), ("turn", 4)):
+        ahead = motion.body_to_world(motion.advance(state, torch.full((QUERIES,), action)))
+        yield f"query of the grid task, {name}", lambda ahead=ahead: checker.free_fraction(begin, ahead)
 
 
 GROUPS: dict[str, Callable[[], Iterator[tuple[str, Turn]]]] = {

@@ -114,9 +114,9 @@ def with_rows(old: Tensor, rows: Tensor, fresh: Tensor) -> Tensor:
 
 def _put(values: Tensor, rows: Tensor, fresh: Tensor) -> Tensor:
     """Write rows in place. On a CPU by NumPy, which copies row by row where ``index_copy_`` goes number by number."""
-    if values.device.type != "cpu" or values.ndim == 1 or fresh.requires_grad:
+    if values.device.type != "cpu" or values.dtype is torch.bfloat16 or fresh.requires_grad:
         return values.index_copy_(0, rows, fresh)
-    values.view(torch.uint8).numpy()[rows.numpy()] = fresh.contiguous().view(torch.uint8).numpy()
+    values.numpy()[rows.numpy()] = fresh.numpy()
     return values
 
 
