@@ -46,18 +46,17 @@ def maybe_reset(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
 
     Args:
         env: a ``SplatEnv``, bare or under transforms.
-        after: [B], from ``step_mdp``; it is not modified.
+        after: [B], from ``step_mdp``; as in TorchRL it is given ``_reset``, and nothing else.
 
     Returns:
         [B], what the next step starts from.
     """
-    done = after["done"]
-    rows = done.flatten().nonzero().squeeze(1)
-    if not len(rows):
+    if not env.any_done(after):
         return after
-    result = after.copy()
+    result, done = after.exclude("_reset"), after["done"]
+    rows = done.flatten().nonzero().squeeze(1)
     base, around = layers(env)
-    if any(not isinstance(one.transform, Compose) or len(one.transform) for one in around):
+    if not len(rows) or any(not isinstance(one.transform, Compose) or len(one.transform) for one in around):
         for key, fresh in _reset_where(env, done).items():
             result.set(key, _with_rows_of(after.get(key, None), rows, fresh))
     else:
