@@ -3,6 +3,8 @@
 It drives to the side of the ball away from the mark, by the cheapest of some ways of two straight legs, which cost more
 where they come near to the ball or to what is solid. There it drives at the ball until it rests in the bumper, and
 steers it to the mark. A teacher is asked for actions in states that a policy visits (DAgger), so it remembers nothing.
+Where a camera ahead shows neither ball nor mark and it has to turn, it turns to the left, although it knows better:
+nobody who has to look could learn which way is shorter.
 """
 
 import math
@@ -21,6 +23,10 @@ HELD = (0.1, 0.31, 0.08)
 """Where a ball rests in the bumper: nearest and farthest ahead of the robot, and aside, metres."""
 SIDEWAYS = 1.4
 """Angle between the robot and the way to the mark from which it lets the ball go to drive round it, radians."""
+EYE, SEEN = -0.06, (1.4, 1.15)
+"""Metres by which the camera is ahead of the robot; angles from where it looks within which it sees ball and mark."""
+TURN = 0.7
+"""Angle to its way beyond which it has to turn, radians."""
 SPEED, PUSHING, BACKWARDS = 0.45, 0.3, -0.2
 """Metres per second."""
 ROOM, BALL_ROOM = 0.3, 0.34
@@ -62,6 +68,10 @@ def pushing(robot: Tensor, ball: Tensor, mark: Tensor, room: Room) -> Tensor:
     way = torch.where(behind.unsqueeze(1), -away, bend - place)
     clear = room(place)
     turn = wrapped(_angle(way) - yaw)
+    eye = place + EYE * facing
+    off_sight = [wrapped(_angle(one - eye) - yaw).abs() for one in (ball, mark)]
+    blind = (off_sight[0] > SEEN[0]) & (off_sight[1] > SEEN[1]) & (turn.abs() > TURN)
+    turn = torch.where(blind, 0.5 * math.pi, turn)
     near = (far < 0.4) & (ahead > 0) & (torch.atan2(aside, ahead).abs() < 1.0) | (clear < 0.12)
     speed = torch.where(near & (turn.abs() > 0.9), BACKWARDS, SPEED * turn.cos().clamp_min(0.0) ** 2)
     free = torch.stack([speed, 3.0 * turn], 1)

@@ -12,6 +12,7 @@ from splatrl.collision.nothing import NoChecker
 from splatrl.configuration import load_config
 from splatrl.envs.tasks import Outcome, Push, PushRewards, Step, Verdict
 from splatrl.envs.tasks.base import Anywhere
+from splatrl.envs.tasks.push_teacher import pushing
 from splatrl.motions import DriveMotion, Move, PhysicsMotion
 from splatrl.motions.physics import FIRST
 from splatrl.physics import Terrain
@@ -227,6 +228,15 @@ class TestPush(ConfiguredContract):
         frames = visited(env, Learner(model, loss, optim), [self.world.plan], 12)
         assert frames["target"].shape == (12, 2) and frames["target"].isfinite().all()
         assert len(frames["target"].unique(dim=0)) > 4
+
+
+def test_where_it_sees_neither_ball_nor_mark_the_teacher_turns_to_the_left() -> None:
+    ball, mark = torch.tensor([[-0.5, -0.1]]).double(), torch.tensor([[-0.7, 0.6]]).double()
+    yaw = torch.tensor([0.0, -2.0]).double()  # the shorter turn is one to the right
+    robot = torch.stack([torch.zeros(2).double(), torch.zeros(2).double(), yaw], 1)
+    blind, sees = pushing(robot, ball.expand(2, 2), mark.expand(2, 2), lambda places: torch.ones(len(places)).double())
+    assert blind[0].abs() < 1e-6 and blind[1] > 1.5
+    assert sees[0] > 0.3 and sees[1] < 0.0, "it sees the ball, and drives to where it can push"
 
 
 def test_the_teacher_pushes_balls_to_marks() -> None:
