@@ -190,13 +190,21 @@ def test_a_splat_that_would_finish_a_pixel_of_an_exact_image_is_left_out_whereve
     assert float(alpha) == pytest.approx(1 - 0.99**faint * 0.005, abs=1e-4)
 
 
+def test_no_splat_is_more_opaque_than_the_most_that_alpha_can_be() -> None:
+    for opacity in (0.998, 0.999, 1.0):
+        sheet = gaussians([[1.0, 0.0, 0.0]], scale=50.0, opacity=opacity)
+        alpha = NativeRenderer(sheet).render(ahead(9, 6)).alpha
+        assert alpha.flatten().tolist() == pytest.approx([min(opacity, 0.999)] * 54, abs=1e-4)
+
+
 def test_an_opaque_splat_changes_no_byte_where_it_does_not_show() -> None:
     g = torch.Generator().manual_seed(3)
     means = torch.cat([1.5 + torch.rand(300, 1, generator=g), 0.4 + 0.2 * torch.randn(300, 2, generator=g)], 1)
     scene = gaussians(means.tolist(), torch.rand(300, 3, generator=g).tolist(), 0.05)
     scene.opacities = 0.2 + 0.79 * torch.rand(300, generator=g, dtype=torch.float64)
     opaque = gaussians([[1.0, -0.9, 0.0]], scale=0.1, opacity=1.0)
-    alone, beside = (NativeRenderer(shown).render(ahead(64, 48)) for shown in (scene, torch.cat([scene, opaque])))
+    both: Gaussians = torch.cat([scene, opaque])  # type: ignore[assignment]
+    alone, beside = (NativeRenderer(shown).render(ahead(64, 48)) for shown in (scene, both))
     assert torch.equal(alone.rgb[:, :, :48], beside.rgb[:, :, :48]) and alone.rgb[:, :, :48].any()
     assert not torch.equal(alone.rgb[:, :, 48:], beside.rgb[:, :, 48:])
 
