@@ -29,8 +29,8 @@ def build_world(cfg: DictConfig) -> World | Worlds:
         ValueError: for a value that is missing, or that one of them refuses.
     """
     check_config(cfg)
-    given, device = with_absolute_paths(cfg), chosen_device(cfg.device)
-    cfg = cfg.copy()
+    given, device = with_absolute_paths(cfg).copy(), chosen_device(cfg.device)
+    cfg = given if given.device == str(device) else given.copy()
     cfg.device = str(device)  # the value of ${device} in nodes
     configs = place_configs(cfg)
     places = build_places(configs, device)

@@ -48,12 +48,14 @@ def save_config(cfg: DictConfig, folder: Path) -> None:
 
 
 def with_absolute_paths(cfg: DictConfig) -> DictConfig:
-    """A config that means the same files from any working folder."""
-    cfg = cfg.copy()
-    for key in PATHS:
-        path = OmegaConf.select(cfg, key)
-        if isinstance(path, str):
-            OmegaConf.update(cfg, key, str(Path(path).expanduser().absolute()))
+    """A config that means the same files from any working folder; itself where it does so already."""
+    given = {key: OmegaConf.select(cfg, key) for key in PATHS}
+    absolute = {key: str(Path(path).expanduser().absolute()) for key, path in given.items() if isinstance(path, str)}
+    changed = {key: path for key, path in absolute.items() if path != given[key]}
+    if changed:
+        cfg = cfg.copy()
+        for key, path in changed.items():
+            OmegaConf.update(cfg, key, path)
     return cfg
 
 

@@ -54,7 +54,7 @@ def test_a_dry_run_measures_everything_and_leaves_no_result(
     assert not any(row["different"] for row in record["results"] if row["what"] == "agreement")
     assert all(row["cosine"] > 0.9999 for row in record["results"] if row["what"] == "fit")
     likenesses = [row for row in record["results"] if row["what"] == "likeness"]
-    assert min(row["mean_db"] for row in likenesses) > 60
+    assert all(row["mean_db"] > (50 if row["against"] == "exact" else 60) for row in likenesses)
     assert record["machine"]["name"] == "CPU" and path.name.endswith("-cpu-gpu.json")
     assert path.with_suffix(".png").stat().st_size > 10_000
     assert {path: path.stat().st_mtime_ns for path in RESULTS.iterdir()} == before

@@ -48,7 +48,7 @@ class TestContractOfAConfiguredWorld(EnvContract):
     @pytest.fixture(autouse=True, scope="class")
     @classmethod
     def build(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-        cls.world = build_world(load_config(tiny_overrides(tmp_path_factory.mktemp("room"))))
+        cls.world = build_world(load_config([*tiny_overrides(tmp_path_factory.mktemp("room")), "renderer.tolerance=0"]))
         yield
         del cls.world
 

@@ -31,4 +31,4 @@ def test_every_policy_is_tested_in_every_weather_also_where_it_was_trained_witho
     ]
     assert [row["place"] for row in rows if row["run"] == "room-a-s0"] == [f"room, {name}" for name in WEATHERS]
     assert all(0 <= row["success_rate"] <= 1 for row in rows) and {row["starts"] for row in rows} == {5, 6}
-    assert rows == score_weathers(runs, tmp_path)
+    assert rows[::2] == score_weathers(runs[:1], tmp_path)  # which does not depend on what else is tested

@@ -195,9 +195,12 @@ class Push(TaskModule):
 
     def connected(self, planar: Tensor) -> Tensor:
         """Whether robots can go round balls from where they stand, and one can lie ahead: [N, 3] -> [N] bool."""
-        some = self.places[:: 1 + len(self.places) // TRIES].unsqueeze(0)
-        found = [(self._ahead(some, rows) & self._open(rows[:, None, :2], some)).any(1) for rows in planar.split(CHUNK)]
-        return self._free(planar[:, :2]) & torch.cat(found)
+        some, found = self.places[:: 1 + len(self.places) // TRIES], self._free(planar[:, :2])
+        for rows in found.nonzero().squeeze(1).split(CHUNK):
+            robot, ball = self._ahead(some.unsqueeze(0), planar[rows]).nonzero(as_tuple=True)
+            seen = self._open(planar[rows[robot], None, :2], some[ball].unsqueeze(1)).squeeze(1)
+            found[rows] = torch.zeros_like(found[rows]).index_fill_(0, robot[seen], True)
+        return found
 
     def _free(self, places: Tensor) -> Tensor:
         """Whether robots can be at places: [..., 2] float64 -> [...] bool."""
