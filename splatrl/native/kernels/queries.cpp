@@ -1,5 +1,6 @@
 // Bodies against grids, for one instruction set. What the distance field says is read for several poses at a time, one
-// in each lane; the few of which it does not say enough are searched one after another.
+// in each lane; the few of which it does not say enough are searched one after another. One file, although a long one:
+// its parts are templates over lanes and grids that nothing else uses, and that the compiler has to see together.
 #include "query_kernels.h"
 
 #include "collision.h"
