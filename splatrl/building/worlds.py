@@ -30,8 +30,9 @@ def build_world(cfg: DictConfig) -> World | Worlds:
     """
     check_config(cfg)
     given, device = with_absolute_paths(cfg).copy(), chosen_device(cfg.device)
-    cfg = given if given.device == str(device) else given.copy()
-    cfg.device = str(device)  # the value of ${device} in nodes
+    if cfg.device != str(device):
+        cfg = cfg.copy()
+        cfg.device = str(device)  # the value of ${device} in nodes
     configs = place_configs(cfg)
     places = build_places(configs, device)
     scenes = [place.scene for place in places]
