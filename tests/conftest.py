@@ -69,7 +69,7 @@ def cuda_device() -> torch.device:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what is imported by now out of every later search for garbage, which takes a tenth of all time."""
+    """Leave what is imported by now out of every later search for garbage."""
     gc.collect()
     gc.freeze()
 

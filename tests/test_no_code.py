@@ -81,7 +81,7 @@ def memory_mapped(folder: Path, made: Path, header: dict[str, object]) -> None:
     read_demonstrations(folder)
 
 
-def poses_in_a_pickle(path: Path, made: Path) -> None:
+def bare_pickle(path: Path, made: Path) -> None:
     path.write_bytes(pickle.dumps(Maker(made)))
 
 
@@ -90,8 +90,8 @@ def programmed_picture(path: Path, made: Path) -> None:
     path.write_text(f"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n(%pipe%mkdir {made}) (r) file\n%%EOF\n")
 
 
-def read_by_expression(path: Path, made: Path) -> None:
-    """A picture in the one mode of Pillow's that reads what its file says as values."""
+def comment_in_a_picture(path: Path, made: Path) -> None:
+    """A GIF under another name, with an expression as its comment."""
     Image.new("P", (4, 4)).save(path, "GIF", comment=f"__import__('os').mkdir({str(made)!r})".encode())
 
 
@@ -108,13 +108,13 @@ WAYS: dict[str, tuple[str, Write, Read]] = {
         lambda path, made: pickled_array(path, made, "weight0"),
         lambda path: Dense.load(path, 3, 2),
     ),
-    "a pickle named as arrays": ("a.npz", poses_in_a_pickle, read_arrays),
+    "a pickle named as arrays": ("a.npz", bare_pickle, read_arrays),
     "an expression as an array's header": (
         "a.npz",
         lambda path, made: written_header(path, made, "solid"),
         read_arrays,
     ),
-    "a pickle as a checkpoint": ("last.pt", poses_in_a_pickle, load_checkpoint),
+    "a pickle as a checkpoint": ("last.pt", bare_pickle, load_checkpoint),
     "a pickle in a checkpoint": ("last.pt", lambda path, made: torch.save({"a": Maker(made)}, path), load_checkpoint),
     "a pickle behind a checkpoint's": ("last.pt", hidden_behind, load_checkpoint),
     "a program as a checkpoint": ("last.pt", traced, load_checkpoint),
@@ -136,7 +136,7 @@ WAYS: dict[str, tuple[str, Write, Read]] = {
     ),
     "PostScript as a photo": ("a.jpg", programmed_picture, read_photo),
     "PostScript as a sprite": ("a.png", programmed_picture, load_sprite),
-    "a picture of another kind": ("a.png", read_by_expression, load_sprite),
+    "a picture of another kind": ("a.png", comment_in_a_picture, load_sprite),
     "a list of other files as a video": (
         "a.mp4",
         lambda path, made: path.write_text(f"ffconcat version 1.0\nfile subfile:{made}\n"),
@@ -147,8 +147,8 @@ WAYS: dict[str, tuple[str, Write, Read]] = {
         lambda path, made: path.write_text("#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1:9/a.ts\n"),
         lambda path: open_video(path).__enter__(),
     ),
-    "a pickle as a splat": ("a.ply", poses_in_a_pickle, read_gaussians),
-    "a pickle as a point cloud": ("a.pcd", poses_in_a_pickle, read_points),
+    "a pickle as a splat": ("a.ply", bare_pickle, read_gaussians),
+    "a pickle as a point cloud": ("a.pcd", bare_pickle, read_points),
     "a formula as a label": (
         "labels.csv",
         lambda path, made: path.write_text(f"video,frame,actions\n=cmd|'/c mkdir {made}'!A1,0,forward\n"),
@@ -194,7 +194,7 @@ def test_what_lies_beside_demonstrations_is_not_unpickled(header: dict[str, obje
 
 def test_the_ways_do_run_code_elsewhere(tmp_path: Path) -> None:
     made, path = tmp_path / "made", tmp_path / "a"
-    poses_in_a_pickle(path, made)
+    bare_pickle(path, made)
     pickle.loads(path.read_bytes())
     assert made.exists()
     made.rmdir()

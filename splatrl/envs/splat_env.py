@@ -244,7 +244,7 @@ class SplatEnv(EnvBase):
         if set_state:
             memory |= {key: given[key].clone() for key in memory if given.get(key, None) is not None}
         poses, offset = task.motion.body_to_world(state), given.get("camera_offset", None)
-        view = self._view(task, scene, state, poses, memory, offset, only if rows is None else rows)
+        view = self._view(task, scene, state, poses, memory, offset, only, rows)
         sensed: dict[str, Tensor] = {}
         if self.sensors:
             free = torch.ones(self.numel(), device=self.device)
@@ -380,13 +380,14 @@ class SplatEnv(EnvBase):
         memory: Mapping[str, Tensor],
         camera_offset: Tensor | None,
         only: Tensor | None = None,
+        rows: Tensor | None = None,
     ) -> View:
-        """What robots in given states see; ``only`` as for ``Renderer``, or [N] int64, then these rows alone."""
+        """What robots in given states see; ``only`` as for ``Renderer``. With ``rows``, [N] int64, these alone."""
         cameras, parts = self.robot.cameras(body_to_world, camera_offset), task.parts(state, memory)
         if scene is not None:
             parts = in_scenes(scene, parts, body_to_world)
-        if only is not None and only.dtype == torch.int64:
-            rows, only = only, None
+        if rows is not None:
+            only = None
             cameras, parts = cameras[rows], None if parts is None else parts.rows(rows)
             memory = {key: value.index_select(0, rows) for key, value in memory.items()}
         if self._needs_depth:

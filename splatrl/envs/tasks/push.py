@@ -168,9 +168,7 @@ class Push(TaskModule):
             ValueError: where there are not two places as far from each other as asked.
         """
         lower, upper = self.motion.twin.lower.double(), self.motion.twin.upper.double()
-        corners = zip(lower.tolist(), upper.tolist(), strict=True)
-        axes = [torch.arange(low, high + 1e-9, CELL, dtype=torch.float64) for low, high in corners]
-        grid = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
+        grid = _grid(lower, upper, 1e-9)
         away = self._away(grid.reshape(-1, 2)).reshape(grid.shape[:2])
         ways, _ = ndimage.label((away >= WIDTH).numpy())
         sizes = np.bincount(ways.ravel())[1:]
@@ -186,9 +184,7 @@ class Push(TaskModule):
             )
         self.places = places.to(self.places.device)
         lower, upper = lower - self.leeway, upper + self.leeway
-        corners = zip(lower.tolist(), upper.tolist(), strict=True)
-        axes = [torch.arange(low, high + CELL, CELL, dtype=torch.float64) for low, high in corners]
-        grid = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
+        grid = _grid(lower, upper, CELL)
         inside = torch.minimum(grid - lower, upper - grid).amin(-1)
         clear = torch.minimum(self._away(grid.reshape(-1, 2)).reshape(inside.shape), inside).clamp_max(FAR)
         self.clear = clear.to(self.places.device)
@@ -372,3 +368,10 @@ def _first(drawn: Tensor, fits: Tensor, worth: Tensor) -> Tensor:
 def _placeless(place: Tensor) -> Tensor:
     """x and y of a place and no direction: [3] -> [3] float64."""
     return torch.cat([place[:2].double().cpu(), torch.tensor([math.nan], dtype=torch.float64)])
+
+
+def _grid(lower: Tensor, upper: Tensor, beyond: float) -> Tensor:
+    """Places ``CELL`` apart, up to less than so many metres beyond the bounds: [2], [2] -> [X, Y, 2] float64."""
+    corners = zip(lower.tolist(), upper.tolist(), strict=True)
+    axes = [torch.arange(low, high + beyond, CELL, dtype=torch.float64) for low, high in corners]
+    return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
