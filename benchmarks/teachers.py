@@ -1,8 +1,9 @@
-"""How often the teachers of tasks with physics succeed in episodes of tests.
+"""How often the teachers of tasks succeed in episodes of tests.
 
 Usage: python benchmarks/teachers.py [episodes] [override ...]
     python benchmarks/teachers.py 160 task=gates
     python benchmarks/teachers.py 256 task=push task.turn_deg=180
+    python benchmarks/teachers.py 256 task=pointnav scene=kitchen
 """
 
 import sys
@@ -28,7 +29,7 @@ def main() -> None:
     while not ended.all():
         taught = task.teach(now["state"], {key: now[key] for key in task.memory_spec})
         assert taught is not None, "a task with a teacher"
-        step = env.step(now.set("action", taught.float()))
+        step = env.step(now.set("action", taught.to(env.action_spec.dtype)))
         over = step["next", "done"].squeeze(1) & ~ended
         success[over] = step["next", "success"].squeeze(1)[over].float()
         steps += ~ended

@@ -128,6 +128,8 @@ class Geodesics(nn.Module):
     corner: Tensor  # [G, 2] float32
     goals: Tensor  # [G, 2] float32, x and y
     begins: Tensor  # [S] int64, the first goal of each scene
+    open: Tensor  # [sum of X · Y] bool, the nodes of each scene where a body fits, one scene after the other
+    first_open: Tensor  # [G] int64, where those of a goal's scene begin
 
     def __init__(self, grounds: Sequence[Ground], goals: Sequence[NDArray[np.int64]], for_training: int):
         """Find the distances to nodes of each ground."""
@@ -145,6 +147,9 @@ class Geodesics(nn.Module):
         self._keep("corner", np.repeat([each.corner for each in grounds], counts, 0).astype(np.float32))
         self._keep("goals", np.concatenate(places).astype(np.float32))
         self._keep("begins", np.cumsum(counts) - counts)
+        nodes_of = np.array([each.open.size for each in grounds])
+        self._keep("open", np.concatenate([each.open for each in grounds]))
+        self._keep("first_open", np.repeat(np.cumsum(nodes_of) - nodes_of, counts))
         self.for_tests = int(counts.min()) - for_training
 
     def _keep(self, name: str, values: NDArray[Any]) -> None:
@@ -178,7 +183,11 @@ class Geodesics(nn.Module):
         moved = [each.first + shift for each, shift in zip(scenes, shifts, strict=True)]
         result.register_buffer("metres", torch.cat([each.metres for each in scenes]), persistent=False)
         result.register_buffer("first", torch.cat(moved), persistent=False)
-        for name in ("shape", "corner", "goals"):
+        nodes_of = torch.tensor([len(each.open) for each in scenes])
+        result.register_buffer(
+            "first_open", (nodes_of.cumsum(0) - nodes_of).repeat_interleave(counts), persistent=False
+        )
+        for name in ("shape", "corner", "goals", "open"):
             result.register_buffer(name, torch.cat([getattr(each, name) for each in scenes]), persistent=False)
         result.register_buffer("begins", counts.cumsum(0) - counts, persistent=False)
         return result
@@ -217,16 +226,36 @@ class Geodesics(nn.Module):
         Returns:
             [B] float32.
         """
-        shape, straight = self.shape[goal], (place - self.goals[goal]).norm(dim=1)
+        straight = (place - self.goals[goal]).norm(dim=1)
+        found = self._between_nodes(self.metres, self.first, place, goal)
+        return torch.where(straight < NEAR * self.cell, straight, torch.maximum(found, straight))
+
+    def room(self, place: Tensor, goal: Tensor) -> Tensor:
+        """Whether bodies fit in places of goals' scenes, interpolated between nodes.
+
+        Args:
+            place: [B, 2] float32, metres.
+            goal: [B] int64, rows of goals.
+
+        Returns:
+            [B] float32, 1 where they fit at all nodes around, 0 where at none of them and outside the bounds.
+        """
+        at = (place - self.corner[goal]) / self.cell
+        inside = ((at >= 0) & (at <= self.shape[goal] - 1)).all(1)
+        return torch.where(inside, self._between_nodes(self.open, self.first_open, place, goal), 0.0)
+
+    def _between_nodes(self, values: Tensor, first: Tensor, place: Tensor, goal: Tensor) -> Tensor:
+        """Values of nodes, which begin at ``first`` [G] for each goal, at places [B, 2]: [B] float32."""
+        shape = self.shape[goal]
         at = (place - self.corner[goal]) / self.cell
         low = torch.minimum(at.floor().long().clamp_min(0), shape - 2)
         share = (at - low).clamp(0.0, 1.0)
-        begin = self.first[goal] + low[:, 0] * shape[:, 1] + low[:, 1]
-        found = torch.zeros_like(straight)
+        begin = first[goal] + low[:, 0] * shape[:, 1] + low[:, 1]
+        found = torch.zeros_like(share[:, 0])
         for x, y in ((0, 0), (0, 1), (1, 0), (1, 1)):
             weight = (share[:, 0] if x else 1.0 - share[:, 0]) * (share[:, 1] if y else 1.0 - share[:, 1])
-            found = found + weight * self.metres[begin + x * shape[:, 1] + y]
-        return torch.where(straight < NEAR * self.cell, straight, torch.maximum(found, straight))
+            found = found + weight * values[begin + x * shape[:, 1] + y]
+        return found
 
     def draw(self, place: Tensor, least: float, most: float, generator: torch.Generator, tests: bool = False) -> Tensor:
         """Draw a goal for each place, at a distance in a range where there is one: [B, 2] -> [B] int64 rows.

@@ -9,6 +9,8 @@ from splatrl.experiments.results import Entry, Spread, comparable
 
 RATES = ("success_rate", "success_rate_argmax", "collision_rate", "step_spl", "spl")
 """What is said of a policy that was tested in several scenes."""
+NOWHERE = "–"
+"""Where those were trained who never learned."""
 TOTAL = "**all**"
 """Stands for all clips of a scene."""
 
@@ -161,7 +163,9 @@ def transfer_sentences(tests: Sequence[Mapping[str, Any]], experiment: Experimen
     said: dict[str, list[str]] = {}
     for (place, scene, label), found in _transfers(tests, experiment).items():
         rate = Spread(tuple(float(row["success_rate"]) for row in found)).percent()
-        said.setdefault(place, []).append(f"{rate} trained in {scene} {label}")
+        said.setdefault(place, []).append(
+            f"{rate} {label}" if scene == NOWHERE else f"{rate} trained in {scene} {label}"
+        )
     return [f"- **tested in {place}**, camera steady: success {', '.join(each)}." for place, each in said.items()]
 
 
@@ -170,16 +174,18 @@ def _transfers(
 ) -> dict[tuple[str, str, str], list[Mapping[str, Any]]]:
     """The tests by place, scene of training and label, in the order of the experiment's scenes.
 
-    A place is one of these scenes or another, and may say more behind a comma, such as the weather.
+    A place is one of these scenes or another, and may say more behind a comma, such as the weather. Who never learned
+    comes last, with a label of their own.
     """
     runs = {run.folder.name: run for run in experiment.runs}
     places = (row["place"].partition(",")[0] for row in tests)
-    scenes = list(dict.fromkeys([*(run.scene for run in experiment.runs), *places]))
+    scenes = list(dict.fromkeys([*(run.scene for run in experiment.runs), *places, NOWHERE]))
     groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
     for row in tests:
-        run = runs.get(row["run"])
-        if run is not None:
-            groups.setdefault((row["place"], run.scene, run.label), []).append(row)
+        run = runs.get(row.get("run", ""))
+        if run is not None or "label" in row:
+            scene, label = (run.scene, run.label) if run is not None else (NOWHERE, row["label"])
+            groups.setdefault((row["place"], scene, label), []).append(row)
     return dict(
         sorted(groups.items(), key=lambda group: [scenes.index(name.partition(",")[0]) for name in group[0][:2]])
     )

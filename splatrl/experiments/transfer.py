@@ -78,4 +78,9 @@ def tested(folder: Path, cfg: DictConfig, world: World | Worlds) -> dict[str, An
     )
     paths = all(one.plan.field is not None for one in world.worlds)
     summary = summarise(sampled, argmax, starts.distance if paths else None)
-    return {"starts": len(starts.state), **{key: summary[key] for key in KEPT if key in summary}}
+    return {"starts": len(starts.state), **kept(summary)}
+
+
+def kept(summary: Mapping[str, float]) -> dict[str, float]:
+    """The rates that are told of a test, from what ``summarise`` gives."""
+    return {key: summary[key] for key in KEPT if key in summary}

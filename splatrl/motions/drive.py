@@ -15,6 +15,10 @@ STILL = 0.1
 """Share of the limits of both velocities below which an action says stop, in tasks in which robots say so."""
 HEADINGS_A_TURN = 4
 """Number of headings at which paths are computed within the largest turn of a time step."""
+REACH = 0.25
+"""How far ahead one looks who chooses a way, metres."""
+WAYS = 36
+"""Number of ways from which one chooses."""
 
 
 class DriveMotion(StoppingMotion):
@@ -64,6 +68,7 @@ class DriveMotion(StoppingMotion):
         step, turn = linear[1] * time_step, angular * time_step
         super().__init__((), step, turn, height, lower, upper, spacing, headings, CELL, angle_cell)
         self.time_step = time_step
+        self.reach, self.angle_between = REACH, math.tau / WAYS
         limits = torch.tensor([[linear[0], -angular], [linear[1], angular]], dtype=torch.float32)
         self.register_buffer("limits", limits, persistent=False)
 
@@ -81,6 +86,13 @@ class DriveMotion(StoppingMotion):
     def stops(self, action: Tensor) -> Tensor:
         """Whether both velocities are within a tenth of their limits, as for Habitat: [B, 2] -> [B] bool."""
         return (action.abs() < STILL * self.limits.abs().amax(0)).all(1)
+
+    def toward(self, turn: Tensor, stop: Tensor) -> Tensor:
+        """Turns on the spot to a way that is further aside than the next; see ``StoppingMotion``."""
+        _, (fastest, quickest) = self.limits
+        ahead = torch.where(turn.abs() > 0.5 * self.angle_between, 0.0, fastest)
+        action = torch.stack([ahead, (turn / self.time_step).clamp(-quickest, quickest)], 1)
+        return torch.where(stop.unsqueeze(1), 0.0, action)
 
     def advance(self, state: Tensor, action: Tensor) -> Tensor:
         """Where an unobstructed action leads, possibly outside the bounds.

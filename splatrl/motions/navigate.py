@@ -49,7 +49,7 @@ class NavigateMotion(StepMotion, StoppingMotion):
     ):
         actions = {"stop": (0, 0), "forward": (1, 0), "left": (0, 1), "right": (0, -1)}
         super().__init__(actions, step, angle_step_deg, height, lower, upper, spacing, headings, 0.5 * step)
-        self.sliding = sliding
+        self.sliding, self.reach, self.angle_between = sliding, self.step, self.angle_step
 
     def actions(self) -> Tensor:
         """The actions from which paths are made, all but stop: [3] int64."""
@@ -58,6 +58,11 @@ class NavigateMotion(StepMotion, StoppingMotion):
     def stops(self, action: Tensor) -> Tensor:
         """Whether actions are stop: [B] int64 -> [B] bool."""
         return action == 0
+
+    def toward(self, turn: Tensor, stop: Tensor) -> Tensor:
+        """Forward along the way, or a turn to it, or a stop; see ``StoppingMotion``."""
+        aside = turn.abs() > 0.5 * self.angle_step
+        return torch.where(stop, 0, torch.where(aside, torch.where(turn > 0, 2, 3), 1))
 
     def move(self, state: Tensor, action: Tensor, checker: Checker) -> Move:
         """Carry out one action of each robot; see ``Motion``."""

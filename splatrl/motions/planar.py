@@ -126,11 +126,31 @@ class PlanarMotion(SweptMotion):
 
 
 class StoppingMotion(PlanarMotion):
-    """A motion in which some action says that the robot is where it is to be."""
+    """A motion in which some action says that the robot is where it is to be.
+
+    Attributes:
+        reach: how far ahead one looks who chooses a way, metres.
+        angle_between: angle between the ways from which one chooses, radians; it divides a turn.
+    """
+
+    reach: float
+    angle_between: float
 
     @abstractmethod
     def stops(self, action: Tensor) -> Tensor:
         """Whether actions say so: [B, ...] -> [B] bool."""
+
+    @abstractmethod
+    def toward(self, turn: Tensor, stop: Tensor) -> Tensor:
+        """Actions that lead a way, or stop.
+
+        Args:
+            turn: [B] float32, angle from the heading to the way, radians in [-π, π].
+            stop: [B] bool, whether to stop instead.
+
+        Returns:
+            [B, ...], as ``action_spec`` says.
+        """
 
 
 def along(state: Tensor, distance: Tensor, turn: Tensor, bend: Tensor) -> Tensor:

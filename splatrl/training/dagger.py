@@ -117,7 +117,11 @@ def _taught(rows: TensorDictBase, env: EnvBase, plans: Sequence[Plan]) -> Tensor
     """What the task's teacher, or else the planner, would have done in some frames: [N, D]; see ``targets``."""
     task = env.task
     taught = task.teach(rows["state"], {key: rows[key] for key in task.memory_spec})
-    return _planned(rows, plans, env.action_spec) if taught is None else taught.to(env.action_spec.dtype)
+    if taught is None:
+        return _planned(rows, plans, env.action_spec)
+    if isinstance(env.action_spec, Categorical):
+        return one_hot(taught, env.action_spec.space.n).float()
+    return taught.to(env.action_spec.dtype)
 
 
 def _planned(rows: TensorDictBase, plans: Sequence[Plan], spec: TensorSpec) -> Tensor:

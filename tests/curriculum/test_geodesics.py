@@ -97,6 +97,17 @@ def test_goals_are_free_seeded_and_drawn_at_the_distance_asked() -> None:
     assert tests.min() >= 5 and tests.max() < 8
 
 
+def test_room_is_where_the_body_fits_in_the_scene_of_a_goal_and_ends_at_the_bounds() -> None:
+    walled = geodesics()
+    open_ground = Geodesics.drawn(ground(MOTION, NoChecker(Occupancy.empty(), Sphere(0.1)), 0.05), 5, 3, 0)
+    both = stacked([walled, open_ground])
+    places = torch.tensor([[0.0, -0.5], [0.0, 0.0], [-0.5, -0.175], [1.0, 1.5], [1.01, 0.5], [0.5, -1.51]])
+    in_walled, in_open = (both.room(places, torch.full((6,), row)) for row in (0, 8))
+    assert in_walled[:2].tolist() == [1.0, 0.0] and 0.0 < in_walled[2] < 1.0  # between a node that is free and one not
+    assert in_open[:4].tolist() == [1.0] * 4
+    assert in_walled[3] == 1.0 and not in_walled[4:].any() and not in_open[4:].any()
+
+
 def test_several_scenes_keep_their_goals_apart() -> None:
     one, other = geodesics(), geodesics(seed=5)
     both = stacked([one, other])

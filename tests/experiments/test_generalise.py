@@ -7,8 +7,8 @@ from omegaconf import OmegaConf
 
 from splatrl.configuration import load_config
 from splatrl.experiments import Run, planned
-from splatrl.experiments.generalise import PLACES, choose_places, score_in_places
-from splatrl.experiments.tables import transfer_table
+from splatrl.experiments.generalise import PLACES, choose_places, score_in_places, unlearned
+from splatrl.experiments.tables import transfer_sentences, transfer_table
 from tests.experiments.made_up import NODE, SCENES, compose
 from tests.experiments.trained import save_run
 from tests.two_rooms import overrides, two_rooms
@@ -42,3 +42,16 @@ def test_the_table_shows_places_in_which_nothing_was_trained(tmp_path: Path) -> 
     row |= {"success_rate_argmax": 0.4, "collision_rate": 0.1, "spl": 0.25}
     lines = "\n".join(transfer_table([row], experiment))
     assert "unseen" in lines and "0.250" in lines
+
+
+def test_those_who_never_learned_are_tested_as_well_and_told_last(tmp_path: Path) -> None:
+    place = load_config([*overrides("pointnav"), f"scene={two_rooms(tmp_path)[0]}", "evaluation.starts=16"])
+    straight, taught = unlearned("west", place)
+    assert (straight["place"], straight["starts"]) == ("west", 16)
+    assert straight["success_rate"] <= taught["success_rate"] and taught["success_rate"] > 0.9
+    experiment = planned("tried", NODE, SCENES, tmp_path, compose)
+    learned = {"run": experiment.runs[0].folder.name, "place": "west", "starts": 16, "success_rate": 0.5}
+    learned |= {"success_rate_argmax": 0.4, "collision_rate": 0.1, "spl": 0.25}
+    rows = [line for line in transfer_table([straight, taught, learned], experiment) if line.startswith("| west")]
+    assert ["straight" in line for line in rows] == [False, True, False] and "teacher" in rows[2]
+    assert transfer_sentences([taught], experiment)[0].endswith(" the teacher, by the shortest way.")

@@ -83,6 +83,21 @@ def test_in_several_scenes_each_frame_is_labelled_by_the_planner_of_its_own(tmp_
     assert torch.equal(found[~here], west.optimal(rows["state"][~here]))
 
 
+def test_the_teacher_of_a_task_with_discrete_actions_labels_them(tmp_path: Path) -> None:
+    cfg = load_config([*in_both(tmp_path, "pointnav")])
+    world = build_world(cfg)
+    ppo = make_ppo(cfg, world)
+    found = visited(
+        world.env(16, seed=5), ppo.learner, [one.plan for one in world.worlds], 1024, ("depth",), guided=1.0
+    )
+    assert found["target"].shape == (1024, 4)
+    assert ((found["target"] == 0) | (found["target"] == 1)).all() and (found["target"].sum(1) == 1).all()
+    ends = (found["frame"] == 0).nonzero().squeeze(1)[1:] - 1
+    stops = found["target"][ends, 0] == 1
+    assert stops.sum() >= 8  # episodes of the teacher end as it stops, but for those that the batch cuts off
+    assert not (found["target"][found["frame"] == 0][:, 0] == 1).any()  # goals are further away than that
+
+
 def test_it_may_begin_with_a_policy_that_knows_nothing(made: tuple[DictConfig, World]) -> None:
     cfg, world = made
     ppo = make_ppo(cfg, world)

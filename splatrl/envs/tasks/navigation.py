@@ -10,7 +10,9 @@ from torchrl.data import TensorSpec, Unbounded
 
 from splatrl.collision.base import Checker
 from splatrl.curriculum.geodesics import Geodesics, ground
+from splatrl.envs.sensors.odometry import wrapped
 from splatrl.envs.tasks.base import Anywhere, Mark, Memory, Outcome, Step, TaskModule, Verdict
+from splatrl.envs.tasks.navigation_teacher import lead
 from splatrl.envs.tasks.rewards import FiniteRewards
 from splatrl.motions.planar import StoppingMotion
 from splatrl.values import require_number
@@ -198,6 +200,19 @@ class NavigationTask(TaskModule):
             "collisions": memory["collisions"] + blocked,
         }
         return Verdict(reward, stops, outcome, {**memory, **measured})
+
+    def teach(self, state: Tensor, memory: Memory) -> Tensor:
+        """What one does who knows the shortest way; see ``lead``."""
+        row, motion = memory["goal_row"].squeeze(1), self.motion
+        turn, arrived = lead(self.geodesics, motion.planar(state).float(), row, motion.reach, motion.angle_between)
+        far = self.geodesics.distance(self._place(state), row)
+        return motion.toward(turn, (far < self.success_distance) & (arrived | (far < 0.5 * self.success_distance)))
+
+    def beeline(self, state: Tensor, memory: Memory) -> Tensor:
+        """What one does who knows distance and direction of the goal and nothing else; see ``teach``."""
+        away = memory["goal"][:, :2] - self._place(state)
+        turn = wrapped(torch.atan2(away[:, 1], away[:, 0]) - self.motion.planar(state)[:, 2].float())
+        return self.motion.toward(turn, away.norm(dim=1) < self.success_distance)
 
     def marks(self, memory: Memory | None = None) -> list[Mark]:
         """The goal of an episode; see ``Task.marks``."""

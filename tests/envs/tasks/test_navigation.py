@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import check_env_specs
 
 import splatrl
 from splatrl.bodies import Sphere
 from splatrl.collision import NativeChecker, Occupancy
 from splatrl.curriculum import Curriculum, Plan, plan
+from splatrl.curriculum.geodesics import Geodesics
 from splatrl.envs import Robot, SplatEnv
 from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.sensors import Gps, ImageGoal, PointGoal
@@ -238,3 +239,39 @@ def test_the_configured_tasks_keep_their_specs(task: str, motion: str, tmp_path)
 def test_a_motion_that_cannot_stop_is_refused() -> None:
     with pytest.raises(ValueError, match=r"task\.motion: expected one that can stop"):
         PointNav(ForwardMotion(HEIGHT))  # type: ignore[arg-type]
+
+
+def walked(task: NavigationTask, who: Any) -> Episodes:
+    """Episodes of the task's tests, in which the robots do what someone says who knows state and memory."""
+    env = env_of(task, (4,))
+    begun = task.episodes(paths().starts, 24, 0)
+
+    def act(td: TensorDictBase) -> TensorDictBase:
+        return td.set("action", who(td["state"], {key: td[key] for key in task.memory_spec}))
+
+    return run_episodes(env, act, begun.pop("state"), memory=begun)
+
+
+@pytest.mark.parametrize("motion", ["steps", "drive"])
+def test_the_teacher_knows_the_way_around_and_the_straight_one_does_not(motion: str) -> None:
+    task = task_of(max_steps=150)
+    if motion == "drive":
+        task = PointNav(DriveMotion(HEIGHT, **BOUNDS), REWARDS, **(FEW | {"max_steps": 150}))
+        task.settle(checker())
+    taught, straight = walked(task, task.teach), walked(task, task.beeline)
+    assert taught.success.all()
+    assert taught.navigation()["spl"] > (0.7 if motion == "steps" else 0.9)  # with turns by 90° ways have corners
+    assert taught.measures["collisions"].sum() == 0
+    assert 0.2 < straight.success.double().mean() < 0.9
+    stuck = straight.outcome == Outcome.TIMEOUT
+    assert (straight.measures["collisions"][stuck] > 50).all()
+
+
+def test_the_teacher_of_several_scenes_keeps_to_the_goal_of_each() -> None:
+    task = task_of()
+    both = task_of()
+    both._modules = {**both._modules, "geodesics": Geodesics.joined([task.geodesics, task.geodesics])}
+    begun = task.episodes(paths().starts, 8, 0)
+    state = begun.pop("state")
+    other = {**begun, "goal_row": begun["goal_row"] + both.geodesics.begins[1]}
+    assert torch.equal(task.teach(state, begun), both.teach(state, other))
