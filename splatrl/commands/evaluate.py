@@ -1,6 +1,8 @@
 """``splatrl-evaluate``: evaluate a finished or interrupted run from every pose of its start set."""
 
+import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,27 +11,39 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import check_config, command_line, conf_dir, run_config
+from splatrl.configuration import (
+    check_config,
+    command_line,
+    conf_dir,
+    config_elsewhere,
+    quoted,
+    run_config,
+    words_of_place,
+)
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
 from splatrl.runs import load_policy
 from splatrl.training import Actor
 
 
-def evaluate_run(cfg: DictConfig, folder: Path, world: World | Worlds | None = None) -> dict[str, Any]:
+def evaluate_run(
+    cfg: DictConfig, folder: Path, world: World | Worlds | None = None, results: Path | None = None
+) -> dict[str, Any]:
     """Evaluate a run folder with a config, and print the results.
 
     Args:
         cfg: config of the run, with the settings of the evaluation.
         folder: the run folder.
         world: world built from ``cfg``, if there is one already.
+        results: folder of numbers and pictures; None is the run folder.
     """
+    results = results or folder
     trained = load_policy(folder, cfg=cfg, world=world)
     settings = EvaluationSettings(**cfg.evaluation)
     policy, checkpoint = Actor(trained.model, judges=False), trained.checkpoint
-    summary, files = evaluate(trained.world, policy, checkpoint, folder, settings, cfg.seed, cfg.logger.video)
+    summary, files = evaluate(trained.world, policy, checkpoint, results, settings, cfg.seed, cfg.logger.video)
     print("\n".join(summary_lines(summary)))
-    print(f"pictures in {folder}: {', '.join(str(path.relative_to(folder)) for path in files)}")
+    print(f"pictures in {results}: {', '.join(str(path.relative_to(results)) for path in files)}")
     return summary
 
 
@@ -38,20 +52,39 @@ def evaluate_run(cfg: DictConfig, folder: Path, world: World | Worlds | None = N
 def run(cfg: DictConfig) -> None:
     """Evaluate the run folder ``cfg.run`` with its own config."""
     check_config(cfg)
-    folder = Path(cfg.run)
-    own = run_config(folder, cfg.allow_targets)
+    folder, results = Path(cfg.run), None
+    if cfg.place:
+        words = [str(word) for word in cfg.place]
+        own = config_elsewhere(folder, words, cfg.allow_targets)
+        results = folder / "places" / _name(words)
+        results.mkdir(parents=True, exist_ok=True)
+    else:
+        own = run_config(folder, cfg.allow_targets)
     for key in ("checkpoint", "starts", "repeats", "seed", "episodes"):
         if cfg[key] is not None:
             OmegaConf.update(own, f"evaluation.{key}", cfg[key])
     own.logger.video = cfg.video
     own.device = cfg.device or own.device
     torch.set_num_threads(own.threads)
-    evaluate_run(own, folder)
+    evaluate_run(own, folder, results=results)
+
+
+def _name(words: Sequence[str]) -> str:
+    """A folder's name for a place: that of its scene or file, and what else was typed."""
+    values = [word.partition("=")[2].strip("'\"") for word in words]
+    known = [
+        Path(value).resolve().stem if Path(value).expanduser().exists() else word.removeprefix("scene=")
+        for word, value in zip(words, values, strict=True)
+    ]
+    return re.sub(r"[^\w.=-]+", "-", "-".join(dict.fromkeys(known)))[:100]
 
 
 def main() -> None:
     """Entry point of the command."""
-    sys.argv[1:] = command_line("evaluate", sys.argv[1:])
+    place, words = words_of_place(sys.argv[1:])
+    if place:
+        words.append(f"place=[{','.join(map(quoted, place))}]")
+    sys.argv[1:] = command_line("evaluate", words)
     run()
 
 

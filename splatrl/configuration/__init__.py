@@ -2,6 +2,7 @@
 
 from splatrl.configuration.checking import check_config, check_constructors
 from splatrl.configuration.command_line import UserError, command_line
+from splatrl.configuration.elsewhere import config_elsewhere, placed, words_of_place
 from splatrl.configuration.grammar import quoted
 from splatrl.configuration.run_configs import (
     PATHS,
@@ -22,14 +23,17 @@ __all__ = [
     "check_constructors",
     "command_line",
     "conf_dir",
+    "config_elsewhere",
     "is_group",
     "load_config",
     "options",
     "place_configs",
+    "placed",
     "quoted",
     "resumed_config",
     "run_config",
     "save_config",
     "with_absolute_paths",
     "with_scene_paths",
+    "words_of_place",
 ]

@@ -9,15 +9,13 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from splatrl.building import build_world
-from splatrl.configuration import run_config
+from splatrl.configuration import placed, run_config
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.report import summarise
 from splatrl.evaluation.rollouts import run_episodes, spread_starts
 from splatrl.experiments.experiment import Run
 from splatrl.runs import load_policy
 
-PLACE = ("scene", "robot", "landmarks", "task", "collision", "renderer")
-"""What of a run's config belongs to the place in which it was trained."""
 KEPT = ("success_rate", "success_rate_argmax", "collision_rate", "timeout_rate", "step_spl", "spl", "soft_spl")
 
 
@@ -50,15 +48,6 @@ def score_in(runs: Sequence[Run], places: Mapping[str, DictConfig]) -> list[dict
             rates = tested(run.folder, placed(own, configs[name]), world)
             rows.append({"run": run.folder.name, "place": name, **rates})
     return rows
-
-
-def placed(cfg: DictConfig, place: DictConfig) -> DictConfig:
-    """The config of a run, moved to another's place, with a steady camera."""
-    cfg = cfg.copy()
-    for key in PLACE:
-        cfg[key] = place[key]
-    cfg.transforms.pose_noise = {}
-    return cfg
 
 
 def tested(folder: Path, cfg: DictConfig, world: World | Worlds) -> dict[str, Any]:

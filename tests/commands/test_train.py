@@ -13,16 +13,18 @@ from typing import Any
 
 import pytest
 import torch
+from hydra.errors import HydraException
 
 from splatrl.building import build_world
 from splatrl.commands import evaluate, train
-from splatrl.configuration import resumed_config, run_config, run_configs
+from splatrl.configuration import config_elsewhere, resumed_config, run_config, run_configs, words_of_place
 from splatrl.files import alone_in
 from splatrl.made_with import check_made_with, made_with
 from splatrl.scenes import write_gaussians
 from splatrl.training import load_checkpoint
 from tests.preloaded import Process, start
 from tests.tiny import tiny_gaussians, tiny_overrides
+from tests.two_rooms import two_rooms
 
 SETTINGS = [
     "collector.total_frames=1280",
@@ -208,9 +210,42 @@ def test_evaluating_again_gives_the_same_figures(run: tuple[Path, str]) -> None:
     assert json.loads((folder / "evaluation.json").read_text()) == before
 
 
+def test_a_policy_is_tested_elsewhere_in_a_folder_of_its_own(
+    run: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, other = run[0], two_rooms(tmp_path)[1]
+    before = (folder / "evaluation.json").read_bytes()
+    words = [f"scene={other}", "robot.height=0.3", "video=false", "starts=6"]
+    monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={folder}", *words])
+    evaluate.main()
+    there = folder / "places" / f"{other.stem}-robot.height=0.3"
+    assert json.loads((there / "evaluation.json").read_text())["evaluated_starts"] == 6
+    assert (there / "success_map.png").is_file() and (folder / "evaluation.json").read_bytes() == before
+    place = config_elsewhere(folder, words[:2])
+    own = run_config(folder)
+    assert place.scene.path == str(other) and place.robot.height == 0.3
+    assert place.task.max_steps == own.task.max_steps and place.collector == own.collector
+    assert list(place.task.motion.lower) == [4.0, -1.5] and list(own.task.motion.lower) != [4.0, -1.5]
+    assert words_of_place([f"run={folder}", *words]) == (words[:2], [f"run={folder}", *words[2:]])
+
+
+@pytest.mark.parametrize("typed", ["scene=tiny", "- scene.path=${oc.env:HOME}", "- +task.motion._target_=os.system"])
+def test_what_a_stranger_s_run_says_was_typed_is_data(run: tuple[Path, str], tmp_path: Path, typed: str) -> None:
+    folder = tmp_path / "theirs"
+    (folder / ".hydra").mkdir(parents=True)
+    shutil.copy(run[0] / "config.yaml", folder / "config.yaml")
+    with pytest.raises(FileNotFoundError, match="expected what was typed for the training, found no such file"):
+        config_elsewhere(folder, ["scene=backyard"])
+    (folder / ".hydra" / "overrides.yaml").write_text(f"{typed}\n")
+    with pytest.raises(
+        (ValueError, HydraException), match=r"a list of overrides without references|os\.system|_target_"
+    ):
+        config_elsewhere(folder, ["scene=backyard"])
+
+
 def test_an_evaluation_takes_settings_of_its_own(run: tuple[Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
     given = []
-    monkeypatch.setattr(evaluate, "evaluate_run", lambda cfg, folder: given.append(cfg.evaluation))
+    monkeypatch.setattr(evaluate, "evaluate_run", lambda cfg, folder, results: given.append(cfg.evaluation))
     monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={run[0]}", "starts=5", "seed=3", "checkpoint=last"])
     evaluate.main()
     own = run_config(run[0]).evaluation

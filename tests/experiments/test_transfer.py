@@ -7,11 +7,11 @@ import pytest
 from omegaconf import OmegaConf
 from PIL import Image
 
-from splatrl.configuration import load_config, run_config
+from splatrl.configuration import load_config, placed, run_config
 from splatrl.experiments import Experiment, Run, planned
 from splatrl.experiments.report import write_report
 from splatrl.experiments.tables import transfer_sentences, transfer_table
-from splatrl.experiments.transfer import placed, score_everywhere
+from splatrl.experiments.transfer import score_everywhere
 from tests.experiments.made_up import NODE, SCENES, compose, finish
 from tests.experiments.trained import save_run
 from tests.tiny import tiny_overrides
