@@ -8,6 +8,7 @@ import itertools
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
@@ -15,7 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from splatrl.configuration.grammar import last_typed, nested, quoted, unquoted
 from splatrl.configuration.scene_overrides import scene_overrides
-from splatrl.configuration.search_path import composed, group_node, is_group, options
+from splatrl.configuration.search_path import composed, group_choices, group_node, is_group, options
 from splatrl.values import flat, require_number
 
 
@@ -44,7 +45,7 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
     Raises:
         ValueError: for what looks like a path but does not exist, or for a wrong ``scene.yaml``.
     """
-    result: list[str] = []
+    result, in_blocks = list[str](), False
     for override in overrides:
         key, _, value = override.partition("=")
         path = value.strip("'\"")
@@ -53,12 +54,15 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
 
             check_scene(Path(path).expanduser())
             result += ["scene=file", f"scene.path={quoted(path)}"]
-            if is_in_blocks(Path(path).expanduser()) and not any(one.startswith("renderer=") for one in overrides):
-                result.append("renderer=blocks")
+            in_blocks |= is_in_blocks(Path(path).expanduser())
         elif key == "scene" and Path(path).suffix and "," not in path and path not in options("scene"):
             raise ValueError(f"scene: expected {', '.join(options('scene'))} or a path that exists, got {path}")
         else:
             result.append(override)
+    if "scene=many" in result:
+        in_blocks = any(_in_blocks(str(unquoted(one))) for one in _paths(result))
+    if in_blocks and not any(override.startswith("renderer=") for override in overrides):
+        result.append("renderer=blocks")
     return [*_proposals(result, name), *result, *_places(result, name)]
 
 
@@ -92,9 +96,7 @@ def _places(overrides: Sequence[str], name: str) -> list[str]:
     if "scene=yards" in overrides:
         paths = _yard_paths(overrides)
     elif "scene=many" in overrides:
-        paths = last_typed(overrides, "scene.paths", [])
-        if not isinstance(paths, list):
-            raise ValueError(f"scene.paths: expected a list such as [garden/,yard:3], got {paths}")
+        paths = _paths(overrides)
     else:
         return []
     typed = {override.partition("=")[0] for override in overrides}
@@ -109,6 +111,24 @@ def _places(overrides: Sequence[str], name: str) -> list[str]:
             place[parsed.key_or_group] = unquoted(parsed.value())
         places.append({key: value for key, value in place.items() if key not in typed})
     return [f"scene.places=[{','.join(nested(place) for place in places)}]"] if places else []
+
+
+def _paths(overrides: Sequence[str]) -> list[Any]:
+    """What was typed for ``scene.paths``."""
+    paths = last_typed(overrides, "scene.paths", [])
+    if not isinstance(paths, list):
+        raise ValueError(f"scene.paths: expected a list such as [garden/,yard:3], got {paths}")
+    return paths
+
+
+def _in_blocks(text: str) -> bool:
+    """Whether one of ``scene.paths`` is drawn in blocks: a folder of them, or a config that says so."""
+    config = text.partition(":")[0]
+    if config in options("scene"):
+        return group_choices("scene", config).get("renderer") == "blocks"
+    from splatrl.configuration.scene_files import is_in_blocks
+
+    return is_in_blocks(Path(text).expanduser())
 
 
 def _yard_paths(overrides: Sequence[str]) -> list[str]:

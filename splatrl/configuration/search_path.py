@@ -90,10 +90,21 @@ def is_group(key: str) -> bool:
 
 def group_node(group: str, option: str) -> dict[str, Any]:
     """What an option of a config group says, with references as they are written."""
+    return {key: value for key, value in _group_config(group, option).items() if key != "defaults"}  # of the whole
+
+
+def group_choices(group: str, option: str) -> dict[str, str]:
+    """What an option of a config group chooses in other groups, such as a renderer."""
+    defaults = _group_config(group, option).get("defaults", [])
+    chosen = (next(iter(one.items())) for one in defaults if isinstance(one, dict))
+    return {key.removeprefix("override").strip(" /"): value for key, value in chosen}
+
+
+def _group_config(group: str, option: str) -> dict[str, Any]:
     with config_loader() as loader:
         for source in loader.get_sources():
             if source.available() and source.is_config(f"{group}/{option}"):
                 node = OmegaConf.to_container(source.load_config(f"{group}/{option}").config, resolve=False)
                 assert isinstance(node, dict), type(node)
-                return {str(key): value for key, value in node.items() if key != "defaults"}  # of the whole config
+                return {str(key): value for key, value in node.items()}
     raise AssertionError(f"{group}/{option}")

@@ -66,7 +66,10 @@ def test_a_folder_of_blocks_is_drawn_in_blocks_unless_another_renderer_is_typed(
         ([f"scene={whole}"], "NativeRenderer"),
         (["scene=town"], "BlockRenderer"),
         (["scene=town", "renderer=auto"], "NativeRenderer"),
-        (["scene=many", f"scene.paths=[{cut},town,{whole}]", "renderer=blocks"], "BlockRenderer"),
+        (["scene=many", "scene.paths=[yard:1,town]"], "BlockRenderer"),
+        (["scene=many", "scene.paths=[yard:1,backyard]"], "NativeRenderer"),
+        (["scene=many", f"scene.paths=[{cut},{whole}]", "renderer=reference"], "ReferenceRenderer"),
+        (["scene=many", f"scene.paths=[{cut},town,{whole}]"], "BlockRenderer"),
     ]
     for typed, renderer in words:
         cfg = load_config(typed)
@@ -80,7 +83,7 @@ def test_a_folder_of_blocks_is_drawn_in_blocks_unless_another_renderer_is_typed(
 
 def test_scenes_in_blocks_and_others_share_a_batch(folders: tuple[Path, Path]) -> None:
     whole, cut = folders
-    words = [*overrides(), "scene=many", f"scene.paths=[{cut},{whole}]", "renderer=blocks", "renderer.tolerance=0"]
+    words = [*overrides(), "scene=many", f"scene.paths=[{cut},{whole}]", "renderer.tolerance=0"]
     world = build_world(load_config(words))
     env = world.env(4, seed=0)
     rollout = env.rollout(12, break_when_any_done=False)
