@@ -31,24 +31,25 @@ def imitate(
         ValueError: for demonstrations that do not fit the policy, a task without goal states, or more frames than
             there are.
     """
-    parts = [_frames(each, ppo, cloner.reads) for each in shown]
-    frames = sum(len(part["frame"]) for part in parts)
-    _check(ppo, world, frames, dagger)
-    if parts:
+    known = _together([_frames(each, ppo, cloner.reads) for each in shown])
+    _check(ppo, world, frames := len(known.get("frame", ())), dagger)
+    if known:
         ppo.frames += frames
-        yield {"loss_cloning": cloner.fit(_together(parts))}
+        yield {"loss_cloning": cloner.fit(known)}
     env, plans = world.env(ppo.env.numel(), seed=seed), [one.plan for one in world.worlds]
     for number in range(dagger.rounds):
         guided = 1.0 if number < dagger.shown_rounds else dagger.guided
-        parts.append(visited(env, ppo.learner, plans, dagger.frames_per_round, cloner.reads, guided))
+        new = visited(env, ppo.learner, plans, dagger.frames_per_round, cloner.reads, guided)
+        known = _together([known, new] if known else [new])
         ppo.frames += dagger.frames_per_round
-        yield {"loss_cloning": cloner.fit(_together(parts), dagger.epochs)}
+        yield {"loss_cloning": cloner.fit(known, dagger.epochs)}
     if dagger.last_epochs:
-        yield {"loss_cloning": cloner.fit(_together(parts), dagger.last_epochs, anneal=True)}
+        yield {"loss_cloning": cloner.fit(known, dagger.last_epochs, anneal=True)}
 
 
 def _together(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
-    return {key: torch.cat([part[key].cpu() for part in parts]) for key in parts[0]}
+    """All frames in one; the parts may be let go, since images of many frames fill the memory."""
+    return {key: torch.cat([part[key].cpu() for part in parts]) for key in (parts[0] if parts else ())}
 
 
 def _check(ppo: PPO, world: World | Worlds, shown: int, dagger: DaggerSettings) -> None:
