@@ -143,13 +143,20 @@ def _spread_points(corners: Array, count: int) -> tuple[Array, Array, NDArray[np
     points = (corners[faces] * shares[:, :, None]).sum(1)
     chosen = np.zeros(count, np.int64)
     chosen[0] = ((points - points.mean(0)) ** 2).sum(1).argmax()
-    away = ((points - points[chosen[0]]) ** 2).sum(1)
+    columns = np.ascontiguousarray(points.T)
+    away = _distances(columns, points[chosen[0]])
     for place in range(1, count):
         chosen[place] = away.argmax()
-        np.minimum(away, ((points - points[chosen[place]]) ** 2).sum(1), out=away)
+        np.minimum(away, _distances(columns, points[chosen[place]]), out=away)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[faces[chosen]]
     normals = cross / np.linalg.norm(cross, axis=1, keepdims=True).clip(1e-30)
     return points[chosen], normals, faces[chosen], shares[chosen]
+
+
+def _distances(columns: Array, point: Array) -> Array:
+    """Squared distances of points, one coordinate after the other, from one of them: [3, N], [3] -> [N]."""
+    x, y, z = columns - point[:, None]
+    return np.asarray(x * x + y * y + z * z)
 
 
 def _frames(normals: Array) -> Array:
