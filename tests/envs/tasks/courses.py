@@ -45,8 +45,8 @@ def wander(task: Course, steps: int, action: tuple[float, ...]) -> torch.Tensor:
 class CourseContract:
     """Tests of a task by name; subclasses say how to make one."""
 
-    steps: int
-    """In which the teacher is done."""
+    taught: int
+    """Steps in which the teacher is done; rollouts of random actions end within those of ``ConfiguredContract``."""
 
     def course(self, courses: int = 2, test_courses: int = 3) -> Course:
         """A settled task with short courses."""
@@ -64,7 +64,7 @@ class CourseContract:
         state, memory = begun["state"], {key: begun[key] for key in task.memory_spec}
         assert state[:, 0].tolist() == [1, 2, 3, 4, 5, 6]
         outcomes: dict[int, int] = {}
-        for _ in range(self.steps):
+        for _ in range(self.taught):
             action = task.teach(state, memory)
             assert action is not None
             move = task.motion.move(state, action, NOTHING)

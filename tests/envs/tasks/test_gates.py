@@ -129,7 +129,7 @@ def test_other_things_than_the_gates_of_a_track_are_refused() -> None:
 
 
 class TestGates(ConfiguredContract, CourseContract):
-    steps = 200
+    taught = 200
 
     @classmethod
     def overrides(cls) -> tuple[str, ...]:

@@ -123,7 +123,7 @@ def test_a_car_that_drives_ahead_finishes_nothing() -> None:
 
 
 class TestRoute(ConfiguredContract, CourseContract):
-    steps = 120
+    taught = 120
 
     @classmethod
     def overrides(cls) -> tuple[str, ...]:
