@@ -218,6 +218,8 @@ def tiny_overrides(folder: Path, task: str = "grid") -> list[str]:
         overrides.remove("task.max_steps=20")
         bounds += ["task.motion.commands=2", "task.motion.span=0.2", "task.motion.variation.models=2"]
         bounds += ["task.motion.threads=1"]
+    if task in ("drive", "push"):
+        overrides += ["task.motion.spacing=0.25", "task.motion.headings=8"]
     if task in ("gates", "route", "walk"):
         bounds = ["task.motion.lower=[-1.3,-1.8]", "task.motion.upper=[1.3,1.8]", "task.motion.threads=1"]
     if task == "gates":

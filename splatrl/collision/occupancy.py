@@ -207,7 +207,7 @@ class Occupancy(Voxels):
             "free": None if scene.free is None else [file_digest(scene.free.path), scene.free.voxel_size],
             "clear": cleared.tolist(),
             "add": added.tolist(),
-            "fill": flood,
+            "fill": None if flood is None else {name: _written(value) for name, value in flood.items()},
         }
 
         def build() -> dict[str, NDArray[Any]]:
@@ -315,9 +315,14 @@ def _boxes(name: str, boxes: Sequence[Bounds]) -> NDArray[np.float64]:
 
 
 def _flood(opening: float, seeds: Tensor | ArrayLike | None, around: Bounds | None) -> dict[str, Any]:
-    """The arguments of ``solid``, as JSON can write them."""
+    """The arguments of ``solid``, checked."""
     return {
         "opening": opening,
-        "seeds": None if seeds is None else checked_points("seeds", seeds).tolist(),
-        "around": None if around is None else checked_box("around", around).tolist(),
+        "seeds": None if seeds is None else checked_points("seeds", seeds),
+        "around": None if around is None else checked_box("around", around),
     }
+
+
+def _written(value: Any) -> Any:
+    """A value for JSON: an array, which may have a row for every state of a robot, by its digest."""
+    return blake2b(value.tobytes(), digest_size=16).hexdigest() if isinstance(value, np.ndarray) else value
