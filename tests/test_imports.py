@@ -209,20 +209,29 @@ def test_the_configs_name_what_they_build() -> None:
 
 def test_every_command_is_there() -> None:
     scripts = dict(re.findall(r'^splatrl-(\w+) = "(.*)"$', (ROOT / "pyproject.toml").read_text(), re.MULTILINE))
-    modules = [path.stem for path in (PACKAGE / "commands").glob("*.py") if "\ndef main(" in path.read_text("utf-8")]
+    modules = [path.stem for path in (PACKAGE / "commands").glob("*.py") if " as main\n" in path.read_text("utf-8")]
     assert sorted(scripts) == sorted(modules)
     for name, script in scripts.items():
-        assert callable(pkgutil.resolve_name(script))
-        assert script in (f"splatrl.commands.{name}:main", f"splatrl.commands.entries:{name}")
+        assert script == f"splatrl.commands.entries:{name}"
+        assert pkgutil.resolve_name(script) is pkgutil.resolve_name(f"splatrl.commands.{name}:main")
+        assert pkgutil.resolve_name(script).args == (name,)
 
 
-def test_a_mistyped_word_and_a_call_for_help_need_no_pytorch() -> None:
-    code = "import sys\nsys.argv = {}\ntry:\n    import splatrl.commands.entries as e\n    e.train()\n"
+@pytest.mark.parametrize(
+    ("name", "word", "status"),
+    [
+        ("train", "--help", "None"),
+        ("train", "taks=fps", "splatrl-train: taks: "),
+        ("capture", "--help", "0"),
+        ("scene", "--up", "2"),
+        ("gait", "--help", "0"),
+    ],
+)
+def test_a_mistyped_word_and_a_call_for_help_need_no_pytorch(name: str, word: str, status: str) -> None:
+    code = f"import sys\nsys.argv = {['x', word]}\ntry:\n    import splatrl.commands.entries as e\n    e.{name}()\n"
     code += "except SystemExit as end:\n    print(end.code, 'torch' in sys.modules)"
-    for words, status in ((["t", "--help"], "None"), (["t", "taks=fps"], "splatrl-train: taks: ")):
-        given = [sys.executable, "-c", code.format(words)]
-        done = subprocess.run(given, capture_output=True, text=True, check=True)
-        assert done.stdout.splitlines()[-1].startswith(status) and done.stdout.endswith(" False\n"), done
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1].startswith(status) and done.stdout.endswith(" False\n"), done
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))

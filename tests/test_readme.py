@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from splatrl.commands import capture, gait, scene
+from splatrl.commands.entries import PARSERS
 from splatrl.configuration import command_line, load_config
 
 ROOT = Path(__file__).parents[1]
@@ -75,9 +75,8 @@ def test_a_command_that_it_shows_is_understood(
     run.mkdir(parents=True)
     (run / "config.yaml").touch()
     name, arguments = words[0].removeprefix("splatrl-"), [word for word in words[1:] if word not in ("-m", "--help")]
-    parsers = {"scene": scene, "capture": capture, "gait": gait}
-    if name in parsers:
-        parsers[name].parser().parse_args(arguments)
+    if name in PARSERS:
+        PARSERS[name](arguments)
         return
     if "-m" in words:  # the first job of a sweep
         arguments = [word.split(",")[0] for word in arguments]

@@ -1,6 +1,5 @@
 """``splatrl-clips``: compare the actions of trained policies with the labels of clips, and record such clips."""
 
-import sys
 from pathlib import Path
 
 import hydra
@@ -9,8 +8,9 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig
 
 from splatrl.building import build_one_world
+from splatrl.commands.entries import clips as main
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import check_config, command_line, conf_dir, run_config
+from splatrl.configuration import check_config, conf_dir, run_config
 from splatrl.evaluation.clips import REPORT, write_report
 from splatrl.experiments.clip_scores import altered, film_run, record_clips, score_run
 
@@ -49,12 +49,6 @@ def run(cfg: DictConfig) -> None:
         folder = Path(cfg.output or cfg.clips)
         print(write_report(results, folder))
         print(f"{folder / REPORT}.md, {folder / REPORT}.json")
-
-
-def main() -> None:
-    """Entry point of the command."""
-    sys.argv[1:] = command_line("clips", sys.argv[1:])
-    run()
 
 
 if __name__ == "__main__":

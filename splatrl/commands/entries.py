@@ -1,30 +1,45 @@
-"""What the scripts of Hydra's commands start: what was typed is checked, and ``--help`` answered, at once.
+"""What the scripts of the commands start: what was typed is checked, and ``--help`` answered, at once.
 
 A command itself imports the library, with PyTorch, TorchRL and matplotlib, which takes seconds.
 """
 
 import sys
+from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
 
-from splatrl.configuration import command_line
+from splatrl.commands import parsers
+
+PARSERS = {"capture": parsers.capture, "scene": parsers.scene, "gait": parsers.gait}
+"""Commands that take options; the others have a config."""
 
 
-def start(name: str) -> None:
+def start(name: str, arguments: Sequence[str] | None = None) -> None:
     """Run a command, unless what was typed is wrong or asks for help.
 
     Args:
-        name: of its module and of its root config.
+        name: of its module, and of its root config where it has one.
+        arguments: what was typed; None takes the command line.
     """
-    sys.argv[1:] = command_line(name, sys.argv[1:])
+    typed = sys.argv[1:] if arguments is None else arguments
+    if name in PARSERS:
+        options = PARSERS[name](typed)
+        import_module(f"splatrl.commands.{name}").run(options)
+        return
+    from splatrl.configuration import command_line  # which brings Hydra
+
+    sys.argv[1:] = command_line(name, typed)
     import_module(f"splatrl.commands.{name}").run()
 
 
-train = partial(start, "train")
+capture = partial(start, "capture")
+clips = partial(start, "clips")
 evaluate = partial(start, "evaluate")
 experiment = partial(start, "experiment")
-clips = partial(start, "clips")
+export = partial(start, "export")
+gait = partial(start, "gait")
 record = partial(start, "record")
 replay = partial(start, "replay")
+scene = partial(start, "scene")
+train = partial(start, "train")
 view = partial(start, "view")
-export = partial(start, "export")

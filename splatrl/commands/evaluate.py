@@ -1,7 +1,6 @@
 """``splatrl-evaluate``: evaluate a finished or interrupted run from every pose of its start set."""
 
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,16 +9,9 @@ import hydra
 import torch
 from omegaconf import DictConfig, OmegaConf
 
+from splatrl.commands.entries import evaluate as main
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import (
-    check_config,
-    command_line,
-    conf_dir,
-    config_elsewhere,
-    quoted,
-    run_config,
-    words_of_place,
-)
+from splatrl.configuration import check_config, conf_dir, config_elsewhere, run_config
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
 from splatrl.runs import load_policy
@@ -77,15 +69,6 @@ def _name(words: Sequence[str]) -> str:
         for word, value in zip(words, values, strict=True)
     ]
     return re.sub(r"[^\w.=-]+", "-", "-".join(dict.fromkeys(known)))[:100]
-
-
-def main() -> None:
-    """Entry point of the command."""
-    place, words = words_of_place(sys.argv[1:])
-    if place:
-        words.append(f"place=[{','.join(map(quoted, place))}]")
-    sys.argv[1:] = command_line("evaluate", words)
-    run()
 
 
 if __name__ == "__main__":

@@ -13,8 +13,9 @@ from hydra.utils import get_method
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationToMissingValueError, OmegaConfBaseException
 
+from splatrl.commands.entries import experiment as main
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import command_line, conf_dir, load_config, quoted
+from splatrl.configuration import conf_dir, load_config, quoted
 from splatrl.experiments import Run, Selection, budget, check_settings, planned, report_all, score, statement, train_all
 from splatrl.experiments.machine import machine
 from splatrl.native.threads import usable_cores
@@ -161,12 +162,6 @@ def _compose(overrides: Sequence[str]) -> dict[str, Any]:
 def _plain(cfg: DictConfig) -> dict[str, Any]:
     result = cast(Mapping[str, Any], OmegaConf.to_container(cfg))
     return dict(result)
-
-
-def main() -> None:
-    """Entry point of the command."""
-    sys.argv[1:] = command_line("experiment", sys.argv[1:])
-    run()
 
 
 if __name__ == "__main__":

@@ -1,14 +1,14 @@
 """``splatrl-export``: write the policy of a run as an ONNX file, with a script that runs it without splatrl."""
 
-import sys
 from pathlib import Path
 
 import hydra
 import torch
 from omegaconf import DictConfig
 
+from splatrl.commands.entries import export as main
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import check_config, command_line, conf_dir, run_config
+from splatrl.configuration import check_config, conf_dir, run_config
 from splatrl.export import export_policy
 from splatrl.export.onnx_file import POLICY, RUNNER
 from splatrl.runs import load_policy
@@ -30,12 +30,6 @@ def run(cfg: DictConfig) -> None:
     found = export_policy(trained.model, trained.world, output, cfg.frames, facts)
     print(f"{output / POLICY}: within {found:.1e} of PyTorch on {cfg.frames:,} views")
     print(f"{output / RUNNER}: runs it on a video or a camera")
-
-
-def main() -> None:
-    """Entry point of the command."""
-    sys.argv[1:] = command_line("export", sys.argv[1:])
-    run()
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 """``splatrl-record``: record demonstrations of a task into a folder."""
 
-import sys
 from contextlib import suppress
 from pathlib import Path
 
@@ -10,8 +9,9 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from splatrl.building import build_one_world
+from splatrl.commands.entries import record as main
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import check_config, command_line, conf_dir, save_config
+from splatrl.configuration import check_config, conf_dir, save_config
 from splatrl.datasets import Demonstrations, planner_episodes, write_demonstrations, write_lerobot
 from splatrl.envs.world import World
 from splatrl.files import new_folder
@@ -71,12 +71,6 @@ def driven(cfg: DictConfig, world: World) -> Demonstrations:
         return takes.demonstrations()
     finally:
         page.close()
-
-
-def main() -> None:
-    """Entry point of the command."""
-    sys.argv[1:] = command_line("record", sys.argv[1:])
-    run()
 
 
 if __name__ == "__main__":

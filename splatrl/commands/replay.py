@@ -9,8 +9,9 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from splatrl.building import build_one_world
+from splatrl.commands.entries import replay as main
 from splatrl.commands.faults import in_one_line
-from splatrl.configuration import check_config, command_line, conf_dir, run_config
+from splatrl.configuration import check_config, conf_dir, run_config
 from splatrl.datasets import read_demonstrations, replay
 
 
@@ -31,12 +32,6 @@ def run(cfg: DictConfig) -> None:
         sys.exit("\n".join([f"splatrl-replay: {what} do not come out as written", *different]))
     print(f"{what}: states, actions, rewards and outcomes are equal, byte for byte")
     print(f"views are equal in {views:,} of {len(demonstrations):,} frames")
-
-
-def main() -> None:
-    """Entry point of the command."""
-    sys.argv[1:] = command_line("replay", sys.argv[1:])
-    run()
 
 
 if __name__ == "__main__":

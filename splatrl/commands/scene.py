@@ -16,7 +16,9 @@ from splatrl.capture.pictures import GOALS, draw_goals
 from splatrl.capture.suggestions import place_proposals, seen_in_splat, suggest
 from splatrl.capture.walkable import walkable_area
 from splatrl.collision.occupancy import Occupancy
-from splatrl.commands.options import Parser, is_numbers, joined, split
+from splatrl.commands.entries import scene as main
+from splatrl.commands.options import split
+from splatrl.commands.parsers import WORDS
 from splatrl.evaluation.scene_pictures import draw_scene, survey_occupancy
 from splatrl.evaluation.terrain_pictures import draw_terrain
 from splatrl.files import replacing
@@ -44,8 +46,6 @@ from splatrl.scenes.stated import StatedFrame
 from splatrl.scenes.survey import survey
 from splatrl.scenes.upright import GIVEN, UNKNOWN, Guess, Upright, guess_upright
 
-WORDS = {"--axes": 3, "--translation": 3, "--matrix": 16, "--distance": 7}
-"""Options that take several words, some of which may begin with a minus, and their number of words."""
 REACH = 0.3
 """Metres that a robot with physics reaches beyond its place and above its camera, at most, where boxes are drawn."""
 FILL = 0.2
@@ -53,49 +53,8 @@ FILL = 0.2
 FRAME_OPTIONS = ("up", "axes", "scale", "translation", "matrix", "nerfstudio", "distance")
 
 
-def parser() -> Parser:
-    """The parser of the command line."""
-    result = Parser(prog="splatrl-scene", description=__doc__)
-    result.add_argument("file", type=Path, help="a splat file, or a folder with scene.yaml to inspect again")
-    result.add_argument(
-        "--up",
-        metavar="AXIS",
-        help="the file's axis that is up, to about 15°: -y, or 3 numbers; the floor and the walls nearby refine it",
-    )
-    result.add_argument("--axes", metavar="X Y Z", help="signed file axes that become world x, y and z: x -z y")
-    result.add_argument("--scale", type=float, help="metres per unit of the file")
-    result.add_argument("--translation", metavar="X Y Z", help="metres, added last")
-    result.add_argument("--matrix", metavar="M", help="16 numbers, row by row: from the file to world metres")
-    result.add_argument(
-        "--nerfstudio",
-        type=Path,
-        metavar="JSON",
-        help="dataparser_transforms.json to undo; by default the one beside the file",
-    )
-    result.add_argument("--distance", metavar="P Q D", help="two points of the file and the metres between: 7 numbers")
-    result.add_argument(
-        "--out",
-        type=Path,
-        help="folder for scene.yaml and pictures; by default the file's folder; garden.spz makes a folder garden that "
-        "holds the splat too, as a small file",
-    )
-    result.add_argument("--force", action="store_true", help="replace an existing scene.yaml")
-    result.add_argument(
-        "--split",
-        type=float,
-        metavar="METRES",
-        help="write blocks of this size and blocks.yaml in place of one splat and scene.yaml, for scenes larger than "
-        "memory; with --out town.spz as small files",
-    )
-    result.add_argument("--height", type=float, default=0.4, help="of the robot, metres, where free space is drawn")
-    result.add_argument("--resolution", type=float, help="of the occupancy, metres; by default 0.05, or what fits")
-    return result
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point of the command."""
-    given = sys.argv[1:] if arguments is None else arguments
-    options = parser().parse_args(joined(joined(joined(given, {"--up": 3}, is_numbers), {"--up": 1}), WORDS))
+def run(options: argparse.Namespace) -> None:
+    """Look at a scene, and end with one line for what the user can mend."""
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_: print(f"note        {message}", file=sys.stderr)
         try:

@@ -13,11 +13,11 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from splatrl.building import build_trainer, build_world
+from splatrl.commands.entries import train as main
 from splatrl.commands.evaluate import evaluate_run
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import (
     check_config,
-    command_line,
     conf_dir,
     quoted,
     resumed_config,
@@ -110,12 +110,6 @@ def watched(cfg: DictConfig, world: World | Worlds, trainer: Trainer) -> Iterato
     finally:
         view.close()
         page.close()
-
-
-def main() -> None:
-    """Entry point of the command."""
-    sys.argv[1:] = command_line("train", sys.argv[1:])
-    run()
 
 
 if __name__ == "__main__":

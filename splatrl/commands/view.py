@@ -1,6 +1,5 @@
 """``splatrl-view``: look at a scene or a run in the browser, move its goal and bounds, and drive a robot in it."""
 
-import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -14,11 +13,11 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from splatrl.building import build_one_world, check_place
+from splatrl.commands.entries import view as main
 from splatrl.commands.faults import in_one_line, line
 from splatrl.configuration import (
     check_config,
     check_constructors,
-    command_line,
     conf_dir,
     place_configs,
     run_config,
@@ -150,12 +149,6 @@ def _wait() -> None:
     forever = threading.Event()
     while not forever.wait(1.0):
         pass
-
-
-def main() -> None:
-    """Entry point of the command."""
-    sys.argv[1:] = command_line("view", sys.argv[1:])
-    run()
 
 
 if __name__ == "__main__":

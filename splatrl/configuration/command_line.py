@@ -12,6 +12,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from splatrl.configuration.elsewhere import words_of_place
 from splatrl.configuration.grammar import quoted
 from splatrl.configuration.key_help import help_page
 from splatrl.configuration.run_configs import RUN_CONFIG
@@ -71,9 +72,14 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
     return result
 
 
-def _short(arguments: Sequence[str]) -> list[str]:
-    """Arguments with a training's keys, ``evaluation.starts=64``, by the names that they have here, ``starts=64``."""
-    return [word.removeprefix("evaluation.") for word in arguments]
+def _of_evaluation(arguments: Sequence[str]) -> list[str]:
+    """Arguments with a training's keys, ``evaluation.starts=64``, by the names that they have here, ``starts=64``.
+
+    Those that say where, ``scene=kitchen``, become one list, ``place``.
+    """
+    place, words = words_of_place(arguments)
+    words = [word.removeprefix("evaluation.") for word in words]
+    return [*words, f"place=[{','.join(map(quoted, place))}]"] if place else words
 
 
 def with_key(arguments: Sequence[str]) -> list[str]:
@@ -88,7 +94,7 @@ def with_key(arguments: Sequence[str]) -> list[str]:
     return result
 
 
-SPELLED: dict[str, Callable[[Sequence[str]], list[str]]] = {"evaluate": _short, "view": with_key}
+SPELLED: dict[str, Callable[[Sequence[str]], list[str]]] = {"evaluate": _of_evaluation, "view": with_key}
 """Commands that let some words be spelled in another way."""
 
 
