@@ -39,6 +39,19 @@ def splat(tmp_path: Path) -> Path:
     return folder / "yard.ply"
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves the pictures out, which take most of the time, where a test looks at none; they show what is read."""
+
+    def draw_scene(*arguments: object) -> list[Path]:
+        Path(str(arguments[4])).mkdir(parents=True, exist_ok=True)  # as the true one does
+        return []
+
+    monkeypatch.setattr(scene, "draw_scene", draw_scene)
+    for name in ("draw_goals", "draw_terrain"):
+        monkeypatch.setattr(scene, name, lambda *_: None)
+
+
 def heights(folder: Path) -> tuple[float, float]:
     """Heights of the floor and of the highest box of a scene folder."""
     z = read_scene(folder).gaussians.means[:, 2]
@@ -113,6 +126,7 @@ def test_out_is_a_scene_that_says_all_and_the_files_own_folder_stays(
     assert len(world.plan.start_rows) > 100
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_large_place_has_longer_steps_coarser_voxels_and_a_larger_thing(tmp_path: Path) -> None:
     file, _ = turned(place("courtyard", spacing=0.6), 3, tilt_deg=6.0)
     write_gaussians(tmp_path / "yard.ply", file)
@@ -142,14 +156,13 @@ def test_a_large_place_has_longer_steps_coarser_voxels_and_a_larger_thing(tmp_pa
         (["--matrix", ROWS, "--scale", "3"], 5.1, 8.7),
     ],
 )
-def test_what_is_stated_goes_before_the_guess(
-    splat: Path, options: list[str], floor: float, top: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(scene, "draw_scene", lambda *_: [])  # the frame of the pictures is that of what is read
+@pytest.mark.usefixtures("undrawn")
+def test_what_is_stated_goes_before_the_guess(splat: Path, options: list[str], floor: float, top: float) -> None:
     main([*options, str(splat)])
     assert heights(splat.parent) == pytest.approx((floor, top), abs=0.03)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_nerfstudios_own_frame_is_undone(tmp_path: Path) -> None:
     transforms = dataparser(tmp_path)
     moved = torch.tensor([[1.0, 0, 0, 0.5], [0, 0, -1, 2], [0, 1, 0, -1], [0, 0, 0, 4]], dtype=torch.float64) * 0.25
@@ -207,6 +220,7 @@ def test_it_runs_as_a_module_and_explains_itself() -> None:
     assert "--nerfstudio" in shown
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_kitchen_stands_in_metres_with_its_floor_at_zero(shared_scenes: Path, tmp_path: Path) -> None:
     main([str(shared_scenes / "kitchen" / "kitchen.spz"), "--out", str(tmp_path)])
     written = (tmp_path / "scene.yaml").read_text()
@@ -246,6 +260,7 @@ def test_an_out_that_ends_in_spz_makes_a_folder_with_a_small_splat(
     assert gzip.decompress((tmp_path / "again" / "splat.spz").read_bytes())[14] == 0
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(("out", "ending"), [("town", ".ply"), ("town.spz", ".spz")])
 def test_a_splat_is_cut_into_blocks_that_together_are_the_scene(
     splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], out: str, ending: str
@@ -264,6 +279,7 @@ def test_a_splat_is_cut_into_blocks_that_together_are_the_scene(
         main([str(splat), "--split", "1.5", "--out", str(tmp_path / out)])
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_blocks_are_not_written_where_a_scene_yaml_would_be_read_in_their_place(splat: Path) -> None:
     main([str(splat)])
     with pytest.raises(SystemExit, match=r"--split: expected a folder without scene.yaml"):
