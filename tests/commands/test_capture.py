@@ -84,6 +84,13 @@ def stages(
     return called
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves the pictures out, which take a third of the time, where a test looks at none."""
+    for name in ("check.draw_comparison", "check.draw_map", "folder.draw_cameras", "folder.draw_goals"):
+        monkeypatch.setattr(f"splatrl.capture.{name}", lambda *_: None)
+
+
 QUICK = ["--camera-height", "1.4", "--width", "80", "--gaussians", "3000", "--views", "200", "--device", "cpu"]
 
 
@@ -116,10 +123,11 @@ def test_what_is_fitted_follows_the_robots_unless_it_is_said(
     monkeypatch.setattr(pipeline, "fit", fit)
     for options in ([], ["--robot-width", "999"], ["--width", "100", "--gaussians", "9"]):
         with pytest.raises(SystemExit, match="far enough"):
-            capture.main(["a.mp4", "--out", str(tmp_path / "a"), "--camera-height", "1", "--views", "7", *options])
+            capture.main(["a.mp4", "--out", str(tmp_path / "a"), "--camera-height", "1.4", "--views", "7", *options])
     assert fitted == [(320, 60_000, 7), (320, 60_000, 7), (100, 9, 7)], "the photos are 320 pixels wide"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_out_that_ends_in_spz_keeps_the_splat_small(
     tmp_path: Path, stages: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -133,6 +141,7 @@ def test_an_out_that_ends_in_spz_keeps_the_splat_small(
     assert env.rollout(3)["pixels"].float().std() > 5
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_fit_that_was_stopped_goes_on_with_the_same_bytes(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -160,6 +169,7 @@ def test_a_fit_that_was_stopped_goes_on_with_the_same_bytes(
     assert not list(tmp_path.rglob("fit.npz")) and not list(tmp_path.rglob("*.tmp"))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_stages_that_were_damaged_are_done_again(
     tmp_path: Path, stages: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -177,6 +187,7 @@ def test_stages_that_were_damaged_are_done_again(
     assert not list(tmp_path.rglob("*.tmp"))
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", ["depths.npz", "fit.npz", "splat.ply"])
 def test_a_disk_that_is_full_is_one_line_that_names_the_file(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, name: str
