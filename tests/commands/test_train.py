@@ -37,6 +37,7 @@ SETTINGS = [
     "logger.num_test_episodes=8",
     "evaluation.batch_size=32",
 ]
+UNFILMED = [*SETTINGS, "logger.video=false"]
 
 
 def command(module: str, *arguments: str) -> Process:
@@ -79,7 +80,7 @@ def test_a_run_leaves_figures_pictures_and_checkpoints(run: tuple[Path, str]) ->
 def test_a_killed_run_goes_on_as_if_nothing_had_happened(
     run: tuple[Path, str], scene: list[str], tmp_path: Path
 ) -> None:
-    killed = command("train", *scene, *SETTINGS, f"hydra.run.dir={tmp_path}")
+    killed = command("train", *scene, *UNFILMED, f"hydra.run.dir={tmp_path}")
     last = tmp_path / "checkpoints" / "last.pt"
     while not (tmp_path / "progress.csv").exists() and killed.poll() is None:
         time.sleep(0.01)
@@ -114,7 +115,7 @@ def test_kills_at_random_instants_change_nothing(
     most = 2 * json.loads((run[0] / "evaluation.json").read_text())["wall_seconds"]  # what comes after it included
     for number in range(count):
         folder = tmp_path / str(number)
-        process = command("train", *scene, *SETTINGS, f"hydra.run.dir={folder}")
+        process = command("train", *scene, *UNFILMED, f"hydra.run.dir={folder}")
         for _ in range(2):  # killed as it begins, trains, tests or evaluates; then killed again
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(rng.uniform(0.0, most))
@@ -122,7 +123,7 @@ def test_kills_at_random_instants_change_nothing(
             process.kill()
             process.wait()
             most *= 0.8 if ended else 1.0 if (folder / "config.yaml").exists() else 1.15  # the machine's pace varies
-            again = [f"resume={folder}"] if (folder / "config.yaml").exists() else [*scene, *SETTINGS]
+            again = [f"resume={folder}"] if (folder / "config.yaml").exists() else [*scene, *UNFILMED]
             process = command("train", *again, *([] if "resume" in again[0] else [f"hydra.run.dir={folder}"]))
         finish(process)
         for name in ("last", "best"):
@@ -137,7 +138,7 @@ def test_kills_at_random_instants_change_nothing(
 
 
 def test_ctrl_c_saves_and_says_how_to_go_on(run: tuple[Path, str], scene: list[str], tmp_path: Path) -> None:
-    process = command("train", *scene, *SETTINGS, "checkpoint.interval=100000", f"hydra.run.dir={tmp_path}")
+    process = command("train", *scene, *UNFILMED, "checkpoint.interval=100000", f"hydra.run.dir={tmp_path}")
     while not (tmp_path / "checkpoints" / "last.pt").exists() and process.poll() is None:
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
@@ -152,7 +153,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on(run: tuple[Path, str], scene: list[s
 
 def test_a_run_folder_has_one_process_at_a_time(scene: list[str], tmp_path: Path) -> None:
     with alone_in(tmp_path):
-        process = command("train", *scene, *SETTINGS, f"hydra.run.dir={tmp_path}")
+        process = command("train", *scene, *UNFILMED, f"hydra.run.dir={tmp_path}")
         output, _ = process.communicate(timeout=120)
     assert process.returncode != 0 and f"{tmp_path}: expected an unused folder" in output
 

@@ -206,6 +206,15 @@ def test_two_processes_step_envs_of_their_own() -> None:
     assert not torch.equal(batch["state"][0, :, 0], batch["state"][1, :, 0])
 
 
+@pytest.fixture
+def forks() -> Iterator[None]:
+    """Lets TorchRL's collectors fork their workers, which need not import PyTorch anew."""
+    torch.multiprocessing.set_start_method("fork", force=True)
+    yield
+    torch.multiprocessing.set_start_method(None, force=True)
+
+
+@pytest.mark.usefixtures("forks")
 def test_two_processes_collect_in_a_world_that_each_builds_from_its_path(tmp_path: Path) -> None:
     room = tiny_overrides(tmp_path)
     collector = MultiSyncCollector(

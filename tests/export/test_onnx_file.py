@@ -53,7 +53,7 @@ def trained(folder: Path, *overrides: str) -> tuple[World, ActorValueOperator]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_onnxruntime_does_what_pytorch_does(kind: str, tmp_path: Path) -> None:
     world, model = trained(tmp_path, *KINDS[kind])
-    found = export_policy(model, world, tmp_path / "out", frames=1000, facts={"scene": "room"})
+    found = export_policy(model, world, tmp_path / "out", frames=200, facts={"scene": "room"})
     assert found <= 1e-5
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"policy.onnx", "run_policy.py"}
     session = onnxruntime.InferenceSession(tmp_path / "out" / "policy.onnx")
