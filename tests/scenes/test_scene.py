@@ -201,7 +201,7 @@ def test_a_node_of_the_configuration_loads_a_scene(path: Path, splat: Path) -> N
     if OmegaConf.is_missing(node, "path"):
         node.path = str(splat)
     if path.stem == "town":
-        node.blocks = 2
+        node.blocks = 1
     scene = instantiate(node)
     assert isinstance(scene, Scene)
     if path.stem == "kitchen":
