@@ -108,10 +108,10 @@ def always():
         checker._core.free_fraction(*addresses, count, usable_cores())
 for _ in range(3):
     threading.Thread(target=always, daemon=True).start()
-time.sleep(0.5)
+time.sleep(0.3)
 print("ends", flush=True)
 """
-    output, _ = (process := script(text)).communicate(timeout=60)
+    output, _ = (process := script(text, count=50_000)).communicate(timeout=60)
     assert process.returncode == 0, (process.returncode, output)
     assert "ends\n" in output and "terminate" not in output
 
