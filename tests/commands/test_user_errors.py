@@ -156,7 +156,9 @@ def test_an_evaluation_takes_its_keys_as_a_training_has_them(tmp_path: Path) -> 
     (tmp_path / "config.yaml").touch()
     keys = ["evaluation.starts=64", "evaluation.repeats=2"]
     cfg = load_config(command_line("evaluate", [f"run='{tmp_path}'", *keys]), "evaluate")
-    assert (cfg.starts, cfg.repeats) == (64, 2)
+    assert (cfg.starts, cfg.repeats, cfg.place) == (64, 2, [])
+    there = command_line("evaluate", ["scene=backyard", f"run='{tmp_path}'", "task.max_steps=9"])
+    assert load_config(there, "evaluate").place == ["scene=backyard", "task.max_steps=9"]
 
 
 def test_a_warning_is_one_line_without_the_place_in_the_code() -> None:
