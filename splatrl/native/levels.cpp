@@ -169,7 +169,9 @@ public:
         levels.order.resize(gaussians.count);
         std::iota(levels.order.begin(), levels.order.end(), 0u);
         uint32_t* first = levels.order.data();
-        if (gaussians.count > 0) build(first, first + gaussians.count);
+        if (gaussians.count == 0) return;
+        std::vector<Item> items = build(first, first + gaussians.count);
+        if (merge_) top(std::move(items));
     }
 
     Levels levels;
@@ -193,14 +195,41 @@ private:
             for (Item& item : build(middle, last)) items.push_back(std::move(item));
             items = merged(std::move(items), capacity_);
             items = in_space(items, run_);
-            Node& node = levels.nodes[index];
-            node.first = uint32_t(levels.opacities.size());
-            node.count = uint32_t(items.size());
-            node.error = merge_ ? error_of(items) : std::numeric_limits<float>::infinity();
-            for (const Item& item : items) append(item);
+            show(levels.nodes[index], items);
         }
         levels.nodes[index].skip = uint32_t(levels.nodes.size());
         return items;
+    }
+
+    // Put nodes with ever fewer Gaussians above the root, each of which has the next as its only child: a model that is
+    // small or far needs fewer than a node holds.
+    void top(std::vector<Item> items) {
+        std::vector<Node> above;
+        for (size_t target = fewer(items.size()); target > 0; target = fewer(items.size())) {
+            const size_t before = items.size();
+            items = merged(std::move(items), target);
+            items = in_space(items, run_);
+            if (items.size() == before) break;
+            above.push_back({});
+            show(above.back(), items);
+        }
+        std::reverse(above.begin(), above.end());
+        levels.nodes.insert(levels.nodes.begin(), above.begin(), above.end());
+        for (size_t i = 0; i < levels.nodes.size(); ++i) {
+            Node& node = levels.nodes[i];
+            node.skip = uint32_t(i < above.size() ? levels.nodes.size() : node.skip + above.size());
+        }
+    }
+
+    // Three quarters, in whole runs.
+    size_t fewer(size_t count) const { return count * 3 / 4 / run_ * run_; }
+
+    // Let an inner node hold these.
+    void show(Node& node, const std::vector<Item>& items) {
+        node.first = uint32_t(levels.opacities.size());
+        node.count = uint32_t(items.size());
+        node.error = merge_ ? error_of(items) : std::numeric_limits<float>::infinity();
+        for (const Item& item : items) append(item);
     }
 
     void append(const Item& item) {

@@ -17,7 +17,7 @@ struct GaussianArrays {
     size_t colors() const { return 3 * size_t((degree + 1) * (degree + 1)); }
 };
 
-// Nodes come in preorder: the children of an inner node follow it.
+// Nodes come in preorder: the children of an inner node, two or one, follow it.
 struct Node {
     uint32_t first, count;  // in the order for a leaf, in the merged Gaussians for an inner node
     uint32_t skip;          // the node after all those below this one
@@ -35,7 +35,7 @@ struct Levels {
 };
 
 // A tree whose nodes hold at most `capacity` Gaussians, in runs of `run` neighbours. With `merge`, inner nodes hold
-// merged Gaussians; without, nothing.
+// merged Gaussians, also above the node over all: ever fewer, as small or far models need. Without, nothing.
 Levels build_levels(const GaussianArrays& gaussians, size_t capacity, size_t run, bool merge);
 
 }  // namespace splatrl

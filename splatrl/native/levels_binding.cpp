@@ -38,7 +38,7 @@ void check(const Levels& levels, size_t count) {
         if (node.leaf)
             right = right && node.skip == i + 1 && node.count > 0 && node.error == 0.0f;
         else
-            right = right && i + 1 < nodes && levels.nodes[i + 1].skip < node.skip && node.error > 0.0f &&
+            right = right && i + 1 < nodes && levels.nodes[i + 1].skip <= node.skip && node.error > 0.0f &&
                     (node.count > 0 || std::isinf(node.error));
     }
     if (!right) throw std::invalid_argument("levels: expected a tree over these Gaussians, got one that leads outside");

@@ -190,7 +190,9 @@ void Scene::pack(const GaussianArrays& gaussians, const float* opacities, const 
 void Scene::enclose(const std::vector<Node>& nodes) {
     for (size_t i = clusters_.size(); i-- > 0;) {
         if (nodes[i].leaf) continue;
-        const Bounds below = both(clusters_[i + 1].bounds, clusters_[nodes[i + 1].skip].bounds);
+        const size_t second = nodes[i + 1].skip;
+        Bounds below = clusters_[i + 1].bounds;
+        if (second < nodes[i].skip) below = both(below, clusters_[second].bounds);
         clusters_[i].bounds = nodes[i].count > 0 ? both(below, clusters_[i].bounds) : below;
     }
 }

@@ -15,7 +15,7 @@ struct Bounds {
     float reach_scale;        // the largest product of that and its longest axis, metres
 };
 
-// A node of the tree over a scene, in preorder: the children of an inner node follow it.
+// A node of the tree over a scene, in preorder: the children of an inner node, two or one, follow it.
 struct Cluster {
     Bounds bounds;   // of all below it
     float error;     // metres by which what it shows is displaced: 0 in a leaf, infinite where it shows nothing

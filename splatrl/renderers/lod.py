@@ -2,10 +2,11 @@
 
 Every node of the tree holds at most 256 Gaussians. Those of a leaf are the scene's own. Nodes are split into compact
 parts, so that what is far from the rest gets its own. The Gaussians of an inner node stand for all below it: the
-cheapest pairs of neighbours in its two children were merged until 256 were left. A merged Gaussian has the mass
-(opacity times area), the mean and the covariance of its members, and their mean colour by mass. For each camera the
-renderer goes down the tree until the members of a node lie within the tolerance of their merged mean: root mean square
-by mass, in pixels at the node's nearest depth.
+cheapest pairs of neighbours in its two children were merged until 256 were left. Above the node over all are nodes with
+three quarters of its Gaussians, three quarters of those, and so on down to 16: what is small or far needs no more. A
+merged Gaussian has the mass (opacity times area), the mean and the covariance of its members, and their mean colour by
+mass. For each camera the renderer goes down the tree until the members of a node lie within the tolerance of their
+merged mean: root mean square by mass, in pixels at the node's nearest depth.
 """
 
 from collections.abc import Mapping
@@ -21,7 +22,7 @@ from splatrl.scenes.cache import Arrays
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
-LEVELS_VERSION = 2
+LEVELS_VERSION = 3
 """Raise it when the tree or the merging changes: cached levels are then built again."""
 
 

@@ -77,8 +77,9 @@ def top_of(arrays: Arrays, groups: int) -> tuple[Arrays, float]:
     ends, held = [(-float(errors[0]), 0)], int(counts[0])
     while ends and ends[0][0] < 0.0:
         node = ends[0][1]
-        below = (node + 1, int(skips[node + 1]))
-        held += int(counts[list(below)].sum())
+        second = int(skips[node + 1])
+        below = [node + 1, second] if second < skips[node] else [node + 1]
+        held += int(counts[below].sum())
         if held > groups:
             break
         heapq.heappop(ends)

@@ -54,6 +54,23 @@ def dust(seed: int, opacity: float, scale: float, count: int = 3000) -> Gaussian
     return cloud
 
 
+def ball(count: int = 800, radius: float = 0.15) -> Gaussians:
+    """Discs on a sphere at the origin whose colours change slowly, as the links of robots are drawn."""
+    number = torch.arange(count) + 0.5
+    height, turn = 1 - 2 * number / count, math.pi * (1 + math.sqrt(5)) * number
+    around = (1 - height.square()).sqrt()
+    normals = torch.stack([around * turn.cos(), around * turn.sin(), height], 1)
+    half = torch.stack([1 + height, -normals[:, 1], normals[:, 0], torch.zeros(count)], 1)  # turns z to the normal
+    return Gaussians(
+        means=radius * normals,
+        quats=half / half.norm(dim=1, keepdim=True),
+        scales=torch.tensor([1.0, 1.0, 0.05]) * (0.45 * radius * math.sqrt(4 * math.pi / count)) * torch.ones(count, 1),
+        opacities=torch.full((count,), 0.97),
+        sh=normals.unsqueeze(1),
+        batch_size=[count],
+    )
+
+
 def random_cameras(seed: int, batch: int = 3, width: int = 37, height: int = 22) -> Cameras:
     """Cameras around and inside the cloud, with principal points off the centre and pixels that are not square."""
     g = torch.Generator().manual_seed(seed)

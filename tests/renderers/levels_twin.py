@@ -36,7 +36,7 @@ class _Twin:
         self.nodes: list[list[int]] = []
         self.errors: list[float] = []
         self.merged: list[Group] = []
-        self.build(np.arange(len(means)))
+        self.top(self.build(np.arange(len(means))))
 
     def build(self, members: Group) -> list[Group]:
         """Append the node over some Gaussians and all below it; returns what it shows."""
@@ -57,8 +57,17 @@ class _Twin:
         self.nodes[node][2] = len(self.nodes)  # the node after all those below this one
         return groups
 
-    def merge(self, groups: list[Group]) -> list[Group]:
-        """Merge the cheapest pair of neighbours repeatedly, until the rest fits into a node."""
+    def top(self, groups: list[Group]) -> None:
+        """Put nodes above the root, each with three quarters of those below it, in whole runs."""
+        while (target := len(groups) * 3 // 4 // RUN * RUN) > 0:
+            groups = self.merge(groups, target)
+            self.nodes = [[first, count, skip + 1, leaf] for first, count, skip, leaf in self.nodes]
+            self.nodes.insert(0, [len(self.merged), len(groups), len(self.nodes) + 1, 0])
+            self.errors.insert(0, self.error(groups))
+            self.merged.extend(groups)
+
+    def merge(self, groups: list[Group], target: int = CAPACITY) -> list[Group]:
+        """Merge the cheapest pair of neighbours repeatedly, until so many are left."""
         groups = [groups[i] for i in in_space(self.centers(groups), BUCKET)]
         masses, centers, colors = (np.array(values) for values in zip(*map(self.summary, groups), strict=True))
         bucket = np.arange(len(groups)) // BUCKET
@@ -72,7 +81,7 @@ class _Twin:
             return np.where(possible, moved * distances * (LEAST_CONTRAST**2 + contrasts), np.inf)
 
         table = np.array([costs(i) for i in range(len(groups))])
-        while alive.sum() > CAPACITY and table.min() < np.inf:
+        while alive.sum() > target and table.min() < np.inf:
             i, j = sorted(np.unravel_index(table.argmin(), table.shape))
             groups[i] = np.concatenate([groups[i], groups[j]])
             masses[i], centers[i], colors[i] = self.summary(groups[i])

@@ -108,6 +108,19 @@ def test_what_is_far_is_shown_by_merged_gaussians_that_stay_in_memory(town: Bloc
     assert 0 < renderer.bytes_held - renderer._tops < sum(kept.bytes for kept in renderer._whole.values()) // 2
 
 
+@pytest.mark.parametrize("groups", [1, 5, 14])
+def test_a_top_may_end_above_the_node_over_the_whole_block(
+    town: BlockScene, groups: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(blocks, "TOP_GROUPS", groups)
+    renderer = BlockRenderer(town, tolerance=1.0)
+    above = [[12.0, 8.0, height] for height in (20.0, 60.0, 200.0, 2000.0)]
+    cameras = Cameras(look_at(above, [12.0, 8.1, 0.0]), intrinsics(0.3, *SIZE), *SIZE)
+    assert torch.equal(renderer.pixels(cameras), all_in_memory(town, cameras, 1.0))
+    read = [sum(slot in renderer._whole for slot in row) for row in slots_of(renderer, cameras)]
+    assert read[0] > 0 and read[3] == 0
+
+
 def test_frames_have_the_same_bytes_whatever_the_batch_the_order_and_what_is_in_memory(town: BlockScene) -> None:
     cameras, g = walkers(), torch.Generator().manual_seed(3)
     roomy = BlockRenderer(town, tolerance=3.0)

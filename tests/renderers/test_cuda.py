@@ -12,7 +12,7 @@ from splatrl.renderers import NativeRenderer, RenderOutput
 from splatrl.renderers.cuda import CudaRenderer
 from splatrl.scenes import Gaussians, Scene
 from tests.emulator import emulated
-from tests.renderers.cases import LIKENESS, ahead, dust, gaussians, psnr, random_cameras, random_gaussians
+from tests.renderers.cases import LIKENESS, ahead, ball, dust, gaussians, psnr, random_cameras, random_gaussians
 
 Make = Callable[..., CudaRenderer]
 
@@ -85,6 +85,13 @@ def test_merged_dust_looks_as_on_the_cpu(make: Make, antialiased: bool, opacity:
     aims = [[20.0, (-1) ** k * k * 0.35, k * 0.33] for k in range(6)]
     cameras = Cameras(look_at([[0.0, 0.0, 0.0]] * 6, aims), intrinsics(1.57, 64, 64), 64, 64)
     assert_like_native(renderer, NativeRenderer(scene, antialiased, tolerance=64.0), cameras)
+
+
+@pytest.mark.parametrize("count", [200, 800])
+def test_a_small_model_looks_as_on_the_cpu_from_any_distance(make: Make, count: int) -> None:
+    poses = look_at([[-away, 0.1 * away, 0.2 * away] for away in (0.5, 1.0, 2.0, 4.0, 8.0)], [0.0, 0.0, 0.0])
+    cameras = Cameras(poses, intrinsics(1.57, 48, 40), 48, 40)
+    assert_like_native(make(ball(count), tolerance=0.5), NativeRenderer(ball(count), tolerance=0.5), cameras)
 
 
 def test_a_captured_room_looks_as_on_the_cpu(make: Make, kitchen: Gaussians) -> None:

@@ -14,7 +14,7 @@ from splatrl.renderers import lod as lod_module
 from splatrl.renderers.lod import build_levels
 from splatrl.scenes import Gaussians, Scene
 from splatrl.scenes.cache import Arrays
-from tests.renderers.cases import ahead, dust, gaussians, psnr, random_cameras, random_gaussians
+from tests.renderers.cases import ahead, ball, dust, gaussians, psnr, random_cameras, random_gaussians
 
 
 def arrays_of(gaussians: Gaussians) -> dict[str, Tensor]:
@@ -91,13 +91,24 @@ def test_a_tolerance_that_nothing_meets_gives_the_bytes_of_exact_images() -> Non
     assert torch.equal(NativeRenderer(scene, tolerance=1e-7).pixels(cameras), exact)
 
 
-def test_a_scene_of_one_leaf_and_an_empty_one_have_no_levels_to_choose_from() -> None:
+def test_a_scene_of_one_group_and_an_empty_one_have_no_levels_to_choose_from() -> None:
     cameras = random_cameras(4, 2)
-    for count in (0, 1, 200):
+    for count in (0, 1, 16):
         scene = random_gaussians(3, count)
         at_a_pixel = NativeRenderer(scene, tolerance=1.0).pixels(cameras)
         assert torch.equal(NativeRenderer(scene, tolerance=9.0).pixels(cameras), at_a_pixel)
         assert psnr(at_a_pixel / 255.0, NativeRenderer(scene).pixels(cameras) / 255.0) >= 45.0
+
+
+@pytest.mark.parametrize("count", [200, 800])
+def test_the_farther_a_small_model_is_the_fewer_gaussians_show_it(count: int) -> None:
+    model, distances = ball(count), [0.5, 1.0, 2.0, 4.0, 8.0, 16.0]
+    poses = look_at([[-away, 0.1 * away, 0.2 * away] for away in distances], [0.0, 0.0, 0.0])
+    cameras = Cameras(poses, intrinsics(math.pi / 2, 64, 64), 64, 64)
+    projected = NativeRenderer(model, tolerance=0.5).efforts(cameras).projected.tolist()
+    assert projected == sorted(projected, reverse=True) and projected[-1] == 16
+    assert len(set(projected)) >= 4
+    assert psnrs(model, cameras, 0.5).min() >= 33.0
 
 
 def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order_with_any_threads_and_remembered(

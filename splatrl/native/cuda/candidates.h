@@ -43,9 +43,10 @@ SPLAT_INLINE void cull(const SceneArrays& scene, const Views& views, Shared& sha
             const View& view = shared.views[at.part()];
             if (misses(view.frustum, view.camera, node.bounds)) continue;
             if (node.error > 0.0f && !within_tolerance(view.frustum, view.camera, node, scene.tolerance)) {
-                const uint32_t first = atomicAdd(&shared.frontier[side ^ 1], 2u);
+                const uint32_t second = scene.clusters[at.cluster() + 1].skip, children = second < node.skip ? 2 : 1;
+                const uint32_t first = atomicAdd(&shared.frontier[side ^ 1], children);
                 below[first] = at.word + 1;
-                below[first + 1] = at.with(scene.clusters[at.cluster() + 1].skip);
+                if (children == 2) below[first + 1] = at.with(second);
             } else if (node.groups > 0) {
                 accepted[atomicAdd(&shared.accepted, 1u)] = at.word;
             }
