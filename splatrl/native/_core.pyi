@@ -22,6 +22,13 @@ def first_bad_camera(
 ) -> int:
     """The first row whose pose is not rigid or whose K is not a pinhole's; -1 where all are right."""
 
+def first_bad_part(
+    models: Tensor,  # [B, M] int64, -1 for none
+    model_to_world: Tensor,  # [B, M, 4, 4] float32
+    count: int,  # of the models that there are
+) -> int:
+    """The first part, row by row, whose model does not exist or whose pose is not rigid; -1 where all are right."""
+
 def add_density(
     means: NDArray[np.float64],  # [N, 3], in voxels like all lengths here, from the corner of the grid
     axes: NDArray[np.float64],  # [N, 3, 3], columns: the unit axes of the Gaussian

@@ -69,10 +69,23 @@ int64_t first_bad_camera(const Tensor<const float, -1, 4, 4>& poses, const Lense
     return -1;
 }
 
+// The first part, row by row, whose model is none of so many or whose pose is not rigid; -1 where all are right.
+int64_t first_bad_part(const Tensor<const int64_t, -1, -1>& models, const Poses& poses, int64_t count) {
+    const size_t parts = models.shape(0) * models.shape(1);
+    if (poses.shape(0) * poses.shape(1) != parts) throw std::invalid_argument("parts: expected a pose for each model");
+    for (size_t part = 0; part < parts; ++part) {
+        const int64_t model = models.data()[part];
+        if (model < -1 || model >= count || (model >= 0 && !is_pose_by_fours(poses.data() + 16 * part)))
+            return int64_t(part);
+    }
+    return -1;
+}
+
 }  // namespace
 
 void bind_renderer(nb::module_& m) {
     m.def("first_bad_camera", &first_bad_camera, nb::arg("camera_to_world"), nb::arg("K"));
+    m.def("first_bad_part", &first_bad_part, nb::arg("models"), nb::arg("model_to_world"), nb::arg("count"));
     nb::class_<Renderer>(m, "Renderer")
         .def(
             "__init__",

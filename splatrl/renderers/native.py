@@ -11,7 +11,7 @@ from splatrl.native import _core
 from splatrl.native.threads import threads_of
 from splatrl.renderers.base import RenderOutput, checked_background, draw_only, gaussians_of, models_of, require_cameras
 from splatrl.renderers.lod import gaussian_arrays, levels_for
-from splatrl.renderers.parts import Parts, camera_to_models, checked_parts
+from splatrl.renderers.parts import Parts, camera_to_models, checked_parts, require_parts_of
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
@@ -89,7 +89,16 @@ class NativeRenderer:
     @torch.compiler.disable
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera, float32, on the cameras' device."""
-        return draw_only(self._rendered, cameras, checked_parts(parts, cameras, self._models), only)
+        return draw_only(self._rendered, cameras, self._checked(parts, cameras), only)
+
+    def _checked(self, parts: Parts | None, cameras: Cameras) -> Parts | None:
+        """``checked_parts``, which is asked for its words only where something may be wrong."""
+        if parts is not None:
+            require_parts_of(parts, cameras)
+            model, poses = parts.model.cpu().contiguous(), cpu_floats(parts.model_to_world)
+            if _core.first_bad_part(model, poses, self._models) < 0:
+                return parts
+        return checked_parts(parts, cameras, self._models)
 
     def _rendered(self, cameras: Cameras, parts: Parts | None) -> RenderOutput:
         shape = (len(cameras), cameras.height, cameras.width)
@@ -119,7 +128,7 @@ class NativeRenderer:
             ValueError: for invalid parts, for an ``out`` of another shape, type, layout or device, or for ``out`` with
                 ``only``.
         """
-        parts = checked_parts(parts, cameras, self._models)
+        parts = self._checked(parts, cameras)
         if out is None:
             return draw_only(self._pixels, cameras, parts, only)
         if only is not None:
@@ -135,7 +144,7 @@ class NativeRenderer:
     @torch.compiler.disable
     def efforts(self, cameras: Cameras, parts: Parts | None = None) -> Effort:
         """What it takes to draw each view, measured by drawing it."""
-        parts = checked_parts(parts, cameras, self._models)
+        parts = self._checked(parts, cameras)
         values = self._draw(cameras, parts, empty_pixels(cameras)).unbind(1)
         return Effort(*(value.int() for value in values[:3]), *values[3:])
 

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from splatrl.cameras import Cameras
+from splatrl.native import _core
 from splatrl.renderers import ABSENT, NativeRenderer, Parts, ReferenceRenderer, Renderer
 from splatrl.renderers.parts import camera_to_models
 from tests.renderers.cases import LIKENESS, ahead, double, gaussians, psnr, random_cameras, random_gaussians
@@ -175,6 +176,19 @@ def test_a_pose_that_is_not_rigid_is_refused_by_row_and_part(maker: Maker, pose:
     parts.model[3, 2], parts.model_to_world[3, 2] = 1, pose
     with pytest.raises(ValueError, match=rf"parts\.model_to_world\[3, 2\]: expected {expected}, got \[\["):
         maker.make(random_models([0, 0, 0])).pixels(random_cameras(31, 4, 9, 7), parts)
+
+
+def test_the_core_finds_the_first_part_that_is_wrong_and_ignores_poses_of_none() -> None:
+    model, poses = torch.zeros(4, 3, dtype=torch.int64), random_poses(33, 4, 3)
+    model[0, 1], poses[0, 1] = ABSENT, torch.nan
+    assert _core.first_bad_part(model, poses, 1) == -1
+    for row, part, broken in ((3, 2, 2.0), (2, 0, torch.inf), (1, 2, -torch.inf)):
+        poses[row, part, 0, 3 if abs(broken) == torch.inf else 0] = broken
+        assert _core.first_bad_part(model, poses, 1) == 3 * row + part
+    model[0, 2] = 1
+    assert _core.first_bad_part(model, poses, 1) == 2
+    with pytest.raises(ValueError, match="expected a pose for each model"):
+        _core.first_bad_part(model, poses[:, :2].contiguous(), 1)
 
 
 @every_maker
