@@ -22,6 +22,13 @@ def first_bad_camera(
 ) -> int:
     """The first row whose pose is not rigid or whose K is not a pinhole's; -1 where all are right."""
 
+def camera_to_models(
+    camera_to_world: Tensor,  # [B, 4, 4] float32
+    model_to_world: Tensor,  # [B, M, 4, 4] float32
+    out: Tensor,  # [B, M, 4, 4] float32
+) -> None:
+    """Write the pose of each row's camera in the frame of each of its parts, computed in double precision."""
+
 def first_bad_part(
     models: Tensor,  # [B, M] int64, -1 for none
     model_to_world: Tensor,  # [B, M, 4, 4] float32

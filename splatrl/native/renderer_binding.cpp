@@ -81,9 +81,33 @@ int64_t first_bad_part(const Tensor<const int64_t, -1, -1>& models, const Poses&
     return -1;
 }
 
+// The pose of each row's camera in the frame of each of its parts, in double precision and rounded once, as
+// camera_to_models of renderers/parts.py.
+void camera_to_models(const Tensor<const float, -1, 4, 4>& camera_to_world, const Poses& model_to_world,
+                      const Tensor<float, -1, -1, 4, 4>& out) {
+    const size_t rows = camera_to_world.shape(0), parts = model_to_world.shape(1);
+    if (model_to_world.shape(0) != rows || out.shape(0) != rows || out.shape(1) != parts)
+        throw std::invalid_argument("camera_to_models: expected parts, and room for them, for each camera");
+    for (size_t i = 0; i < rows * parts; ++i) {
+        const float *camera = camera_to_world.data() + 16 * (i / parts), *model = model_to_world.data() + 16 * i;
+        float* pose = out.data() + 16 * i;
+        for (int row = 0; row < 3; ++row)
+            for (int column = 0; column < 4; ++column) {
+                double sum = 0.0;
+                for (int axis = 0; axis < 3; ++axis) {
+                    const double from = column < 3 ? 0.0 : double(model[4 * axis + 3]);
+                    sum += double(model[4 * axis + row]) * (double(camera[4 * axis + column]) - from);
+                }
+                pose[4 * row + column] = float(sum);
+            }
+        for (int column = 0; column < 4; ++column) pose[12 + column] = column == 3;
+    }
+}
+
 }  // namespace
 
 void bind_renderer(nb::module_& m) {
+    m.def("camera_to_models", &camera_to_models, nb::arg("camera_to_world"), nb::arg("model_to_world"), nb::arg("out"));
     m.def("first_bad_camera", &first_bad_camera, nb::arg("camera_to_world"), nb::arg("K"));
     m.def("first_bad_part", &first_bad_part, nb::arg("models"), nb::arg("model_to_world"), nb::arg("count"));
     nb::class_<Renderer>(m, "Renderer")

@@ -20,9 +20,9 @@ from splatrl.files import cache_dir
 from splatrl.native.threads import threads_of
 from splatrl.renderers.base import RenderOutput, checked_background
 from splatrl.renderers.lod import LEVELS_VERSION
-from splatrl.renderers.native import Effort, NativeRenderer, checked_cameras, cpu_floats, empty_pixels
+from splatrl.renderers.native import Effort, NativeRenderer, checked_cameras, empty_pixels, in_models
 from splatrl.renderers.packed import PACKED_VERSION, packed_bytes, packed_model, top_of
-from splatrl.renderers.parts import ABSENT, Parts, camera_to_models, in_scenes
+from splatrl.renderers.parts import ABSENT, Parts, in_scenes
 from splatrl.scenes.blocks import Block, BlockScene
 from splatrl.scenes.cache import Arrays, cached_arrays
 from splatrl.scenes.gaussians import Gaussians
@@ -216,7 +216,8 @@ class BlockRenderer(NativeRenderer):
 
     def _placed_blocks(self, cameras: Cameras, parts: Parts) -> Parts:
         """What rows draw by slots of the core: the blocks that they see in place of their scene."""
-        poses, K = cpu_floats(camera_to_models(cameras, parts)), checked_cameras(cameras)[1]
+        own, K = checked_cameras(cameras)
+        poses = in_models(own, parts)
         plain = torch.tensor([ABSENT, *(ABSENT if isinstance(at, _Stack) else at for at in self._models_at)])
         columns = []
         for part, model in enumerate(parts.model.unbind(1)):

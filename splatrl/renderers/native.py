@@ -11,7 +11,7 @@ from splatrl.native import _core
 from splatrl.native.threads import threads_of
 from splatrl.renderers.base import RenderOutput, checked_background, draw_only, gaussians_of, models_of, require_cameras
 from splatrl.renderers.lod import gaussian_arrays, levels_for
-from splatrl.renderers.parts import Parts, camera_to_models, checked_parts, require_parts_of
+from splatrl.renderers.parts import Parts, checked_parts, require_parts_of
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
@@ -188,4 +188,11 @@ def _placed(cameras: Cameras, parts: Parts | None) -> tuple[Tensor | None, Tenso
     poses, K = checked_cameras(cameras)
     if parts is None:
         return None, poses.unsqueeze(1), K
-    return parts.model.cpu().contiguous(), cpu_floats(camera_to_models(cameras, parts)), K
+    return parts.model.cpu().contiguous(), in_models(poses, parts), K
+
+
+def in_models(poses: Tensor, parts: Parts) -> Tensor:
+    """Poses of cameras in the frames of their parts, as the core reads them: ``camera_to_models``, at once."""
+    out = torch.empty(*parts.model.shape, 4, 4)
+    _core.camera_to_models(poses, cpu_floats(parts.model_to_world), out)
+    return out

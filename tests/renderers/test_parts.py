@@ -6,6 +6,7 @@ import torch
 from splatrl.cameras import Cameras
 from splatrl.native import _core
 from splatrl.renderers import ABSENT, NativeRenderer, Parts, ReferenceRenderer, Renderer
+from splatrl.renderers.native import in_models
 from splatrl.renderers.parts import camera_to_models
 from tests.renderers.cases import LIKENESS, ahead, double, gaussians, psnr, random_cameras, random_gaussians
 from tests.renderers.parts_cases import (
@@ -313,6 +314,17 @@ def test_a_camera_in_a_model_that_stands_at_the_origin_is_itself_and_any_other_s
     assert torch.equal(in_models[:, 0], cameras.camera_to_world)
     back = poses[:, 1].double() @ in_models[:, 1].double()
     assert torch.allclose(back, cameras.camera_to_world.double(), atol=1e-6)
+
+
+def test_the_core_places_cameras_in_models_as_its_readable_twin_does() -> None:
+    cameras, poses = random_cameras(45, 7), random_poses(46, 7, 3)
+    poses[:, 0] = IDENTITY
+    parts = Parts(torch.zeros(7, 3, dtype=torch.int64), poses)
+    placed_by_core = in_models(cameras.camera_to_world, parts)
+    torch.testing.assert_close(placed_by_core, camera_to_models(cameras, parts), rtol=0, atol=1e-6)
+    assert torch.equal(placed_by_core[:, 0], cameras.camera_to_world)
+    with pytest.raises(ValueError, match="expected parts, and room for them, for each camera"):
+        _core.camera_to_models(cameras.camera_to_world[:5], poses, placed_by_core)
 
 
 def test_gaussians_and_scenes_are_models_by_themselves() -> None:
