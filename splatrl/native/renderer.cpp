@@ -4,6 +4,7 @@
 #include <cmath>
 #include <stdexcept>
 #include <string>
+#include <tuple>
 
 #include "frustum.h"
 #include "threads.h"
@@ -35,6 +36,24 @@ std::vector<Tile> tiles_of(size_t batch, int width, int height, size_t threads) 
             tiles.push_back({left, int(int64_t(rows) * row / down) * BLOCK, std::min(left + TILE, width),
                              std::min(int(int64_t(rows) * (row + 1) / down) * BLOCK, height)});
     return tiles;
+}
+
+// Rows that see the same models in the same direction one after another, so that what they read is still in the cache.
+std::vector<size_t> by_likeness(const Batch& batch) {
+    std::vector<std::tuple<int64_t, float, size_t>> rows;
+    for (size_t row = 0; row < batch.rows; ++row) {
+        size_t part = 0;
+        while (part < batch.parts && batch.model(row, part) < 0) ++part;
+        const float* pose = batch.camera_to_models + 16 * (row * batch.parts + part);
+        if (part == batch.parts)
+            rows.push_back({-1, 0.0f, row});
+        else
+            rows.push_back({batch.model(row, part), std::atan2(pose[6], pose[2]), row});
+    }
+    std::sort(rows.begin(), rows.end());
+    std::vector<size_t> order;
+    for (const auto& [model, heading, row] : rows) order.push_back(row);
+    return order;
 }
 
 template <class T>
@@ -178,15 +197,16 @@ void Renderer::render(const Batch& batch, size_t threads, const Images& images, 
     std::vector<SceneView> views;
     for (const std::optional<Scene>& scene : scenes_) views.push_back(scene ? scene->view(tolerance_) : SceneView{});
     std::vector<Effort> taken(batch.rows * tiles.size());
+    const std::vector<size_t> order = by_likeness(batch);
     parallel_for(taken.size(), workers, [&](size_t worker, size_t item) {
-        const size_t row = item / tiles.size();
-        const Tile& tile = tiles[item % tiles.size()];
+        const size_t row = order[item / tiles.size()], number = item % tiles.size();
+        const Tile& tile = tiles[number];
         Workspace& workspace = **loans[worker];
         const Scratch scratch = workspace.scratch();
         place(batch, row, views.data(), workspace.parts);
         const Row drawn{workspace.parts.data(), workspace.parts.size(), background_.data(), finished_at(tolerance_),
                         log2_invisible_at(tolerance_, antialiased_)};
-        taken[item] = render_tile_(drawn, tile, antialiased_, images.depth != nullptr, scratch);
+        taken[row * tiles.size() + number] = render_tile_(drawn, tile, antialiased_, images.depth != nullptr, scratch);
         const Images own{offset(images.rgb, 3 * area * row), offset(images.depth, area * row),
                          offset(images.alpha, area * row), offset(images.pixels, 3 * area * row)};
         write_images(scratch.pixels, batch.width, tile, own);
