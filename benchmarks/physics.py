@@ -92,6 +92,8 @@ def measure(name: str, overrides: list[str], rounds: int) -> list[Row]:
     plain = PhysicsMotion("wheels", "eye", {"ball": "ball"}, ["ball"], threads=1)
     plain.settle(level_ground())
     cameras, links = world.robot.cameras(motion.body_to_world(state)), links_ahead(world, motion, state)
+    exact = build_world(load_config([*settings, "renderer.tolerance=0"]))
+    assert isinstance(exact, World)
 
     def both() -> None:
         after = motion.move(state, action, world.checker).state
@@ -106,6 +108,8 @@ def measure(name: str, overrides: list[str], rounds: int) -> list[Row]:
             "scene": partial(alone, world, state, motion),
             "links": partial(with_links, world, cameras, links),
             "no links": partial(with_links, world, cameras, None),
+            "exact links": partial(with_links, exact, cameras, links),
+            "exact scene": partial(with_links, exact, cameras, None),
         },
         rounds,
         process_time,
@@ -124,6 +128,7 @@ def measure(name: str, overrides: list[str], rounds: int) -> list[Row]:
         ratio("physics and picture", "picture", "physics and picture against the picture"),
         ratio("picture", "scene", "robot, ball and mark in the picture against the scene"),
         ratio("links", "no links", f"{LINKS} links × {GAUSSIANS} in view against the scene"),
+        ratio("exact links", "exact scene", "the same in exact images"),
     ]
 
 

@@ -42,5 +42,6 @@ def test_the_tree_is_that_of_its_readable_twin(seed: int, count: int, degree: in
     expected = tidied(tree_of(*(value.double().numpy() for value in arrays.values())), (degree + 1) ** 2)
     assert np.array_equal(built["nodes"], expected["nodes"])
     assert np.array_equal(built["order"], expected["order"])
+    assert built["nodes"][0].tolist() == [len(built["means"]) - 16, 16, len(built["nodes"]), 0]
     for name in ("errors", *MERGED):
         np.testing.assert_allclose(built[name], expected[name], rtol=1e-4, atol=2e-5, err_msg=name)
