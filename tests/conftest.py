@@ -69,7 +69,10 @@ def cuda_device() -> torch.device:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what is imported by now out of every later search for garbage, and search less often."""
+    """Leave what is imported by now out of every later search for garbage, search less often, and parse YAML once."""
+    from tests.yaml_once import parse_once
+
+    parse_once()
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)

@@ -22,6 +22,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Union
 
+from tests.yaml_once import parse_once
+
 ROOT = Path(__file__).parents[1]
 IMPORTED = (
     "matplotlib.figure",
@@ -171,5 +173,7 @@ def _run(kind: str, what: str, *arguments: str) -> None:
 if __name__ == "__main__":
     for name in IMPORTED:
         importlib.import_module(name)
+    parse_once()
+    importlib.import_module("splatrl.configuration").load_config()  # Hydra looks for its plugins, and reads, once
     if words := _requested(socket.socket(fileno=int(sys.argv[1]))):
         _run(*words)

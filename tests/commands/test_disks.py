@@ -35,7 +35,7 @@ ROOM = (
 )
 SMALL = (
     f"train {ROOM} collector.total_frames=128 collector.frames_per_batch=128 env.num_envs=16 "
-    "evaluation.batch_size=32 hydra.run.dir=run"
+    "evaluation.batch_size=32 evaluation.starts=16 hydra.run.dir=run"
 )
 DEMOS = f"record {ROOM} by=planner episodes=2 out=new/demos"
 FULL, READ_ONLY = (28, "No space left on device"), (30, "Read-only file system")
