@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
 from splatrl.building import build_world
@@ -39,14 +39,16 @@ def score_in(runs: Sequence[Run], places: Mapping[str, DictConfig]) -> list[dict
         runs: with the same task and motion.
         places: a config of each, by name, whose scene, robot and task the policies are given.
     """
-    configs = {name: placed(cfg, cfg) for name, cfg in places.items()}
-    worlds = {name: build_world(cfg) for name, cfg in configs.items()}
+    worlds: dict[tuple[str, str], World | Worlds] = {}
     rows = []
     for run in tqdm(runs, unit="run", desc="tests", dynamic_ncols=True):
         own = run_config(run.folder)
-        for name, world in worlds.items():
-            rates = tested(run.folder, placed(own, configs[name]), world)
-            rows.append({"run": run.folder.name, "place": name, **rates})
+        for name, place in places.items():
+            cfg = placed(own, place)
+            key = name, OmegaConf.to_yaml({"of": [cfg.sensors, cfg.transforms, cfg.network]})  # what its env must give
+            if key not in worlds:
+                worlds[key] = build_world(cfg)
+            rows.append({"run": run.folder.name, "place": name, **tested(run.folder, cfg, worlds[key])})
     return rows
 
 

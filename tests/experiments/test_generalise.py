@@ -9,6 +9,7 @@ from splatrl.configuration import load_config
 from splatrl.experiments import Run, planned
 from splatrl.experiments.generalise import PLACES, choose_places, score_in_places, unlearned
 from splatrl.experiments.tables import transfer_sentences, transfer_table
+from splatrl.experiments.transfer import score_in
 from tests.experiments.made_up import NODE, SCENES, compose
 from tests.experiments.trained import save_run
 from tests.two_rooms import overrides, two_rooms
@@ -34,6 +35,17 @@ def test_a_policy_is_tested_in_several_scenes_at_once_and_in_one(tmp_path: Path)
     assert [(row["place"], row["starts"]) for row in rows] == [("backyard", 16), ("kitchen", 16)]
     assert rows == score_in_places([run], tmp_path)
     assert all(0 <= row["success_rate"] <= 1 for row in rows)
+
+
+def test_runs_that_remember_and_runs_that_do_not_are_tested_side_by_side(tmp_path: Path) -> None:
+    place = two_rooms(tmp_path)[0]
+    runs = []
+    for name, more in (("plain", []), ("gru", ["memory=gru"]), ("told", ["sensors=[pointgoal]"])):
+        cfg = load_config([*overrides("pointnav"), *more, f"scene={place}", "evaluation.starts=4"])
+        save_run(tmp_path / name, cfg, 2)
+        runs.append(Run("west", name, name, 0, tmp_path / name, (), {}))
+    rows = score_in(runs, {"there": load_config([*overrides("pointnav"), f"scene={place}", "evaluation.starts=4"])})
+    assert [(row["run"], row["starts"]) for row in rows] == [("plain", 4), ("gru", 4), ("told", 4)]
 
 
 def test_the_table_shows_places_in_which_nothing_was_trained(tmp_path: Path) -> None:
