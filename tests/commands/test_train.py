@@ -3,6 +3,7 @@
 import contextlib
 import json
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -139,11 +140,12 @@ def test_kills_at_random_instants_change_nothing(
 
 def test_ctrl_c_saves_and_says_how_to_go_on(run: tuple[Path, str], scene: list[str], tmp_path: Path) -> None:
     process = command("train", *scene, *UNFILMED, "checkpoint.interval=100000", f"hydra.run.dir={tmp_path}")
-    while not (tmp_path / "checkpoints" / "last.pt").exists() and process.poll() is None:
-        time.sleep(0.01)
+    said = ""
+    while not re.search(r" [1-9]\d*/1280 ", said) and (more := process.stdout.read(1)):
+        said += more
     process.send_signal(signal.SIGINT)
     output, _ = process.communicate(timeout=120)
-    assert process.returncode == 130, output
+    assert process.returncode == 130, said + output
     assert f"splatrl-train 'resume={tmp_path}' goes on" in output
     assert load_checkpoint(tmp_path / "checkpoints" / "last.pt")["ppo"]["frames"] > 0
     finish(command("train", f"resume={tmp_path}"))
