@@ -50,10 +50,10 @@ def test_every_experiment_composes_and_states_its_budget(
     kitchen = f"kitchen={tmp_path / 'kitchen.spz'}"
     words = ["name=all", f"folder={tmp_path}", kitchen, "jobs=2", "experiments.loop.prepare=null"]
     experiment(load_config(words, "experiment"))
-    assert len(trained) == 25 + 8 + 6 + 8 + 2 + 7 + 16 + 6
+    assert len(trained) == 25 + 8 + 6 + 8 + 2 + 8 + 16 + 6
     assert "kitchen-gru-s0" in trained
     said = capsys.readouterr().out
-    assert "78 of 78 trainings to do" in said
+    assert "79 of 79 trainings to do" in said
     for name in ("grid", "fps", "apple", "sim2real", "loop", "generalise", "demonstrations", "weather"):
         assert f"{name:<14} " in said
         assert (tmp_path / name / "report.md").is_file()
