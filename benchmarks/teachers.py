@@ -8,11 +8,9 @@ Usage: python benchmarks/teachers.py [episodes] [override ...]
 
 import sys
 
-import torch
-from tensordict import TensorDict
-
 from splatrl.building import build_one_world
 from splatrl.configuration import load_config
+from splatrl.evaluation.rollouts import knowing, run_episodes
 
 SMALL = ["robot.image_width=8", "robot.image_height=8", "device=cpu"]
 """Teachers do not look."""
@@ -20,22 +18,12 @@ SMALL = ["robot.image_width=8", "robot.image_height=8", "device=cpu"]
 
 def main() -> None:
     """Let the teacher of one task act in test episodes, all side by side, to their ends."""
-    episodes = int(sys.argv[1]) if len(sys.argv) > 1 else 160
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 160
     world = build_one_world(load_config([*(sys.argv[2:] or ["task=gates"]), *SMALL]))
-    env, task = world.env(episodes), world.task
-    begun = task.episodes(world.plan.starts, episodes, 0)  # type: ignore[attr-defined]
-    now = env.reset(TensorDict(begun, [episodes]), set_state=True)
-    ended, success, steps = torch.zeros(episodes, dtype=torch.bool), torch.zeros(episodes), torch.zeros(episodes)
-    while not ended.all():
-        taught = task.teach(now["state"], {key: now[key] for key in task.memory_spec})
-        assert taught is not None, "a task with a teacher"
-        step = env.step(now.set("action", taught.to(env.action_spec.dtype)))
-        over = step["next", "done"].squeeze(1) & ~ended
-        success[over] = step["next", "success"].squeeze(1)[over].float()
-        steps += ~ended
-        ended |= over
-        now = env.step_mdp(step)
-    print(f"{int(success.sum())} of {episodes} episodes, {steps.mean():.1f} steps each on average")
+    begun, env = world.task.episodes(world.plan.starts, count, 0), world.env(count)  # type: ignore[attr-defined]
+    found = run_episodes(env, knowing(env, world.task.teach), begun.pop("state"), memory=begun)
+    spl = f", SPL {found.navigation()['spl']:.3f}" if found.measures else ""
+    print(f"{int(found.success.sum())} of {count} episodes, {found.length.double().mean():.1f} steps each{spl}")
 
 
 if __name__ == "__main__":

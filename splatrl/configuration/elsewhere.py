@@ -63,5 +63,6 @@ def words_of_place(words: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def _key(word: str) -> str:
-    """The key of an override; a group may say where it goes: ``motion@task.motion=drive``."""
-    return word.lstrip("+~").partition("=")[0].partition("@")[0]
+    """The key of an override, for a group that says where it goes that place: task.motion of motion@task.motion."""
+    group, _, place = word.lstrip("+~").partition("=")[0].partition("@")
+    return (place or group).replace("/", ".")

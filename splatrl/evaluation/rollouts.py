@@ -15,7 +15,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from splatrl.envs.nesting import layers
 from splatrl.envs.tasks import NavigationTask, Outcome
-from splatrl.envs.tasks.base import ChoosingTask
+from splatrl.envs.tasks.base import ChoosingTask, Memory
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.episode_sets import places_of, read_episodes
 
@@ -173,6 +173,23 @@ def _drawn_episodes(world: World | Worlds, most: int) -> Chosen:
     scene = torch.arange(len(drawn)).repeat_interleave(count)
     state = episodes.pop("state")
     return Chosen(state, scene if len(drawn) > 1 else None, torch.zeros(len(state), dtype=torch.int64), episodes)
+
+
+def knowing(env: EnvBase, act: Callable[[Tensor, Memory], Tensor | None]) -> Callable[[TensorDictBase], TensorDictBase]:
+    """A policy that does what one does who knows state and memory, such as a task's teacher.
+
+    Args:
+        env: in which it acts.
+        act: states [B, ...] and what the task remembers -> actions [B, ...], as ``Task.teach``.
+    """
+    keys, dtype = tuple(env.task.memory_spec), env.action_spec.dtype
+
+    def policy(td: TensorDictBase) -> TensorDictBase:
+        action = act(td["state"], {key: td[key] for key in keys})
+        assert action is not None, "one who knows what to do"
+        return td.set("action", action.to(dtype))
+
+    return policy
 
 
 @contextmanager

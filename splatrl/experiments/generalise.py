@@ -1,20 +1,17 @@
 """Policies tested in places that their training never saw."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig
-from tensordict import TensorDictBase
-from torch import Tensor
 
 from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.envs.tasks import NavigationTask
 from splatrl.evaluation.report import summarise, write_json
-from splatrl.evaluation.rollouts import run_episodes, spread_starts
+from splatrl.evaluation.rollouts import knowing, run_episodes, spread_starts
 from splatrl.experiments.experiment import Run
 from splatrl.experiments.transfer import kept, score_in
 
@@ -69,13 +66,7 @@ def unlearned(name: str, place: DictConfig) -> list[dict[str, Any]]:
     env = world.env(min(place.evaluation.batch_size, len(starts.state)))
     rows = []
     for label, act in (("straight at the goal", task.beeline), ("the teacher, by the shortest way", task.teach)):
-        policy = partial(_acted, act, tuple(task.memory_spec))
-        episodes = run_episodes(env, policy, starts.state, scene=starts.scene, memory=starts.memory)
+        episodes = run_episodes(env, knowing(env, act), starts.state, scene=starts.scene, memory=starts.memory)
         rates = summarise(episodes, episodes, None)
         rows.append({"label": label, "place": name, "starts": len(starts.state), **kept(rates)})
     return rows
-
-
-def _acted(act: Callable[..., Tensor], keys: Sequence[str], td: TensorDictBase) -> TensorDictBase:
-    """A TensorDict with the action of one who knows state and memory."""
-    return td.set("action", act(td["state"], {key: td[key] for key in keys}))

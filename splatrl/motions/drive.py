@@ -88,7 +88,7 @@ class DriveMotion(StoppingMotion):
         return (action.abs() < STILL * self.limits.abs().amax(0)).all(1)
 
     def toward(self, turn: Tensor, stop: Tensor) -> Tensor:
-        """Turns on the spot to a way that is further aside than the next; see ``StoppingMotion``."""
+        """Turns on the spot until no other way is nearer to the heading, then ahead; see ``StoppingMotion``."""
         _, (fastest, quickest) = self.limits
         ahead = torch.where(turn.abs() > 0.5 * self.angle_between, 0.0, fastest)
         action = torch.stack([ahead, (turn / self.time_step).clamp(-quickest, quickest)], 1)

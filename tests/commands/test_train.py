@@ -230,6 +230,7 @@ def test_a_policy_is_tested_elsewhere_in_a_folder_of_its_own(
     assert place.task.max_steps == own.task.max_steps and place.collector == own.collector
     assert list(place.task.motion.lower) == [4.0, -1.5] and list(own.task.motion.lower) != [4.0, -1.5]
     assert words_of_place([f"run={folder}", *words]) == (words[:2], [f"run={folder}", *words[2:]])
+    assert words_of_place(["motion@task.motion=drive", "task.max_steps=9", "starts=6"])[1] == ["starts=6"]
 
 
 @pytest.mark.parametrize("typed", ["scene=tiny", "- scene.path=${oc.env:HOME}", "- +task.motion._target_=os.system"])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 import splatrl
@@ -19,7 +19,7 @@ from splatrl.envs import Robot, SplatEnv
 from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.sensors import Gps, ImageGoal, PointGoal
 from splatrl.envs.tasks import ImageNav, NavigationRewards, NavigationTask, Outcome, PointNav
-from splatrl.evaluation.rollouts import Episodes, run_episodes
+from splatrl.evaluation.rollouts import Episodes, knowing, run_episodes
 from splatrl.motions import DriveMotion, ForwardMotion, NavigateMotion
 from tests.tiny import BLOCK, HEIGHT, tiny_overrides, tiny_renderer
 
@@ -245,11 +245,7 @@ def walked(task: NavigationTask, who: Any) -> Episodes:
     """Episodes of the task's tests, in which the robots do what someone says who knows state and memory."""
     env = env_of(task, (4,))
     begun = task.episodes(paths().starts, 24, 0)
-
-    def act(td: TensorDictBase) -> TensorDictBase:
-        return td.set("action", who(td["state"], {key: td[key] for key in task.memory_spec}))
-
-    return run_episodes(env, act, begun.pop("state"), memory=begun)
+    return run_episodes(env, knowing(env, who), begun.pop("state"), memory=begun)
 
 
 @pytest.mark.parametrize("motion", ["steps", "drive"])
