@@ -1,6 +1,7 @@
 """How long a capture takes from a phone video to a scene to train in, and how far it is from the truth.
 
     python benchmarks/capture.py                    # films 60 s at 1080p in the backyard, then captures that
+    python benchmarks/capture.py --yard 3           # or in one of the generated yards
     python benchmarks/capture.py kitchen_m.mp4      # any video with its truth in a .npz beside it
 
 The truth is used to judge, and for one thing that a person would measure: the height of the camera above the floor, or
@@ -40,8 +41,8 @@ from splatrl.renderers import NativeRenderer
 from splatrl.scenes import Gaussians, read_gaussians
 
 FILM = "walk.mp4"
-YARD = Stroll((-1.8, -1.8), (1.8, 1.8), 0.6)
-"""Around the robots of the backyard, and a little above them."""
+INSIDE, ABOVE = 1.2, 0.6
+"""Metres between a yard's bounds and where the walk goes, and of the camera above ground: a little above the robots."""
 TOLERANCE = 0.5
 """Pixels: of the level of detail that the film is drawn with."""
 
@@ -117,18 +118,21 @@ def _clock() -> tuple[float, float]:
     return time.perf_counter(), sum(os.times()[:4])
 
 
-def filmed(path: Path, seconds: float, size: tuple[int, int], seed: int) -> Path:
-    """A phone walk in the backyard, unless it is there already."""
+def filmed(path: Path, options: argparse.Namespace) -> Path:
+    """A phone walk in a yard, unless it is there already."""
     if path.is_file() and path.with_suffix(".npz").is_file():
         return path
-    scene, phone = splatrl.backyard(), Phone(*size)
-    walk = phone_walk(Occupancy.from_scene(scene), YARD, round(seconds * phone.fps), phone.fps, seed)
+    scene = splatrl.backyard() if options.yard is None else splatrl.yard(options.yard)
+    phone, seed = Phone(*options.size), options.seed
+    (x, y, _), (right, back, _) = scene.bounds
+    stroll = Stroll((x + INSIDE, y + INSIDE), (right - INSIDE, back - INSIDE), options.height, turn=options.turn)
+    walk = phone_walk(Occupancy.from_scene(scene), stroll, round(options.seconds * phone.fps), phone.fps, seed)
     began = _clock()
     with tqdm(total=len(walk), unit="frame", desc="film", dynamic_ncols=True) as bar:
         renderer = NativeRenderer(scene, tolerance=TOLERANCE)
         phone_video(renderer, walk, phone, path, seed, lambda done, total: bar.update(done - bar.n))
     wall, cpu = (now - then for now, then in zip(_clock(), began, strict=True))
-    print(f"filmed {len(walk)} frames of {size[0]} × {size[1]} pixels in {wall:.0f} s, {cpu:.0f} CPU s")
+    print(f"filmed {len(walk)} frames of {phone.width} × {phone.height} pixels in {wall:.0f} s, {cpu:.0f} CPU s")
     return path
 
 
@@ -161,6 +165,9 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("video", type=Path, nargs="?", help="with its truth beside it; none films the backyard")
     parser.add_argument("--seconds", type=float, default=60.0, help="of the film")
     parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080), help="of the film, pixels")
+    parser.add_argument("--yard", type=int, help="seed of a generated yard to film; none films the backyard")
+    parser.add_argument("--height", type=float, default=ABOVE, help="of the camera of the film, metres")
+    parser.add_argument("--turn", type=float, default=Stroll.turn, help="seconds in which the view goes once around")
     parser.add_argument("--floor", type=float, default=0.0, help="height of the floor in the truth, metres")
     parser.add_argument("--width", type=int, default=FitSettings.width)
     parser.add_argument("--gaussians", type=int, default=FitSettings.cap)
@@ -244,7 +251,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as spare:
         folder = options.keep or Path(spare)
         folder.mkdir(parents=True, exist_ok=True)
-        video = options.video or filmed(folder / FILM, options.seconds, tuple(options.size), options.seed)
+        video = options.video or filmed(folder / FILM, options)
         result, alike, placed = measured(video, folder / video.stem, options)
         print_result(result)
         draw(result.laps, alike, placed, true_poses(placed.reconstruction, read_truth(video)), options.png)

@@ -5,7 +5,8 @@
     splatrl-capture SCENES/videos/kitchen_m.mp4 --out kitchen
     python benchmarks/capture_truth.py kitchen kitchen
 
-The capture is brought to the truth by the similarity that fits its cameras best; nothing else of the truth is used.
+The capture is brought to the truth by the similarity that fits its cameras best; nothing else of the truth is used,
+and the capture may have had its scale from anything.
 
 redkitchen: a depth sensor's images. AbsRel is the mean of |depth − sensor's| / sensor's over all pixels that the sensor
 measured; free space is made of the voxels of the capture that at least three of the sensor's images look through, up to
@@ -17,6 +18,7 @@ on surfaces of the counters that at least two cameras of the capture saw.
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,10 +37,11 @@ from splatrl.capture.pipeline import CaptureSettings, reconstruct
 from splatrl.capture.truth import closest_similarity, read_truth, true_poses
 from splatrl.capture.world import Placed, moved
 from splatrl.collision import DensitySettings, NativeChecker, Occupancy
+from splatrl.collision.point_clouds import read_points
 from splatrl.geometry import rigid
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes import Scene, read_scene
-from splatrl.scenes.description import read_description
+from splatrl.scenes.description import PATH, read_description
 
 SMALL, LARGE = Box((0.1, 0.1, 0.1)), Box((0.2, 0.2, 0.2))
 VIDEOS = {"redkitchen": SCENES / "videos" / "redkitchen" / "video.mp4", "kitchen": SCENES / "videos" / "kitchen_m.mp4"}
@@ -138,15 +141,22 @@ def seen(scene: Scene, places: Tensor, capture: Reconstruction) -> Tensor:
     return count
 
 
+def captured(place: str, folder: Path) -> Placed:
+    """The cameras of a capture, where its scene has them, whatever told how large it is."""
+    placed, _ = reconstruct(VIDEOS[place], folder, CaptureSettings())
+    to_scene = closest_similarity(
+        placed.reconstruction.camera_to_world[:, :3, 3], torch.from_numpy(read_points(folder / PATH))
+    )
+    return replace(placed, reconstruction=moved(placed.reconstruction, to_scene.numpy()))
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("place", choices=list(VIDEOS))
     parser.add_argument("folder", type=Path, help="of the capture of its video")
-    parser.add_argument("--camera-height", type=float, default=None)
     arguments = parser.parse_args()
-    settings = CaptureSettings(camera_height=arguments.camera_height)
-    placed, _ = reconstruct(VIDEOS[arguments.place], arguments.folder, settings)
+    placed = captured(arguments.place, arguments.folder)
     scene = read_scene(arguments.folder)
     stated = read_description(arguments.folder)
     density = DensitySettings(cutoff=stated["cutoff"])
