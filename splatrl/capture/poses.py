@@ -18,7 +18,7 @@ from splatrl.capture.progress import Progress, silent
 from splatrl.capture.undistort import undistorted
 
 LEAST = 0.8
-VERSION = 3
+VERSION = 4
 DIGEST = "digest.txt"
 
 

@@ -7,8 +7,10 @@ input closes, so that it never outlives the caller.
 
 import json
 import os
+import sqlite3
 import sys
 import threading
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,10 +20,15 @@ import numpy as np
 from splatrl.capture.loops import loop_pairs
 from splatrl.files import replacing
 
-MODEL, DATABASE, PAIRS, JOB = "model.npz", "database.db", "pairs.txt", "job.json"
+MODEL, DATABASE, PAIRS, JOB, SEARCHED = "model.npz", "database.db", "pairs.txt", "job.json", "searched"
 FEATURES = 4096
 FAINTEST = 0.003
 """Contrast of a feature, at least; with COLMAP's 0.0067 shaded walls and lawns hold too few."""
+FEW, FAINTER = 1000, 0.0008
+"""An image with fewer features is searched again for fainter ones: blurred, or bare walls and sky."""
+LEAST_INLIERS, LEAST_SHARE, TRIALS = 15, 0.15, 10
+"""Features, and their share, that must agree with a pose, and how often one is sought; COLMAP's 30, 0.25 and 3 leave
+out images of bare places, whose neighbours on the way then break off too."""
 SPARSE = 40
 """Up to so many images: all pairs, and features from the doubled image, as photos far from each other need."""
 
@@ -108,9 +115,32 @@ def _extract(pycolmap: Any, folder: Path, job: Job) -> None:
     options.sift.max_num_features = FEATURES
     options.sift.peak_threshold = FAINTEST
     options.sift.first_octave = -1 if len(job.names) <= SPARSE else 0
-    pycolmap.extract_features(
-        database, job.images, job.names, pycolmap.CameraMode.SINGLE, reader, options, pycolmap.Device.cpu
-    )
+
+    def extract(names: list[str]) -> None:
+        pycolmap.extract_features(
+            database, job.images, names, pycolmap.CameraMode.SINGLE, reader, options, pycolmap.Device.cpu
+        )
+
+    extract(job.names)
+    if (folder / SEARCHED).exists():
+        return
+    options.sift.peak_threshold = FAINTER
+    if poor := _without_features(database):
+        extract(poor)
+    (folder / SEARCHED).touch()
+
+
+def _without_features(database: Path) -> list[str]:
+    """Take away the features of images that have few, so that COLMAP searches them again; returns their names.
+
+    Where a second search was interrupted, those that it had reached already are searched once more, or had enough.
+    """
+    with closing(sqlite3.connect(database)) as connection, connection:
+        few = connection.execute("SELECT image_id FROM keypoints WHERE rows < ? ORDER BY image_id", (FEW,)).fetchall()
+        for table in ("keypoints", "descriptors"):
+            connection.executemany(f"DELETE FROM {table} WHERE image_id = ?", few)
+        names = "SELECT name FROM images WHERE image_id NOT IN (SELECT image_id FROM keypoints) ORDER BY image_id"
+        return [name for (name,) in connection.execute(names)]
 
 
 def _match(pycolmap: Any, folder: Path, job: Job) -> None:
@@ -139,6 +169,8 @@ def _mapping_options(pycolmap: Any, job: Job) -> Any:
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = options.mapper.num_threads = 1  # with more, sums come in any order
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = job.seed
+    options.mapper.abs_pose_min_num_inliers, options.mapper.abs_pose_min_inlier_ratio = LEAST_INLIERS, LEAST_SHARE
+    options.mapper.max_reg_trials = TRIALS
     options.mapper.init_min_tri_angle /= 2  # COLMAP's preset for video, here and below
     options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.4
     options.min_model_size = min(options.min_model_size, max(3, len(job.names) // 2))
