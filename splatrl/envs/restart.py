@@ -53,16 +53,17 @@ def maybe_reset(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
     """
     if not env.any_done(after):
         return after
-    result, done = after.exclude("_reset"), after["done"]
+    values, done = dict(after.items()), after["done"]
+    del values["_reset"]
     rows = done.flatten().nonzero().squeeze(1)
     base, around = layers(env)
     if not len(rows) or any(not isinstance(one.transform, Compose) or len(one.transform) for one in around):
         for key, fresh in _reset_where(env, done).items():
-            result.set(key, _with_rows_of(after.get(key, None), rows, fresh))
+            values[key] = _with_rows_of(values.get(key), rows, fresh)
     else:
         for key, fresh in base.begun(rows).items():
-            result.set(key, with_rows(after.get(key), rows, fresh))
-    return result
+            values[key] = with_rows(values[key], rows, fresh)
+    return TensorDict._new_unsafe(values, batch_size=after.batch_size, device=after.device)
 
 
 def _reset_where(env: EnvBase, mask: Tensor) -> TensorDictBase:

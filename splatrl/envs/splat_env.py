@@ -1,7 +1,7 @@
 """The one environment: a batch of robots in one scene, or each in one of several."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import torch
@@ -15,14 +15,14 @@ from splatrl.collision.nothing import NoChecker
 from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.drawing.base import Drawing, View
+from splatrl.envs.lattice_steps import LatticeSteps, Taken, suits
 from splatrl.envs.restart import maybe_reset
 from splatrl.envs.robot import Robot
 from splatrl.envs.sensors.base import Moment, Sensor
 from splatrl.envs.stateful_env import StatefulEnv
-from splatrl.envs.tasks.base import Anywhere, Outcome, Step, Task
+from splatrl.envs.tasks.base import NOTHING, Anywhere, Outcome, Step, Task
 from splatrl.faults import Faulty
 from splatrl.motions.physics import PhysicsMotion
-from splatrl.renderers.base import among_zeros
 from splatrl.renderers.parts import in_scenes
 
 RESERVED = {"pixels", "state", "step_count", "episode_return", "level", "outcome", "free_fraction", "camera_offset"}
@@ -133,6 +133,7 @@ class SplatEnv(EnvBase):
         The env's generator starts over there, from the same seed.
         """
         super().to(device)
+        self.__dict__.pop("lattice_steps", None)
         self.task = self.task.to(self.device)
         if self.generator.device != self.device:
             self.generator = torch.Generator(self.device).manual_seed(self.generator.initial_seed())
@@ -205,73 +206,84 @@ class SplatEnv(EnvBase):
     ) -> TensorDictBase:
         given = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
         mask = given.get("_reset", None)
-        values, shown = self._beginning(given, set_state, seeds, None if mask is None else mask.flatten(), None)
-        return TensorDict(values | shown, batch_size=self.batch_size, device=self.device)
-
-    def begun(self, rows: Tensor) -> dict[str, Tensor]:
-        """The entries of episodes that begin in some rows, [N] int64: [N, ...] each, as a reset has them there."""
-        only = torch.zeros(self.numel(), dtype=torch.bool, device=self.device).index_fill_(0, rows, True)
-        values, shown = self._beginning(TensorDict(batch_size=self.batch_size), False, None, only, rows)
-        return {key: value.index_select(0, rows) for key, value in values.items()} | shown
-
-    def _beginning(
-        self,
-        given: TensorDictBase,
-        set_state: bool,
-        seeds: Sequence[int | None] | None,
-        only: Tensor | None,
-        rows: Tensor | None,
-    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """The entries of new episodes, and apart from them what the drawing shows.
-
-        Args:
-            given: see ``_reset``.
-            set_state: see ``_reset``.
-            seeds: see ``_reset``.
-            only: [B] bool, the rows that are asked for; None asks for all. In other rows entries may hold anything.
-            rows: [N] int64, the same for a host that knows them: then only these are shown, [N, ...].
-        """
+        only = None if mask is None else mask.flatten()
         if set_state:
             scene, state = self._given_scene(given, only), self._checked_state(given["state"], only)
             level = torch.full((self.numel(), 1), -1, device=self.device)  # given states belong to no level
+            memory = {**self._at(scene)[0].begin(state, self._chance(scene))}
         else:
-            scene, state = self._starts(seeds)
+            scene, state, memory = self._drawn(seeds)
             level = self.curriculum.level.expand(self.numel(), 1).clone()
+        kept = given if set_state else {}
+        return self._made(self._beginning(scene, state, level, memory, kept, given.get("camera_offset", None), only))
+
+    def begun(self, rows: Tensor) -> dict[str, Tensor]:
+        """The entries of episodes that begin in some rows, [N] int64: [N, ...] each, as a reset has them there."""
+        scene, state, memory = self._drawn(None)
+        level = self.curriculum.level.expand(len(rows), 1).clone()
+        scene = None if scene is None else scene.index_select(0, rows)
+        memory = {key: value.index_select(0, rows) for key, value in memory.items()}
+        return self._beginning(scene, state.index_select(0, rows), level, memory, {}, None, None)
+
+    def _drawn(self, seeds: Sequence[int | None] | None) -> tuple[Tensor | None, Tensor, dict[str, Tensor]]:
+        """The scene of a new episode of each robot, its state, and what the task remembers; see the class."""
+        scene, state = self._starts(seeds)
+        task = self._at(scene)[0]
+        state = task.start(state, self._chance(scene))
+        return scene, state, {**task.begin(state, self._chance(scene))}
+
+    def _beginning(
+        self,
+        scene: Tensor | None,
+        state: Tensor,
+        level: Tensor,
+        memory: dict[str, Tensor],
+        kept: Mapping[str, Tensor] | TensorDictBase,
+        camera_offset: Tensor | None,
+        only: Tensor | None,
+    ) -> dict[str, Tensor]:
+        """The entries of N episodes that begin.
+
+        Args:
+            scene: [N] int64, the scene of each; None for the only one.
+            state: [N, ...], where each begins.
+            level: [N, 1] int64, at which it does.
+            memory: what the task remembers, [N, ...] by key.
+            kept: what task and sensors remember in its place, where it is there.
+            camera_offset: see the class.
+            only: [N] bool, the rows that are asked for; None asks for all. In other rows entries may hold anything.
+        """
         task, checker = self._at(scene)
-        if not set_state:
-            state = task.start(state, self._chance(scene))
-        memory = {**task.begin(state, self._chance(scene))}
-        if set_state:
-            memory |= {key: given[key].clone() for key in memory if given.get(key, None) is not None}
-        poses, offset = task.motion.body_to_world(state), given.get("camera_offset", None)
-        view = self._view(task, scene, state, poses, memory, offset, only, rows)
+        memory |= {key: kept[key].clone() for key in memory if kept.get(key, None) is not None}
+        poses = task.motion.body_to_world(state)
+        view = self._view(task, scene, state, poses, memory, camera_offset, only)
         sensed: dict[str, Tensor] = {}
         if self.sensors:
-            free = torch.ones(self.numel(), device=self.device)
+            free = torch.ones(len(state), device=self.device)
             look = partial(self._look, task, scene, state, memory, only)
-            depth = view.depth if rows is None or view.depth is None else among_zeros(view.depth, rows, self.numel())
-            known = task.motion.planar(state), poses, free, memory, depth, checker, look
+            known = task.motion.planar(state), poses, free, memory, view.depth, checker, look
             moment = Moment(*known, state, task.motion)
             begun = {key: value for sensor in self.sensors.values() for key, value in sensor.begin(moment).items()}
-            if set_state:
-                begun |= {key: given[key].clone() for key in begun if given.get(key, None) is not None}
+            begun |= {key: kept[key].clone() for key in begun if kept.get(key, None) is not None}
             sensed = begun | self._sensed(moment._replace(memory=memory | begun))
-        count = torch.zeros(self.numel(), 1, dtype=torch.int64, device=self.device)
-        values = {
+        count = torch.zeros_like(level)
+        flag = torch.zeros_like(level, dtype=torch.bool)
+        return {
+            "pixels": view.pixels,
+            **view.shown,
             "state": state,
             **memory,
             **sensed,
             **({} if scene is None else {"scene": scene.unsqueeze(1)}),
             "level": level,
             "step_count": count,
-            "episode_return": count.float(),
+            "episode_return": torch.zeros_like(level, dtype=torch.float32),
             "outcome": count.clone(),
             "goals": count.clone(),
-            "success": count.bool(),
-            "free_fraction": torch.ones_like(count, dtype=torch.float32),
-            **{key: count.bool() for key in ("done", "terminated", "truncated")},
+            "success": flag,
+            "free_fraction": torch.ones_like(level, dtype=torch.float32),
+            **{key: flag.clone() for key in ("done", "terminated", "truncated")},
         }
-        return values, {"pixels": view.pixels, **view.shown}
 
     def _at(self, scene: Tensor | None) -> tuple[Task, Checker]:
         """Task and checker of rows in some scenes, [B] int64; those of the only scene for None."""
@@ -325,6 +337,33 @@ class SplatEnv(EnvBase):
 
     @torch.compiler.disable
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        taken = None if self.lattice_steps is None else self.lattice_steps.step(tensordict)
+        return self._made(self._stepped(tensordict) if taken is None else self._shown(taken, tensordict))
+
+    def _made(self, values: dict[str, Tensor]) -> TensorDict:
+        """Entries of its own as a TensorDict, which would otherwise look at the shape and the device of each."""
+        return TensorDict._new_unsafe(values, batch_size=self.batch_size, device=self.device)
+
+    def _step_proc_data(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        """What a step returned: it is complete, of which TorchRL would make sure."""
+        return super()._step_proc_data(next_tensordict) if self.run_type_checks else next_tensordict
+
+    @cached_property
+    def lattice_steps(self) -> LatticeSteps | None:
+        """All steps of the task, taken before the first one; None where they depend on more than state and action."""
+        if self.device.type != "cpu" or self.scenes > 1 or self.sensors or not suits(self.task, self.curriculum):
+            return None
+        task, checker = self._at(None)
+        return LatticeSteps(task, checker, self.curriculum, self.numel(), self._chance(None))
+
+    def _shown(self, taken: Taken, given: TensorDictBase) -> dict[str, Tensor]:
+        """What the env returns of steps that were looked up."""
+        after, poses = taken
+        view = self._view(self.task, None, after["state"], poses, NOTHING, given.get("camera_offset", None))
+        return {"pixels": view.pixels, **view.shown, **after}
+
+    def _stepped(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
+        """What the env returns of steps that motion and task carry out and judge."""
         before, action = tensordict["state"], tensordict["action"]
         scene = tensordict["scene"].squeeze(1) if self.scenes > 1 else None
         task, checker = self._at(scene)
@@ -350,7 +389,7 @@ class SplatEnv(EnvBase):
         outcome = torch.where(truncated, Outcome.TIMEOUT, outcome)
         level, done = tensordict["level"], terminated | truncated
         self.curriculum.record(level.flatten(), done.flatten(), success.flatten())
-        values = {
+        return {
             "pixels": view.pixels,
             **view.shown,
             "state": move.state,
@@ -369,7 +408,6 @@ class SplatEnv(EnvBase):
             "terminated": terminated,
             "truncated": truncated,
         }
-        return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
     def _view(
         self,
@@ -380,16 +418,11 @@ class SplatEnv(EnvBase):
         memory: Mapping[str, Tensor],
         camera_offset: Tensor | None,
         only: Tensor | None = None,
-        rows: Tensor | None = None,
     ) -> View:
-        """What robots in given states see; ``only`` as for ``Renderer``. With ``rows``, [N] int64, these alone."""
+        """What robots in given states see; ``only`` as for ``Renderer``."""
         cameras, parts = self.robot.cameras(body_to_world, camera_offset), task.parts(state, memory)
         if scene is not None:
             parts = in_scenes(scene, parts, body_to_world)
-        if rows is not None:
-            only = None
-            cameras, parts = cameras[rows], None if parts is None else parts.rows(rows)
-            memory = {key: value.index_select(0, rows) for key, value in memory.items()}
         if self._needs_depth:
             return self.drawing.draw(cameras, memory, parts, only, depth=True)
         return self.drawing.draw(cameras, memory, parts, only)

@@ -46,9 +46,9 @@ class StatefulEnv(TransformedEnv):
         super().insert_transform(index, transform)
         return self
 
-    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+    def step(self, tensordict: TensorDictBase) -> TensorDictBase:
         """One step; without transforms it is the base env's, without the copies that transforms need."""
-        return super()._step(tensordict) if len(self.transform) else self.base_env._step(tensordict)
+        return super().step(tensordict) if len(self.transform) else self.base_env.step(tensordict)
 
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Begin new episodes where they ended; see ``EnvBase.maybe_reset``."""

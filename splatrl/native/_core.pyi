@@ -395,3 +395,44 @@ def adam(
     /,
 ) -> None:
     """Clip gradients to a norm, all tensors together, and take a step of Adam."""
+
+class StepTable:
+    """Steps on a lattice, by state and action; states are numbered in C order.
+
+    Args:
+        shape: number of values of each index of a state.
+        next: numbers of the states after a step.
+        free_fraction: see ``Move``.
+        reward: see ``Verdict``, as ``terminated`` and ``outcome``.
+        poses: of states, body to world.
+
+    Raises:
+        ValueError: for tables of other sizes, or a number that is no state's.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, ...],
+        next: Tensor,  # [states, actions] int64
+        free_fraction: Tensor,  # [states, actions] float32
+        reward: Tensor,  # [states, actions] float32
+        terminated: Tensor,  # [states, actions] bool
+        outcome: Tensor,  # [states, actions] int64
+        poses: Tensor,  # [states, 4, 4] float32
+    ) -> None: ...
+    def step(
+        self,
+        given: list[int],  # addresses of state [count, D], and action, step_count, episode_return, level, goals [count]
+        found: list[int],  # of what is written: the same without action, then outcome, free_fraction, reward,
+        # success, done, terminated, truncated and [count, 4, 4] poses
+        count: int,
+        max_steps: int,
+        goals_for_success: int,
+        progress: int,  # address of that of the curriculum, which is changed
+        schedule: tuple[int, int, float],  # levels, window, threshold
+        /,
+    ) -> bool:
+        """Look steps up, and count as ``SplatEnv`` does; false, and nothing is written, for what is not of the lattice.
+
+        Addresses are those of C-contiguous memory with the types of the env.
+        """

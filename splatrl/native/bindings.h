@@ -11,6 +11,7 @@ void bind_fit(nanobind::module_& m);
 void bind_flat_scene(nanobind::module_& m);
 void bind_interpreter(nanobind::module_& m);
 void bind_isa(nanobind::module_& m);
+void bind_lattice_steps(nanobind::module_& m);
 void bind_levels(nanobind::module_& m);
 void bind_occupancy(nanobind::module_& m);
 void bind_packed(nanobind::module_& m);

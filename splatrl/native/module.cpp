@@ -26,6 +26,7 @@ NB_MODULE(_core, m) {
     splatrl::bind_flat_scene(m);
     splatrl::bind_interpreter(m);
     splatrl::bind_isa(m);
+    splatrl::bind_lattice_steps(m);
     splatrl::bind_levels(m);
     splatrl::bind_occupancy(m);
     splatrl::bind_packed(m);

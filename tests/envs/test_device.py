@@ -57,11 +57,12 @@ def world(name: str) -> World:
 
 
 def made(name: str, batch: int = 5, device: str = "cpu") -> EnvBase:
-    """An env of a world, with a renderer and a checker that never synchronise with the host."""
+    """An env of a world that does what it does on a GPU, with a renderer and a checker that never synchronise."""
     env = world(name).env(batch, Curriculum(world(name).plan, 2, threshold=0.01, window=10**6), 1, device)
     base = base_env(env)
     base.drawing = copy(base.drawing)  # the world keeps its own
     base.drawing.renderer, base.checker = Painter(), SquareChecker()
+    base.lattice_steps = None  # a GPU looks none up
     return env
 
 

@@ -1,0 +1,113 @@
+"""Steps on a lattice, each carried out and judged once and then looked up, in one call of C++."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from splatrl.collision.base import Checker
+from splatrl.curriculum import Curriculum
+from splatrl.envs.tasks.base import NOTHING, Anywhere, Step, Task
+from splatrl.envs.tasks.rewards import OutcomeTask
+from splatrl.motions.base import SweptMotion
+from splatrl.motions.finite import FiniteMotion
+from splatrl.native import _core
+
+MOST = 2**17
+"""Most steps that are taken beforehand, which lasts about a tenth of a second."""
+COUNTED = ("step_count", "episode_return", "level", "goals")
+"""Keys of what a step counts on; it reads ``state`` and ``action`` besides."""
+
+
+class Taken(NamedTuple):
+    """What a step made of B robots.
+
+    Attributes:
+        values: all that the env returns except for what is drawn, by key.
+        body_to_world: [B, 4, 4] float32, their poses after it, metres.
+    """
+
+    values: dict[str, Tensor]
+    body_to_world: Tensor
+
+
+class LatticeSteps:
+    """The steps of B robots on a lattice, on the CPU: motion, checker and task take each once, when this is made.
+
+    What is looked up is what ``SplatEnv`` would make of the step, to the last bit.
+
+    Args:
+        task: see ``suits``.
+        checker: tells what the body touches.
+        curriculum: is told of episodes that end.
+        count: B.
+        anywhere: see ``Task.judge``.
+    """
+
+    def __init__(self, task: Task, checker: Checker, curriculum: Curriculum, count: int, anywhere: Anywhere):
+        motion = task.motion
+        assert isinstance(motion, FiniteMotion)
+        self.task, self.curriculum = task, curriculum
+        states, actions = motion.states(), motion.actions()
+        before, action = states.repeat_interleave(len(actions), 0), actions.repeat(len(states))
+        move = motion.move(before, action, checker)
+        unseen = torch.empty(len(before), 0, 0, 3, dtype=torch.uint8)
+        reward, terminated, outcome, _ = task.judge(Step(before, action, move, NOTHING, unseen), anywhere)
+        self._table = _core.StepTable(
+            shape=motion.shape,
+            next=motion.index(move.state).view(len(states), -1),
+            free_fraction=move.free_fraction.view(len(states), -1),
+            reward=reward.view(len(states), -1),
+            terminated=terminated.view(len(states), -1),
+            outcome=outcome.view(len(states), -1),
+            poses=motion.body_to_world(states),
+        )
+        number, share, flag = (torch.empty(count, 1, dtype=dtype) for dtype in (torch.int64, torch.float32, torch.bool))
+        like = {"state": states[:1].repeat(count, 1), "step_count": number, "episode_return": share, "level": number}
+        like |= {"goals": number, "outcome": number, "free_fraction": share, "reward": share}
+        self._like = like | dict.fromkeys(("success", "done", "terminated", "truncated"), flag)
+        self._poses = torch.empty(count, 4, 4)
+        read = (like["state"], actions[:1].expand(count), *(like[key] for key in COUNTED))
+        self._read = [_kind(values) for values in read]
+
+    def step(self, given: TensorDictBase) -> Taken | None:
+        """Carry out a step.
+
+        Args:
+            given: [B], what a step of the env is given.
+
+        Returns:
+            What came of it; None, and nothing has happened, for states and actions that are not those of the lattice.
+        """
+        held = dict(given.items())
+        read = [held["state"], held["action"], *(held[key] for key in COUNTED)]
+        if [_kind(values) for values in read] != self._read:
+            return None
+        values = {key: torch.empty_like(one) for key, one in self._like.items()}
+        poses, schedule = torch.empty_like(self._poses), self.curriculum.schedule
+        known = self._table.step(
+            [each.contiguous().data_ptr() for each in read],
+            [each.data_ptr() for each in (*values.values(), poses)],
+            len(poses),
+            self.task.max_steps,
+            self.task.goals_for_success or 1,
+            self.curriculum.progress.data_ptr(),
+            (schedule.levels, schedule.window, schedule.threshold),
+        )
+        return Taken(values, poses) if known else None
+
+
+def _kind(values: Tensor) -> tuple[torch.dtype, int, bool]:
+    return values.dtype, values.numel(), values.is_cpu
+
+
+def suits(task: Task, curriculum: Curriculum) -> bool:
+    """Whether a step depends on nothing but state and action, of which there are few."""
+    motion = task.motion
+    if not isinstance(motion, FiniteMotion) or type(motion).move is not SweptMotion.move or task.memory_spec:
+        return False
+    judges = isinstance(task, OutcomeTask) and type(task).judge is OutcomeTask.judge
+    counts = type(curriculum).record is Curriculum.record
+    return judges and counts and len(motion.moves) * math.prod(motion.shape) <= MOST

@@ -1,0 +1,143 @@
+// Steps of a task on a lattice that were carried out and judged before, one for each state and action.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+#include <stdexcept>
+#include <vector>
+
+#include "arrays.h"
+#include "bindings.h"
+
+namespace nb = nanobind;
+
+namespace splatrl {
+
+namespace {
+
+constexpr int64_t GOAL = 1, TIMEOUT = 4;  // as in Outcome
+constexpr size_t POSE = 16;               // numbers
+
+template <class T>
+T* at(uintptr_t address) {
+    return reinterpret_cast<T*>(address);
+}
+
+struct Step {
+    int64_t state, outcome;  // the number of the state after it
+    float free_fraction, reward;
+    bool terminated;
+};
+
+// What the curriculum counts, and when it promotes.
+struct Schedule {
+    int64_t levels, window;
+    double threshold;
+
+    // As Schedule.advance: progress is the level, and the episodes and successes at it.
+    void advance(int64_t* progress, int64_t episodes, int64_t successes) const {
+        episodes += progress[1];
+        successes += progress[2];
+        const bool full = episodes >= window;
+        if (full && double(successes) >= threshold * double(episodes) - 1e-9)
+            progress[0] = std::min(progress[0] + 1, levels - 1);
+        progress[1] = full ? 0 : episodes;
+        progress[2] = full ? 0 : successes;
+    }
+};
+
+class StepTable {
+public:
+    StepTable(std::vector<int64_t> shape, Tensor<const int64_t, -1, -1> next, Tensor<const float, -1, -1> free_fraction,
+                 Tensor<const float, -1, -1> reward, Tensor<const bool, -1, -1> terminated,
+                 Tensor<const int64_t, -1, -1> outcome, Tensor<const float, -1, 4, 4> poses)
+        : shape_(std::move(shape)), actions_(next.shape(1)), poses_(poses.data(), poses.data() + poses.size()) {
+        size_t states = 1;
+        for (int64_t count : shape_) states *= size_t(count);
+        const auto fits = [&](const auto& table) { return table.shape(0) == states && table.shape(1) == actions_; };
+        if (!fits(next) || !fits(free_fraction) || !fits(reward) || !fits(terminated) || !fits(outcome) ||
+            poses.shape(0) != states)
+            throw std::invalid_argument("StepTable: expected a row for each state and a column for each action");
+        for (size_t i = 0; i < next.size(); ++i) {
+            if (next.data()[i] < 0 || size_t(next.data()[i]) >= states)
+                throw std::invalid_argument("next: expected numbers of states");
+            steps_.push_back({next.data()[i], outcome.data()[i], free_fraction.data()[i], reward.data()[i],
+                              terminated.data()[i]});
+        }
+    }
+
+    // `given`: state, action, step_count, episode_return, level, goals. `found`: the same without action, then outcome,
+    // free_fraction, reward, success, done, terminated, truncated and the poses after it.
+    bool step(const std::array<uintptr_t, 6>& given, const std::array<uintptr_t, 13>& found, size_t count,
+              int64_t max_steps, int64_t goals_for_success, uintptr_t progress,
+              const std::array<double, 3>& schedule) const {
+        const auto *state = at<const int64_t>(given[0]), *action = at<const int64_t>(given[1]);
+        for (size_t row = 0; row < count; ++row)
+            if (!known(state + row * shape_.size(), action[row])) return false;
+        int64_t* counts = at<int64_t>(progress);
+        int64_t episodes = 0, successes = 0;
+        for (size_t row = 0; row < count; ++row) {
+            const Step& taken = steps_[number(state + row * shape_.size()) * actions_ + size_t(action[row])];
+            const int64_t steps = at<const int64_t>(given[2])[row] + 1, level = at<const int64_t>(given[4])[row];
+            const int64_t goals = at<const int64_t>(given[5])[row] + (taken.outcome == GOAL);
+            const bool truncated = steps >= max_steps && !taken.terminated, done = taken.terminated || truncated;
+            const bool success = goals >= goals_for_success;
+            put_state(taken.state, at<int64_t>(found[0]) + row * shape_.size());
+            at<int64_t>(found[1])[row] = steps;
+            at<float>(found[2])[row] = at<const float>(given[3])[row] + taken.reward;
+            at<int64_t>(found[3])[row] = level;
+            at<int64_t>(found[4])[row] = goals;
+            at<int64_t>(found[5])[row] = truncated ? TIMEOUT : taken.outcome;
+            at<float>(found[6])[row] = taken.free_fraction;
+            at<float>(found[7])[row] = taken.reward;
+            at<bool>(found[8])[row] = success;
+            at<bool>(found[9])[row] = done;
+            at<bool>(found[10])[row] = taken.terminated;
+            at<bool>(found[11])[row] = truncated;
+            std::memcpy(at<float>(found[12]) + row * POSE, &poses_[size_t(taken.state) * POSE], sizeof(float) * POSE);
+            episodes += done && level == counts[0];
+            successes += done && level == counts[0] && success;
+        }
+        Schedule{int64_t(schedule[0]), int64_t(schedule[1]), schedule[2]}.advance(counts, episodes, successes);
+        return true;
+    }
+
+private:
+    std::vector<int64_t> shape_;
+    size_t actions_;
+    std::vector<Step> steps_;  // by state, then by action
+    std::vector<float> poses_;
+
+    bool known(const int64_t* state, int64_t action) const {
+        for (size_t axis = 0; axis < shape_.size(); ++axis)
+            if (state[axis] < 0 || state[axis] >= shape_[axis]) return false;
+        return action >= 0 && size_t(action) < actions_;
+    }
+
+    size_t number(const int64_t* state) const {
+        int64_t row = 0;
+        for (size_t axis = 0; axis < shape_.size(); ++axis) row = row * shape_[axis] + state[axis];
+        return size_t(row);
+    }
+
+    void put_state(int64_t row, int64_t* state) const {
+        for (size_t axis = shape_.size(); axis-- > 0; row /= shape_[axis]) state[axis] = row % shape_[axis];
+    }
+};
+
+}  // namespace
+
+void bind_lattice_steps(nb::module_& m) {
+    nb::class_<StepTable>(m, "StepTable")
+        .def(nb::init<std::vector<int64_t>, Tensor<const int64_t, -1, -1>, Tensor<const float, -1, -1>,
+                      Tensor<const float, -1, -1>, Tensor<const bool, -1, -1>, Tensor<const int64_t, -1, -1>,
+                      Tensor<const float, -1, 4, 4>>(),
+             nb::arg("shape"), nb::arg("next"), nb::arg("free_fraction"), nb::arg("reward"), nb::arg("terminated"),
+             nb::arg("outcome"), nb::arg("poses"))
+        .def("step", &StepTable::step);
+}
+
+}  // namespace splatrl

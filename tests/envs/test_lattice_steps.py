@@ -1,0 +1,151 @@
+"""Steps that are looked up are those that motion, checker and task make, and nothing else is looked up."""
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from splatrl.building import build_world
+from splatrl.collision.base import Checker
+from splatrl.configuration import load_config
+from splatrl.curriculum import Curriculum
+from splatrl.envs import SplatEnv, World
+from splatrl.envs.drawing import SceneDrawing
+from splatrl.envs.lattice_steps import suits
+from splatrl.envs.tasks import Grid, Outcome, Step, Verdict
+from splatrl.envs.tasks.base import Anywhere
+from splatrl.motions import LatticeMotion
+from splatrl.motions.base import Move
+from tests.envs.contract import assert_same, base_env
+from tests.envs.devices import Painter
+from tests.tiny import tiny_env, tiny_motion, tiny_overrides
+
+
+@cache
+def world(task: str) -> World:
+    """The tiny room."""
+    with TemporaryDirectory() as folder:
+        return build_world(load_config([*tiny_overrides(Path(folder), task), "task.max_steps=6"]))
+
+
+def pair(task: str, batch: int, **curriculum: Any) -> tuple[SplatEnv, SplatEnv]:
+    """An env that looks its steps up, and one that takes each of them, with painted views."""
+    envs = []
+    for _ in range(2):
+        env = base_env(world(task).env(batch, Curriculum(world(task).plan, **curriculum)))
+        env.drawing = SceneDrawing(Painter())
+        envs.append(env)
+    envs[1].lattice_steps = None
+    return envs[0], envs[1]
+
+
+@pytest.mark.parametrize("shaken", [False, True])
+@pytest.mark.parametrize("task", ["grid", "circle", "polar_plane", "hemisphere"])
+def test_every_step_that_is_looked_up_is_what_motion_and_task_make_of_it(task: str, shaken: bool) -> None:
+    motion = world(task).task.motion
+    states, actions = motion.states(), motion.actions()
+    count, generator = len(states) * len(actions), torch.Generator().manual_seed(0)
+
+    def drawn(*limits: int) -> Tensor:
+        return torch.randint(*limits, (count, 1), generator=generator)
+
+    given = {"state": states.repeat(len(actions), 1), "action": actions.repeat_interleave(len(states))}
+    given |= {"step_count": drawn(0, 7), "goals": drawn(0, 2), "level": drawn(-1, 2)}
+    given["episode_return"] = torch.rand(count, 1, generator=generator)
+    if shaken:
+        given["camera_offset"] = 0.01 * torch.rand(count, 6, generator=generator)
+    looks_up, takes = pair(task, count, window=count)
+    assert looks_up.lattice_steps is not None
+    after, expected = (env.step(TensorDict(given, [count]))["next"] for env in (looks_up, takes))
+    assert_same(after, expected)
+    assert torch.equal(looks_up.curriculum.progress, takes.curriculum.progress)
+    assert all(looks_up.curriculum.progress[1:] > 0)
+    met = {Outcome.RUNNING, Outcome.GOAL, Outcome.COLLISION, Outcome.TIMEOUT}
+    met |= {Outcome.OUT_OF_BOUNDS} if task in ("polar_plane", "hemisphere") else set()  # walls end the others first
+    assert set(after["outcome"].unique().tolist()) == met
+
+
+@pytest.mark.parametrize("batch", [1, 5])
+def test_episodes_that_are_looked_up_are_those_that_are_taken(batch: int) -> None:
+    rollouts, envs = [], pair("grid", batch, first=1, threshold=0.1, window=4)
+    for env in envs:
+        torch.manual_seed(0)
+        rollouts.append(env.rollout(200 // batch, break_when_any_done=False))
+    assert_same(*rollouts)
+    assert torch.equal(envs[0].curriculum.progress, envs[1].curriculum.progress)
+    assert envs[0].curriculum.level > 1
+    assert torch.equal(envs[0].generator.get_state(), envs[1].generator.get_state())
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"state": torch.tensor([[2, 3, 8], [0, 0, 0]])},
+        {"state": torch.tensor([[0, 0, 0], [0, -1, 0]])},
+        {"action": torch.tensor([0, 6])},
+        {"action": torch.tensor([0.0, 1.0])},
+        {"episode_return": torch.zeros(2, 1, dtype=torch.float64)},
+        {"goals": torch.zeros(2, 3, dtype=torch.int64)},
+    ],
+)
+def test_what_is_not_of_the_lattice_is_not_looked_up_and_changes_nothing(changed: dict[str, Tensor]) -> None:
+    env = tiny_env((2,), window=1)
+    td = env.rand_action(env.reset())
+    before = env.curriculum.progress.clone()
+    assert env.lattice_steps.step(td.clone().update(changed)) is None
+    assert torch.equal(env.curriculum.progress, before)
+    assert env.lattice_steps.step(td) is not None
+
+
+def test_what_was_taken_is_left_as_it_was_and_needs_no_contiguous_memory() -> None:
+    env = tiny_env((3,))
+    td = env.rand_action(env.reset())
+    wide = TensorDict({key: torch.stack([value, value], 1) for key, value in td.items()}, [3, 2])[:, 0]
+    kept = td.clone()
+    assert not wide["state"].is_contiguous()
+    assert_same(env.step(wide.clone(False))["next"], env.step(td.clone(False))["next"])
+    assert_same(td, kept)
+
+
+class ByPicture(Grid):
+    """A grid task that looks at the picture."""
+
+    def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
+        return super().judge(step, anywhere)
+
+
+class Slipping(LatticeMotion):
+    """A motion that does not always do what it is told."""
+
+    def move(self, state: Tensor, action: Tensor, checker: Checker) -> Move:
+        return super().move(state, action.roll(1), checker)
+
+
+class Deaf(Curriculum):
+    """A curriculum that hears of no episode."""
+
+    def record(self, level: Tensor, finished: Tensor, success: Tensor) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("make_task", "looked_up"),
+    [
+        (lambda: Grid(tiny_motion(), (0.5, 1.0, 0.0)), True),
+        (lambda: ByPicture(tiny_motion(), (0.5, 1.0, 0.0)), False),
+        (lambda: Grid(Slipping(0.5, 0.5, 45.0), (0.5, 1.0, 0.0)), False),
+        (lambda: Grid(LatticeMotion(0.5, 0.01, 1.0), (0.5, 1.0, 0.0)), False),  # too many
+    ],
+)
+def test_only_steps_that_depend_on_state_and_action_are_looked_up(
+    make_task: Callable[[], Grid], looked_up: bool
+) -> None:
+    env = tiny_env((2,))
+    assert suits(make_task(), env.curriculum) is looked_up
+    assert not suits(make_task(), Deaf(world("grid").plan))
