@@ -1,5 +1,6 @@
 """Start new episodes where the last ones ended: by a mask, without synchronising with the host, or by row."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -8,7 +9,7 @@ from torch import Tensor
 from torchrl.envs import Compose, EnvBase
 
 from splatrl.envs.nesting import layers
-from splatrl.renderers.base import with_rows
+from splatrl.native import _core
 
 
 def restart(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
@@ -54,15 +55,15 @@ def maybe_reset(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
     if not env.any_done(after):
         return after
     values, done = dict(after.items()), after["done"]
-    del values["_reset"]
+    values.pop("_reset", None)
     rows = done.flatten().nonzero().squeeze(1)
     base, around = layers(env)
     if not len(rows) or any(not isinstance(one.transform, Compose) or len(one.transform) for one in around):
         for key, fresh in _reset_where(env, done).items():
             values[key] = _with_rows_of(values.get(key), rows, fresh)
     else:
-        for key, fresh in base.begun(rows).items():
-            values[key] = with_rows(values[key], rows, fresh)
+        begun = base.begun(rows)
+        values.update(zip(begun, with_rows([values[key] for key in begun], rows, list(begun.values())), strict=True))
     return TensorDict._new_unsafe(values, batch_size=after.batch_size, device=after.device)
 
 
@@ -77,4 +78,19 @@ def _with_rows_of(old: Tensor | TensorDictBase | None, rows: Tensor, fresh: Tens
         return fresh
     if isinstance(fresh, TensorDictBase):
         return fresh.apply(lambda new, one: _with_rows_of(one, rows, new), old)
-    return with_rows(old, rows, fresh.index_select(0, rows))
+    return with_rows([old], rows, [fresh.index_select(0, rows)])[0]
+
+
+def with_rows(old: Sequence[Tensor], rows: Tensor, fresh: Sequence[Tensor]) -> list[Tensor]:
+    """Copies of batches in which some rows are others: [B, ...], [N] int64 and [N, ...] give [B, ...], for each."""
+    if any(one.requires_grad or not one.is_cpu for one in (*old, *fresh)):
+        return [one.index_copy(0, rows, new) for one, new in zip(old, fresh, strict=True)]
+    given = [(one.contiguous(), new.contiguous()) for one, new in zip(old, fresh, strict=True)]
+    assert all(one.dtype == new.dtype and one.shape[1:] == new.shape[1:] for one, new in given)
+    written = [torch.empty_like(one) for one, _ in given]
+    tensors = [
+        (one.data_ptr(), new.data_ptr(), out.data_ptr(), out.nbytes)
+        for (one, new), out in zip(given, written, strict=True)
+    ]
+    _core.with_rows(tensors, rows.data_ptr(), len(rows), len(old[0]))
+    return written

@@ -436,3 +436,18 @@ class StepTable:
 
         Addresses are those of C-contiguous memory with the types of the env.
         """
+
+def with_rows(
+    tensors: list[
+        tuple[int, int, int, int]
+    ],  # addresses of old, fresh and written values, and bytes of the last
+    rows: int,  # address of [some] int64
+    some: int,
+    count: int,  # rows of what is old and of what is written
+    /,
+) -> None:
+    """Copy tensors of which some rows are those of others; all are C-contiguous memory.
+
+    Raises:
+        ValueError: for a row that is not one of them.
+    """

@@ -102,21 +102,10 @@ def draw_only(
 
 def among_zeros(fresh: Tensor, rows: Tensor, count: int) -> Tensor:
     """Some rows of a batch whose other rows are zero: [N, ...], [N] int64 -> [count, ...]."""
-    return _put(fresh.new_zeros(count, *fresh.shape[1:]), rows, fresh)
-
-
-def with_rows(old: Tensor, rows: Tensor, fresh: Tensor) -> Tensor:
-    """A copy of a batch in which some rows are others: [B, ...], [N] int64, [N, ...] -> [B, ...]."""
-    if old.ndim <= 2:
-        return old.index_copy(0, rows, fresh)
-    return _put(old.clone(memory_format=torch.contiguous_format), rows, fresh)
-
-
-def _put(values: Tensor, rows: Tensor, fresh: Tensor) -> Tensor:
-    """Write rows in place. On a CPU by NumPy, which copies row by row where ``index_copy_`` goes number by number."""
+    values = fresh.new_zeros(count, *fresh.shape[1:])
     if values.device.type != "cpu" or values.dtype is torch.bfloat16 or fresh.requires_grad:
         return values.index_copy_(0, rows, fresh)
-    values.numpy()[rows.numpy()] = fresh.numpy()
+    values.numpy()[rows.numpy()] = fresh.numpy()  # row by row, where index_copy_ goes number by number
     return values
 
 

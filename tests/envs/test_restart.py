@@ -5,7 +5,8 @@ import torch
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import step_mdp
 
-from splatrl.renderers.base import among_zeros, with_rows
+from splatrl.envs.restart import with_rows
+from splatrl.renderers.base import among_zeros
 from tests.envs.test_device import WORLDS, made, whole_overlay
 from tests.tiny import CountingRenderer, tiny_env, tiny_renderer
 
@@ -57,7 +58,22 @@ def test_rows_go_to_their_places_and_the_others_stay(dtype: torch.dtype, shape: 
     generator = torch.Generator().manual_seed(0)
     old, fresh = ((100 * torch.rand(count, *shape, generator=generator)).to(dtype) for count in (7, 3))
     rows, before = torch.tensor([5, 0, 3]), old.clone()
-    merged, alone = with_rows(old, rows, fresh), among_zeros(fresh, rows, 7)
-    assert torch.equal(old, before) and torch.equal(merged[rows], fresh) and torch.equal(alone[rows], fresh)
-    assert torch.equal(merged[[1, 2, 4, 6]], old[[1, 2, 4, 6]]) and not alone[[1, 2, 4, 6]].any()
-    assert torch.equal(with_rows(old, rows[:0], fresh[:0]), old)
+    alone = among_zeros(fresh, rows, 7)
+    for turned in (lambda values: values, lambda values: values.transpose(1, -1) if values.ndim > 2 else values):
+        merged, other = with_rows([turned(old), old], rows, [turned(fresh), fresh])
+        assert torch.equal(merged, turned(other)) and torch.equal(old, before)
+    assert torch.equal(merged[rows], turned(fresh)) and torch.equal(alone[rows], fresh)
+    assert torch.equal(merged[[1, 2, 4, 6]], turned(old)[[1, 2, 4, 6]]) and not alone[[1, 2, 4, 6]].any()
+    assert torch.equal(with_rows([old], rows[:0], [fresh[:0]])[0], old)
+
+
+@pytest.mark.parametrize("row", [-1, 7])
+def test_a_row_that_there_is_not_is_refused(row: int) -> None:
+    with pytest.raises(ValueError, match="rows: expected those of the batch"):
+        with_rows([torch.zeros(7, 2)], torch.tensor([0, row]), [torch.ones(2, 2)])
+
+
+def test_gradients_reach_the_rows() -> None:
+    old, fresh = torch.zeros(3, 2), torch.ones(1, 2, requires_grad=True)
+    with_rows([old], torch.tensor([1]), [fresh])[0].sum().backward()
+    assert torch.equal(fresh.grad, torch.ones(1, 2))
