@@ -438,9 +438,7 @@ class StepTable:
         """
 
 def with_rows(
-    tensors: list[
-        tuple[int, int, int, int]
-    ],  # addresses of old, fresh and written values, and bytes of the last
+    tensors: list[tuple[int, int, int, int]],  # addresses of old, fresh and written values, and bytes of the last
     rows: int,  # address of [some] int64
     some: int,
     count: int,  # rows of what is old and of what is written
@@ -451,3 +449,24 @@ def with_rows(
     Raises:
         ValueError: for a row that is not one of them.
     """
+
+class RowIndex:
+    """Numbers rows of bytes, from 0 in the order in which they are added.
+
+    Columns are given by address, bytes of a row, and bytes from one row to the next.
+    """
+
+    def __init__(self) -> None: ...
+    def find(
+        self,
+        columns: list[tuple[int, int, int]],
+        count: int,  # rows
+        out: int,  # address of [count] int64, written: numbers, or −1 − i for a row like the i-th of what is returned
+        /,
+    ) -> list[int]:
+        """The rows that have no number, each the first of those alike."""
+
+    def add(self, columns: list[tuple[int, int, int]], rows: list[int], /) -> None:
+        """Give rows that have none the next numbers."""
+
+    def __len__(self) -> int: ...

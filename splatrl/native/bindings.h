@@ -18,6 +18,7 @@ void bind_packed(nanobind::module_& m);
 void bind_policy(nanobind::module_& m);
 void bind_rays(nanobind::module_& m);
 void bind_renderer(nanobind::module_& m);
+void bind_row_index(nanobind::module_& m);
 void bind_rows(nanobind::module_& m);
 void bind_stereo(nanobind::module_& m);
 void bind_trunk(nanobind::module_& m);

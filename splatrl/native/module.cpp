@@ -33,6 +33,7 @@ NB_MODULE(_core, m) {
     splatrl::bind_policy(m);
     splatrl::bind_rays(m);
     splatrl::bind_renderer(m);
+    splatrl::bind_row_index(m);
     splatrl::bind_rows(m);
     splatrl::bind_stereo(m);
     splatrl::bind_trunk(m);

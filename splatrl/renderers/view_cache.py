@@ -1,33 +1,40 @@
 """Remembers the views of a finite lattice of poses, so that each is rendered once."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
+from splatrl.native import _core
 from splatrl.renderers.base import Renderer, RenderOutput, draw_only
 from splatrl.renderers.parts import ABSENT, Parts
 
+Column = tuple[int, int, int]
+"""Address of values, bytes of a row, and bytes from one row to the next."""
+
 
 class _Album:
-    """Remembered images of one size: a tensor that doubles as it fills, and the slot of each view."""
+    """Remembered images of one size: a tensor that doubles as it fills, and the number of each view in it."""
 
     def __init__(self) -> None:
-        self.slots: dict[bytes, int] = {}
+        self.index = _core.RowIndex()
         self.images: Tensor | None = None  # [capacity, H, W, 3] uint8
 
     def bytes_held(self) -> int:
         return 0 if self.images is None else self.images.nbytes
 
-    def add(self, views: list[bytes], images: Tensor, max_bytes: int) -> None:
+    def add(self, columns: list[Column], rows: list[int], images: Tensor, max_bytes: int) -> None:
         """Remember the first of these images, as many as fit into ``max_bytes`` with what is there.
 
         Args:
-            views: keys that are not yet in ``slots``.
-            images: [len(views), H, W, 3] uint8.
+            columns: of a batch.
+            rows: those of it to which the images belong, none of which is remembered yet.
+            images: [len(rows), H, W, 3] uint8.
             max_bytes: the most that ``images`` may take.
         """
-        used, most = len(self.slots), max_bytes // images[0].nbytes
-        count = max(0, min(len(views), most - used))
+        used, most = len(self.index), max_bytes // images[0].nbytes
+        count = max(0, min(len(rows), most - used))
         if count == 0:
             return
         if self.images is None or used + count > len(self.images):
@@ -37,7 +44,7 @@ class _Album:
                 grown[:used] = self.images[:used]
             self.images = grown
         self.images[used : used + count] = images[:count]
-        self.slots.update(zip(views[:count], range(used, used + count), strict=True))
+        self.index.add(columns, rows[:count])
 
 
 class LatticeRenderer:
@@ -45,7 +52,7 @@ class LatticeRenderer:
 
     Worth it where robots stand on a finite lattice of poses: in time every view is a copy. Where poses are continuous
     or noisy nothing repeats; use the renderer itself. When the memory is full, new views are rendered and not
-    remembered. Duplicates within a batch are rendered once.
+    remembered. Duplicates within a batch are rendered once. Pickles remember nothing.
 
     Args:
         renderer: what renders the views that are not remembered.
@@ -60,11 +67,14 @@ class LatticeRenderer:
             raise ValueError(f"max_bytes: expected at least 0, got {max_bytes}")
         self.renderer = renderer
         self.max_bytes = max_bytes
-        self._albums: dict[tuple[int, int], _Album] = {}
+        self._albums: dict[tuple[int, int, bool], _Album] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.renderer, self.max_bytes)
 
     def __len__(self) -> int:
         """How many views are remembered."""
-        return sum(len(album.slots) for album in self._albums.values())
+        return sum(len(album.index) for album in self._albums.values())
 
     def bytes_held(self) -> int:
         """Memory that the remembered images take."""
@@ -80,45 +90,42 @@ class LatticeRenderer:
         return draw_only(self._recalled, cameras, parts, only)
 
     def _recalled(self, cameras: Cameras, parts: Parts | None) -> Tensor:
-        album = self._albums.setdefault((cameras.width, cameras.height), _Album())
-        views = _keys(cameras, parts)
-        slots = [slot for slot in map(album.slots.get, views) if slot is not None]
-        if album.images is not None and len(slots) == len(views):
-            return _take(album.images, slots)
+        kind = cameras.width, cameras.height, parts is None  # a row without parts is not the scene where it stands
+        album = self._albums.get(kind) or self._albums.setdefault(kind, _Album())
+        values = _values(cameras, parts)
+        columns = [(one.data_ptr(), size, step) for one, size, step in values]
+        numbers = torch.empty(len(cameras), dtype=torch.int64)
+        fresh = album.index.find(columns, len(cameras), numbers.data_ptr())
+        if album.images is not None and not fresh:
+            return _take(album.images, numbers)
 
-        first_rows: dict[bytes, int] = {}
-        for row, view in enumerate(views):
-            first_rows.setdefault(view, row)
-        known = [view for view in first_rows if view in album.slots]
-        fresh = [view for view in first_rows if view not in album.slots]
-        rows = torch.tensor([first_rows[view] for view in fresh], dtype=torch.long)
+        rows = torch.tensor(fresh, dtype=torch.int64)
         rendered = self.renderer.pixels(cameras[rows], None if parts is None else parts.rows(rows))
-        sources = rendered
+        known = (numbers >= 0).nonzero().squeeze(1)
+        sources, places = rendered, -1 - numbers
         if album.images is not None:
-            sources = torch.cat([rendered, _take(album.images, [album.slots[view] for view in known])])
-        positions = {view: position for position, view in enumerate([*fresh, *known])}
+            sources = torch.cat([rendered, _take(album.images, numbers[known])])
+            places[known] = torch.arange(len(rendered), len(sources))
         if fresh:
-            album.add(fresh, rendered, self.max_bytes - (self.bytes_held() - album.bytes_held()))
-        return _take(sources, [positions[view] for view in views])
+            album.add(columns, fresh, rendered, self.max_bytes - (self.bytes_held() - album.bytes_held()))
+        return _take(sources, places)
 
 
-def _take(images: Tensor, rows: list[int]) -> Tensor:
+def _take(images: Tensor, rows: Tensor) -> Tensor:
     """A copy of some images; ``index_select`` copies a whole image at a time, indexing goes pixel by pixel."""
-    return images.index_select(0, torch.tensor(rows, dtype=torch.long, device=images.device))
+    return images.index_select(0, rows.to(images.device))
 
 
-def _keys(cameras: Cameras, parts: Parts | None) -> list[bytes]:
-    """The exact bytes of each camera's pose and intrinsics, and of the parts that it is shown."""
-    keys = _row_bytes(torch.cat([cameras.camera_to_world.flatten(1), cameras.K.flatten(1)], 1))
-    if parts is None:
-        return keys
-    absent = (parts.model == ABSENT)[..., None, None]
-    poses = parts.model_to_world.masked_fill(absent, 0.0)  # never read
-    placed = zip(keys, _row_bytes(parts.model), _row_bytes(poses.flatten(1)), strict=True)
-    return [b"parts".join(key) for key in placed]  # so that a row without parts differs from the scene where it stands
-
-
-def _row_bytes(values: Tensor) -> list[bytes]:
-    """The bytes of each row: [B, N] values."""
-    raw, row_bytes = values.contiguous().cpu().numpy().tobytes(), values.element_size() * values.shape[1]
-    return [raw[row * row_bytes : (row + 1) * row_bytes] for row in range(len(values))]
+def _values(cameras: Cameras, parts: Parts | None) -> list[tuple[Tensor, int, int]]:
+    """What tells views apart, in main memory: values, bytes of a row, and bytes from one row to the next, of each."""
+    values = [cameras.camera_to_world, cameras.K]
+    if parts is not None:
+        absent = (parts.model == ABSENT)[..., None, None]
+        values += [parts.model, parts.model_to_world.masked_fill(absent, 0.0)]  # never read
+    held = []
+    for one in values:
+        repeated = one.stride(0) == 0
+        rows = (one[:1] if repeated else one).cpu().contiguous()
+        size = rows.nbytes // max(len(rows), 1)
+        held.append((rows, size, 0 if repeated else size))
+    return held
