@@ -1,6 +1,7 @@
-"""Steps on a lattice, each carried out and judged once and then looked up, in one call of C++."""
+"""Steps on a lattice, each carried out and judged once and then looked up; episodes begin in one call, too."""
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
@@ -36,7 +37,7 @@ class Taken(NamedTuple):
 class LatticeSteps:
     """The steps of B robots on a lattice, on the CPU: motion, checker and task take each once, when this is made.
 
-    What is looked up is what ``SplatEnv`` would make of the step, to the last bit.
+    What is looked up is what ``SplatEnv`` would make of the step, to the last bit, and so are the episodes that begin.
 
     Args:
         task: see ``suits``.
@@ -68,6 +69,7 @@ class LatticeSteps:
         like = {"state": states[:1].repeat(count, 1), "step_count": number, "episode_return": share, "level": number}
         like |= {"goals": number, "outcome": number, "free_fraction": share, "reward": share}
         self._like = like | dict.fromkeys(("success", "done", "terminated", "truncated"), flag)
+        self._begun = {key: one for key, one in self._like.items() if key != "reward"}
         self._poses = torch.empty(count, 4, 4)
         read = (like["state"], actions[:1].expand(count), *(like[key] for key in COUNTED))
         self._read = [_kind(values) for values in read]
@@ -98,16 +100,55 @@ class LatticeSteps:
         )
         return Taken(values, poses) if known else None
 
+    def begin(self, after: Mapping[str, Tensor], rows: Tensor, generator: torch.Generator) -> Taken | None:
+        """Begin episodes in some rows.
+
+        Args:
+            after: [B, ...] by key, what a step returned.
+            rows: [N] int64.
+            generator: draws the starts, for all rows.
+
+        Returns:
+            All but what is drawn, [B, ...], and poses of the new rows, [N, 4, 4]; None, and nothing has happened, for
+            entries of other kinds than those of a step.
+        """
+        old = [after[key] for key in self._begun]
+        if [_kind(values) for values in old] != [_kind(values) for values in self._begun.values()]:
+            return None
+        values = {key: torch.empty_like(one) for key, one in self._begun.items()}
+        poses, starts, level = torch.empty(len(rows), 4, 4), self.curriculum.starts, int(self.curriculum.progress[0])
+        uniform = torch.rand(len(self._poses), generator=generator, dtype=torch.float64)
+        self._table.begin(
+            [each.contiguous().data_ptr() for each in old],
+            [each.data_ptr() for each in (*values.values(), poses)],
+            len(uniform),
+            rows.data_ptr(),
+            len(rows),
+            uniform.data_ptr(),
+            starts.ordered.data_ptr(),
+            int(starts.counts[0, level]),
+            level,
+        )
+        return Taken(values, poses)
+
 
 def _kind(values: Tensor) -> tuple[torch.dtype, int, bool]:
     return values.dtype, values.numel(), values.is_cpu
 
 
 def suits(task: Task, curriculum: Curriculum) -> bool:
-    """Whether a step depends on nothing but state and action, of which there are few."""
+    """Whether a step depends on nothing but state and action, of which there are few, and a start on nothing at all."""
     motion = task.motion
-    if not isinstance(motion, FiniteMotion) or type(motion).move is not SweptMotion.move or task.memory_spec:
+    if not isinstance(motion, FiniteMotion) or not isinstance(task, OutcomeTask) or task.memory_spec:
         return False
-    judges = isinstance(task, OutcomeTask) and type(task).judge is OutcomeTask.judge
-    counts = type(curriculum).record is Curriculum.record
-    return judges and counts and len(motion.moves) * math.prod(motion.shape) <= MOST
+    return (
+        _does_as(task, OutcomeTask, "judge", "start", "begin")
+        and _does_as(motion, SweptMotion, "move")
+        and _does_as(curriculum, Curriculum, "record", "scenes", "sample")
+        and len(motion.moves) * math.prod(motion.shape) <= MOST
+    )
+
+
+def _does_as(one: object, base: type, *methods: str) -> bool:
+    """Whether an object has these methods of a class, and none in their place."""
+    return all(getattr(type(one), name) is getattr(base, name) for name in methods)

@@ -62,8 +62,7 @@ def maybe_reset(env: EnvBase, after: TensorDictBase) -> TensorDictBase:
         for key, fresh in _reset_where(env, done).items():
             values[key] = _with_rows_of(values.get(key), rows, fresh)
     else:
-        begun = base.begun(rows)
-        values.update(zip(begun, with_rows([values[key] for key in begun], rows, list(begun.values())), strict=True))
+        values |= base.restarted(values, rows)
     return TensorDict._new_unsafe(values, batch_size=after.batch_size, device=after.device)
 
 

@@ -16,7 +16,7 @@ from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.drawing.base import Drawing, View
 from splatrl.envs.lattice_steps import LatticeSteps, Taken, suits
-from splatrl.envs.restart import maybe_reset
+from splatrl.envs.restart import maybe_reset, with_rows
 from splatrl.envs.robot import Robot
 from splatrl.envs.sensors.base import Moment, Sensor
 from splatrl.envs.stateful_env import StatefulEnv
@@ -217,8 +217,23 @@ class SplatEnv(EnvBase):
         kept = given if set_state else {}
         return self._made(self._beginning(scene, state, level, memory, kept, given.get("camera_offset", None), only))
 
-    def begun(self, rows: Tensor) -> dict[str, Tensor]:
-        """The entries of episodes that begin in some rows, [N] int64: [N, ...] each, as a reset has them there."""
+    def restarted(self, after: Mapping[str, Tensor], rows: Tensor) -> dict[str, Tensor]:
+        """What a step returned, [B, ...] by key, with episodes that begin in some rows, [N] int64, as a reset has them.
+
+        Only these are drawn. Keys that a reset does not return are left out.
+        """
+        looked_up = None if self.lattice_steps is None else self.lattice_steps.begin(after, rows, self.generator)
+        if looked_up is None:
+            begun = self._begun(rows)
+        else:
+            state = looked_up.values["state"].index_select(0, rows)
+            view = self._view(self.task, None, state, looked_up.body_to_world, NOTHING, None)
+            begun = {"pixels": view.pixels, **view.shown}
+        merged = with_rows([after[key] for key in begun], rows, list(begun.values()))
+        return dict(zip(begun, merged, strict=True)) | (looked_up.values if looked_up else {})
+
+    def _begun(self, rows: Tensor) -> dict[str, Tensor]:
+        """The entries of episodes that begin in some rows, [N] int64: [N, ...] each."""
         scene, state, memory = self._drawn(None)
         level = self.curriculum.level.expand(len(rows), 1).clone()
         scene = None if scene is None else scene.index_select(0, rows)

@@ -437,6 +437,26 @@ class StepTable:
         Addresses are those of C-contiguous memory with the types of the env.
         """
 
+    def begin(
+        self,
+        old: list[int],  # addresses of state [count, D], and step_count, episode_return, level, goals, outcome,
+        # free_fraction, success, done, terminated, truncated [count]
+        found: list[int],  # of what is written: the same, and [some, 4, 4] poses
+        count: int,
+        rows: int,  # address of [some] int64, in which episodes begin
+        some: int,
+        uniform: int,  # address of [count] float64 in [0, 1), which draw the starts
+        starts: int,  # address of [available, D] int64
+        available: int,
+        level: int,
+        /,
+    ) -> None:
+        """Copy entries of which some rows are those of episodes that begin.
+
+        Raises:
+            ValueError: for a row that is not one of them, or a start that is not of the lattice.
+        """
+
 def with_rows(
     tensors: list[tuple[int, int, int, int]],  # addresses of old, fresh and written values, and bytes of the last
     rows: int,  # address of [some] int64

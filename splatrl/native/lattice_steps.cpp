@@ -105,6 +105,28 @@ public:
         return true;
     }
 
+    // `old` and `found`: state, step_count, episode_return, level, goals, outcome, free_fraction, success, done, terminated
+    // and truncated; `found` also has poses, of the rows that begin.
+    void begin(const std::array<uintptr_t, 11>& old, const std::array<uintptr_t, 12>& found, size_t count, uintptr_t rows,
+               size_t some, uintptr_t uniform, uintptr_t starts, int64_t available, int64_t level) const {
+        const size_t size = shape_.size() * sizeof(int64_t), number = sizeof(int64_t), share = sizeof(float);
+        const size_t bytes[] = {size, number, share, number, number, number, share, 1, 1, 1, 1};  // of a row
+        for (size_t i = 0; i < old.size(); ++i) std::memcpy(at<char>(found[i]), at<const char>(old[i]), count * bytes[i]);
+        for (size_t i = 0; i < some; ++i) {
+            const size_t row = size_t(at<const int64_t>(rows)[i]);
+            if (row >= count) throw std::invalid_argument("rows: expected those of the batch");
+            const int64_t drawn = std::min(int64_t(at<const double>(uniform)[row] * double(available)), available - 1);
+            const int64_t* start = at<const int64_t>(starts) + size_t(drawn) * shape_.size();
+            if (!known(start, 0)) throw std::invalid_argument("starts: expected states of the lattice");
+            for (size_t entry = 0; entry < old.size(); ++entry)
+                std::memset(at<char>(found[entry]) + row * bytes[entry], 0, bytes[entry]);
+            std::memcpy(at<int64_t>(found[0]) + row * shape_.size(), start, size);
+            at<int64_t>(found[3])[row] = level;
+            at<float>(found[6])[row] = 1.0f;
+            std::memcpy(at<float>(found[11]) + i * POSE, &poses_[this->number(start) * POSE], sizeof(float) * POSE);
+        }
+    }
+
 private:
     std::vector<int64_t> shape_;
     size_t actions_;
@@ -137,7 +159,8 @@ void bind_lattice_steps(nb::module_& m) {
                       Tensor<const float, -1, 4, 4>>(),
              nb::arg("shape"), nb::arg("next"), nb::arg("free_fraction"), nb::arg("reward"), nb::arg("terminated"),
              nb::arg("outcome"), nb::arg("poses"))
-        .def("step", &StepTable::step);
+        .def("step", &StepTable::step)
+        .def("begin", &StepTable::begin);
 }
 
 }  // namespace splatrl

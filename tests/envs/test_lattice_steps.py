@@ -71,6 +71,30 @@ def test_every_step_that_is_looked_up_is_what_motion_and_task_make_of_it(task: s
     assert set(after["outcome"].unique().tolist()) == met
 
 
+def test_episodes_that_begin_are_those_of_a_reset() -> None:
+    envs = pair("grid", 6, first=1)
+    torch.manual_seed(0)
+    stepped = envs[0].step(envs[0].rand_action(envs[0].reset()))
+    envs[1].generator.set_state(envs[0].generator.get_state())
+    after = envs[0].step_mdp(stepped)
+    for done in ([0, 1, 0, 0, 1, 1], [1] * 6, [0] * 6):
+        after["done"] = after["terminated"] = torch.tensor(done).bool().unsqueeze(1)
+        for env in envs:
+            env.curriculum.progress[0] = 2
+        assert_same(*(env.maybe_reset(after.clone()) for env in envs))
+        assert torch.equal(*(env.generator.get_state() for env in envs))
+
+
+def test_entries_of_other_kinds_begin_as_in_a_reset() -> None:
+    env = pair("grid", 3)[0]
+    after, rows = env.reset(), torch.tensor([1])
+    before = env.generator.get_state()
+    odd = {**after, "goals": after["goals"].int()}
+    assert env.lattice_steps.begin(odd, rows, env.generator) is None
+    assert torch.equal(env.generator.get_state(), before)
+    assert env.lattice_steps.begin({**after}, rows, env.generator) is not None
+
+
 @pytest.mark.parametrize("batch", [1, 5])
 def test_episodes_that_are_looked_up_are_those_that_are_taken(batch: int) -> None:
     rollouts, envs = [], pair("grid", batch, first=1, threshold=0.1, window=4)
@@ -120,6 +144,13 @@ class ByPicture(Grid):
         return super().judge(step, anywhere)
 
 
+class Elsewhere(Grid):
+    """A grid task that has a say in where episodes begin."""
+
+    def start(self, state: Tensor, anywhere: Anywhere) -> Tensor:
+        return state.flip(0)
+
+
 class Slipping(LatticeMotion):
     """A motion that does not always do what it is told."""
 
@@ -139,6 +170,7 @@ class Deaf(Curriculum):
     [
         (lambda: Grid(tiny_motion(), (0.5, 1.0, 0.0)), True),
         (lambda: ByPicture(tiny_motion(), (0.5, 1.0, 0.0)), False),
+        (lambda: Elsewhere(tiny_motion(), (0.5, 1.0, 0.0)), False),
         (lambda: Grid(Slipping(0.5, 0.5, 45.0), (0.5, 1.0, 0.0)), False),
         (lambda: Grid(LatticeMotion(0.5, 0.01, 1.0), (0.5, 1.0, 0.0)), False),  # too many
     ],
