@@ -28,7 +28,9 @@ from splatrl.envs.nesting import layers
 CALLS = 20
 """Of a turn: a single call is too short to time."""
 WARM_UP = 60
-"""Steps that fill the cache of views."""
+"""Steps, after which episodes are of all lengths."""
+AT_ONCE = 256
+"""Views that are drawn in one call to be remembered."""
 ALONE = {"step": "alone", "automatic": "alone, with resets"}
 """What a call is compared with."""
 
@@ -62,6 +64,10 @@ class Idle(EnvBase):
 def calls_of(batch: int) -> dict[str, Callable[[], object]]:
     """The calls of one batch size, each always with the same input, so that its views are remembered."""
     env = splatrl.make_env(["device=cpu", "curriculum=none"], batch_size=[batch])
+    base = layers(env)[0]
+    motion = base.task.motion
+    for states in motion.states().split(AT_ONCE):
+        base.drawing.renderer.pixels(base.robot.cameras(motion.body_to_world(states)))
     torch.manual_seed(0)
     td = env.reset()
     for _ in range(WARM_UP):
@@ -69,10 +75,9 @@ def calls_of(batch: int) -> dict[str, Callable[[], object]]:
     given = env.rand_action(td)
     one = torch.zeros(batch, 1, dtype=torch.bool)
     one[0] = True
-    base = layers(env)[0]
     stepped, begun = env.step_and_maybe_reset(given.clone(False))
     after = stepped["next"]
-    motion, idle = base.task.motion, Idle(env, after)
+    idle = Idle(env, after)
     start, end = (
         motion.body_to_world(given["state"]),
         motion.body_to_world(motion.advance(given["state"], given["action"])),

@@ -48,6 +48,10 @@ def training(task: str) -> Iterator[tuple[str, Turn]]:
 def steps(batch: int) -> Iterator[tuple[str, Turn]]:
     """Steps of the grid task whose views are remembered, and the renderer and the checker alone."""
     env = splatrl.make_env(["device=cpu", "curriculum=none"], batch_size=[batch])
+    base = getattr(env, "base_env", env)
+    motion = base.task.motion
+    for states in motion.states().split(VIEWS):
+        base.drawing.renderer.pixels(base.robot.cameras(motion.body_to_world(states)))
     torch.manual_seed(0)
     td = env.reset()
     for _ in range(60):
@@ -59,8 +63,7 @@ def steps(batch: int) -> Iterator[tuple[str, Turn]]:
 
     yield f"step {batch}", repeated(lambda: env.step(given.clone(False)))
     yield f"step with resets {batch}", repeated(lambda: env.step_and_maybe_reset(given.clone(False)))
-    base = getattr(env, "base_env", env)
-    motion, state = base.task.motion, given["state"]
+    state = given["state"]
     start, end = motion.body_to_world(state), motion.body_to_world(motion.advance(state, given["action"]))
     cameras = base.robot.cameras(start)
 
@@ -106,6 +109,7 @@ GROUPS: dict[str, Callable[[], Iterator[tuple[str, Turn]]]] = {
     "learn collect test grid": lambda: training("grid"),
     "learn collect test fps": lambda: training("fps"),
     "step 1": lambda: steps(1),
+    "step 32": lambda: steps(32),
     "step 64": lambda: steps(64),
     "step 1024": lambda: steps(1024),
     **{
