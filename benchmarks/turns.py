@@ -59,7 +59,11 @@ def steps(batch: int) -> Iterator[tuple[str, Turn]]:
     given = env.rand_action(td)
 
     def repeated(call: Turn) -> Turn:
-        return lambda: [call() for _ in range(STEPS)]
+        def turn() -> None:
+            for _ in range(STEPS):
+                call()  # keeps nothing, or memory would be fetched from the system anew
+
+        return turn
 
     yield f"step {batch}", repeated(lambda: env.step(given.clone(False)))
     yield f"step with resets {batch}", repeated(lambda: env.step_and_maybe_reset(given.clone(False)))

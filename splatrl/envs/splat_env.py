@@ -70,6 +70,8 @@ class SplatEnv(EnvBase):
         memory that ``td`` holds. ``reset(seeds=[...])``, a number or None for each robot, draws the start of a robot
         with a number from a generator of its own.
     Input: ``camera_offset`` [B, 6] float32, if present, moves the camera and not the robot (``Robot.cameras``).
+    Parts: are to be replaced before the first step, if at all, since steps on a lattice may be looked up from then on
+        (``lattice_steps``).
     Pickles: hold its parts and state, or in place of the parts ``made_by``, which makes the env of a curriculum, a seed
         and a device (``World``).
 
