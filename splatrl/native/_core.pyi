@@ -334,6 +334,19 @@ def agree(
 ) -> None:
     """What other photos confirm of the depths of photos."""
 
+def pool_images(
+    images: int,  # address of [N, H, W, C] uint8
+    shape: tuple[int, int, int, int],
+    side: int,  # of a cell, pixels
+    out: int,  # address of [N, H // side, W // side, C] float32, written
+    /,
+) -> None:
+    """Average images over square cells, in [−0.5, 0.5]; both are C-contiguous memory.
+
+    Raises:
+        ValueError: for a side that is not from 1 to 4096.
+    """
+
 def trunk_forward(
     shape: tuple[int, ...],  # height, width and channels of images; channels of two convolutions; features
     images: int,  # address of [count, height, width, channels]

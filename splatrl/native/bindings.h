@@ -16,6 +16,7 @@ void bind_levels(nanobind::module_& m);
 void bind_occupancy(nanobind::module_& m);
 void bind_packed(nanobind::module_& m);
 void bind_policy(nanobind::module_& m);
+void bind_pool(nanobind::module_& m);
 void bind_rays(nanobind::module_& m);
 void bind_renderer(nanobind::module_& m);
 void bind_row_index(nanobind::module_& m);

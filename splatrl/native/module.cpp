@@ -31,6 +31,7 @@ NB_MODULE(_core, m) {
     splatrl::bind_occupancy(m);
     splatrl::bind_packed(m);
     splatrl::bind_policy(m);
+    splatrl::bind_pool(m);
     splatrl::bind_rays(m);
     splatrl::bind_renderer(m);
     splatrl::bind_row_index(m);

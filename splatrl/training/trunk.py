@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
+from torch._C._functorch import is_functorch_wrapped_tensor
 
+from splatrl.native import _core
 from splatrl.training.heads import orthogonal
 from splatrl.training.native_trunk import encoded, suits
 
@@ -26,23 +28,24 @@ class PoolPixels(nn.Module):
     def forward(self, pixels: Tensor) -> Tensor:
         """Pool images: [..., H, W, C] uint8 -> [..., H // pool, W // pool, C] float32 in [−0.5, 0.5]."""
         images = pixels.reshape(-1, *pixels.shape[-3:])
-        if images.dtype == torch.uint8 and images.device.type == "cpu" and not torch.compiler.is_compiling():
-            pooled = self._sums(images) / self.side**2
+        if _by_core(images):
+            pooled = self._averages(images.contiguous())
         else:
-            pooled = self.pool(images.permute(0, 3, 1, 2).float()).permute(0, 2, 3, 1)
-        pooled = pooled / 255.0 - 0.5
+            pooled = self.pool(images.permute(0, 3, 1, 2).float()).permute(0, 2, 3, 1) / 255.0 - 0.5
         return pooled.reshape(*pixels.shape[:-3], *pooled.shape[1:])
 
-    def _sums(self, images: Tensor) -> Tensor:
-        """Sums over cells, exact in any order: [N, H, W, C] uint8 -> [N, H // pool, W // pool, C] float32.
-
-        Rows are added before columns, since a row of an image is contiguous; ``AvgPool2d`` goes pixel by pixel.
-        """
+    def _averages(self, images: Tensor) -> Tensor:
+        """The same by the core, without what PyTorch would write in between."""
         count, height, width, depth = images.shape
-        tall, wide, side = height // self.side, width // self.side, self.side
-        cells = images[:, : tall * side, : wide * side].float().view(count, tall, side, wide, side, depth)
-        rows = sum((cells[:, :, row] for row in range(1, side)), cells[:, :, 0])
-        return sum((rows[:, :, :, column] for column in range(1, side)), rows[:, :, :, 0])
+        pooled = torch.empty(count, height // self.side, width // self.side, depth)
+        _core.pool_images(images.data_ptr(), (count, height, width, depth), self.side, pooled.data_ptr())
+        return pooled
+
+
+def _by_core(images: Tensor) -> bool:
+    """Whether the core can average images: it needs numbers in main memory, which ``vmap`` and tracers do not have."""
+    traced = torch.compiler.is_compiling() or torch.jit.is_tracing() or is_functorch_wrapped_tensor(images)
+    return images.dtype == torch.uint8 and images.device.type == "cpu" and not traced
 
 
 class Trunk(nn.Module):

@@ -19,6 +19,7 @@ from splatrl.envs.restart import restart
 from splatrl.envs.transforms import appearance
 from splatrl.envs.world import World
 from splatrl.faults import FaultFlag
+from splatrl.training import trunk
 from tests.envs.contract import assert_same, base_env
 from tests.envs.devices import (
     HostReadError,
@@ -68,9 +69,10 @@ def made(name: str, batch: int = 5, device: str = "cpu") -> EnvBase:
 
 @pytest.fixture
 def whole_overlay(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make sprites and appearances on a CPU work as on a GPU: on all pixels and rows, without selecting any."""
+    """Make sprites, appearances and networks on a CPU work as on a GPU: on all pixels and rows, and by PyTorch."""
     monkeypatch.setattr(billboard, "_points", lambda inside: torch.arange(len(inside), device=inside.device))
     monkeypatch.setattr(appearance, "_wanted", lambda mask: None)
+    monkeypatch.setattr(trunk, "_by_core", lambda images: False)
 
 
 def steps(env: EnvBase, count: int, seed: int = 0) -> Iterator[TensorDictBase]:
