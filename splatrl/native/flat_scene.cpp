@@ -52,7 +52,8 @@ private:
         const float log2_opacity = geometry[LOG2_OPACITY * GROUP];
         for (int i = 0; i < 3; ++i) sphere[i] = geometry[(MEAN + i) * GROUP];
         if (log2_opacity == std::numeric_limits<float>::lowest()) return;  // it pads a group, or is transparent
-        for (int i = 0; i < 9; ++i) shape[i] = geometry[(AXES + i) * GROUP];
+        for (int row = 0, i = FACTOR; row < 3; ++row)
+            for (int column = 0; column <= row; ++column, ++i) shape[3 * row + column] = geometry[i * GROUP];
         float opacity = std::exp2(log2_opacity);
         shape[9] = log2_opacity;
         if (group >= view.first_merged) {

@@ -15,8 +15,8 @@ constexpr int ACROSS = TILE / BLOCK, BLOCKS = ACROSS * ACROSS;  // blocks of a t
 constexpr int LISTS = BLOCKS + 2 * ACROSS + 2;  // of a tile; those behind its blocks stay empty
 constexpr uint32_t SLAB = 2048;  // splats that are dealt to blocks at once
 
-// One group in memory: [GEOMETRY][GROUP] floats.
-enum Geometry { MEAN = 0, AXES = 3, LOG2_OPACITY = 12, GEOMETRY = 13 };
+// One group in memory: [GEOMETRY][GROUP] floats. The factor of a covariance is a lower triangle, row by row.
+enum Geometry { MEAN = 0, FACTOR = 3, LOG2_OPACITY = 9, GEOMETRY = 10 };
 
 // In addition, for merged Gaussians: how many each stands for, and the sum of their opacities.
 enum Merged { MEMBERS, SUM, MERGING };

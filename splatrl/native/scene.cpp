@@ -58,11 +58,31 @@ Bounds both(const Bounds& a, const Bounds& b) {
     return out;
 }
 
+double dot(const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
 template <class T>
 Buffer<T> copied(const T* values, size_t count) {
     Buffer<T> buffer = make_buffer<T>(count);
     std::copy_n(values, count, buffer.get());
     return buffer;
+}
+
+// The lower triangle L, row by row, for which L Lᵀ = A Aᵀ: the rows of A in the axes of Gram and Schmidt.
+std::array<float, 6> triangle_of(const float* axes) {
+    double rows[3][3];
+    std::copy_n(axes, 9, rows[0]);
+    std::array<float, 6> out{};
+    for (int axis = 0; axis < 3; ++axis) {
+        const double* along = rows[axis];
+        const double length = std::sqrt(dot(along, along));
+        out[axis * (axis + 1) / 2 + axis] = float(length);
+        for (int row = axis + 1; row < 3 && length > 0.0; ++row) {
+            const double part = dot(rows[row], along) / length;
+            out[row * (row + 1) / 2 + axis] = float(part);
+            for (int i = 0; i < 3; ++i) rows[row][i] -= part / length * along[i];
+        }
+    }
+    return out;
 }
 
 }  // namespace
@@ -175,7 +195,8 @@ void Scene::pack(const GaussianArrays& gaussians, const float* opacities, const 
         const size_t source = first[i];
         original_index_[slot] = uint32_t(source);
         for (int k = 0; k < 3; ++k) geometry[(MEAN + k) * GROUP] = gaussians.means[3 * source + k];
-        for (int k = 0; k < 9; ++k) geometry[(AXES + k) * GROUP] = gaussians.axes[9 * source + k];
+        const std::array<float, 6> factor = triangle_of(gaussians.axes + 9 * source);
+        for (int k = 0; k < 6; ++k) geometry[(FACTOR + k) * GROUP] = factor[k];
         if (gaussians.opacities[source] > 0.0f)
             geometry[LOG2_OPACITY * GROUP] = std::log2(gaussians.opacities[source]);
         uint16_t* colors = colors_.get() + slot / GROUP * values * GROUP + slot % GROUP;

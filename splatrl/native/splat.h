@@ -90,10 +90,22 @@ struct Flat {
     F determinant;
 };
 
-// Flatten a Gaussian whose mean is `offset` from the camera (world axes) and whose covariance has the factor `axes`
-// (row-major 3×3). Meaningful where depth >= NEAR_DEPTH. EWA: eq. 29 to 31 of Zwicker et al. 2001.
+// The row v · A for a factor A of a covariance, row-major; and for one whose upper triangle is zero and left out.
 template <class F>
-SPLAT_INLINE Flat<F> flatten(const Camera& camera, Vector<F> offset, const F* axes) {
+SPLAT_INLINE Vector<F> times(Vector<F> v, const F (&a)[9]) {
+    return {v.x * a[0] + v.y * a[3] + v.z * a[6], v.x * a[1] + v.y * a[4] + v.z * a[7],
+            v.x * a[2] + v.y * a[5] + v.z * a[8]};
+}
+
+template <class F>
+SPLAT_INLINE Vector<F> times(Vector<F> v, const F (&a)[6]) {
+    return {v.x * a[0] + v.y * a[1] + v.z * a[3], v.y * a[2] + v.z * a[4], v.z * a[5]};
+}
+
+// Flatten a Gaussian whose mean is `offset` from the camera (world axes) and whose covariance has the factor `axes`.
+// Meaningful where depth >= NEAR_DEPTH. EWA: eq. 29 to 31 of Zwicker et al. 2001.
+template <class F, int NUMBERS>
+SPLAT_INLINE Flat<F> flatten(const Camera& camera, Vector<F> offset, const F (&axes)[NUMBERS]) {
     const Vector<F> mean = rotate(camera.rotation, offset.x, offset.y, offset.z);
     const F inverse_depth = reciprocal(max(mean.z, NEAR_DEPTH));
     const F slope_x = mean.x * inverse_depth, slope_y = mean.y * inverse_depth;
@@ -101,22 +113,25 @@ SPLAT_INLINE Flat<F> flatten(const Camera& camera, Vector<F> offset, const F* ax
     const F bent_x = min(max(slope_x, camera.slope_left), camera.slope_right);
     const F bent_y = min(max(slope_y, camera.slope_top), camera.slope_bottom);
 
-    F jx[3], jy[3];  // the rows of J · rotation · A
-    for (int axis = 0; axis < 3; ++axis) {
-        const Vector<F> a = rotate(camera.rotation, axes[axis], axes[3 + axis], axes[6 + axis]);
-        jx[axis] = scale_x * (a.x - bent_x * a.z);
-        jy[axis] = scale_y * (a.y - bent_y * a.z);
-    }
-    const F minor_x = jx[1] * jy[2] - jx[2] * jy[1];
-    const F minor_y = jx[2] * jy[0] - jx[0] * jy[2];
-    const F minor_z = jx[0] * jy[1] - jx[1] * jy[0];
+    // The rows of J · rotation, then those of J · rotation · A.
+    const float* rotation = camera.rotation;
+    const auto bent = [&](F scale, const float* row, F slope) {
+        const float* forward = rotation + 6;
+        return Vector<F>{scale * (row[0] - slope * forward[0]), scale * (row[1] - slope * forward[1]),
+                         scale * (row[2] - slope * forward[2])};
+    };
+    const Vector<F> jx = times(bent(scale_x, rotation, bent_x), axes);
+    const Vector<F> jy = times(bent(scale_y, rotation + 3, bent_y), axes);
+    const F minor_x = jx.y * jy.z - jx.z * jy.y;
+    const F minor_y = jx.z * jy.x - jx.x * jy.z;
+    const F minor_z = jx.x * jy.y - jx.y * jy.x;
     Flat<F> out;
     out.x = slope_x * camera.fx + camera.cx;
     out.y = slope_y * camera.fy + camera.cy;
     out.depth = mean.z;
-    out.xx = jx[0] * jx[0] + jx[1] * jx[1] + jx[2] * jx[2];
-    out.yy = jy[0] * jy[0] + jy[1] * jy[1] + jy[2] * jy[2];
-    out.xy = jx[0] * jy[0] + jx[1] * jy[1] + jx[2] * jy[2];
+    out.xx = jx.x * jx.x + jx.y * jx.y + jx.z * jx.z;
+    out.yy = jy.x * jy.x + jy.y * jy.y + jy.z * jy.z;
+    out.xy = jx.x * jy.x + jx.y * jy.y + jx.z * jy.z;
     // det(M Mᵀ) is the sum of the squared minors of M (Cauchy–Binet).
     out.determinant = minor_x * minor_x + minor_y * minor_y + minor_z * minor_z;
     return out;
@@ -161,7 +176,7 @@ SPLAT_INLINE Footprint<F> dilate(const Flat<F>& flat, F log2_opacity, Merging<F>
 
 // Project a Gaussian: flatten it, then dilate it.
 template <bool ANTIALIASED, bool MERGED, class F>
-SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const F* axes, F log2_opacity,
+SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const F (&axes)[9], F log2_opacity,
                                   Merging<F> merging, float log2_invisible) {
     return dilate<ANTIALIASED, MERGED>(flatten(camera, offset, axes), log2_opacity, merging, log2_invisible);
 }

@@ -92,9 +92,9 @@ static uint32_t project_some(const Part& part, const Tile& tile, float log2_invi
         geometry[i] = scene.geometry + size_t(group) * GEOMETRY * GROUP;
         offsets[i] = {load(geometry[i]) - camera.position[0], load(geometry[i] + GROUP) - camera.position[1],
                       load(geometry[i] + 2 * GROUP) - camera.position[2]};
-        Lanes axes[9];
-        for (int k = 0; k < 9; ++k) axes[k] = load(geometry[i] + (AXES + k) * GROUP);
-        flat[i] = flatten(camera, offsets[i], axes);
+        Lanes factor[6];
+        for (int k = 0; k < 6; ++k) factor[k] = load(geometry[i] + (FACTOR + k) * GROUP);
+        flat[i] = flatten(camera, offsets[i], factor);
         log2_opacity[i] = load(geometry[i] + LOG2_OPACITY * GROUP);
         merging[i] = {lanes(1.0f), lanes(0.0f)};
         if (MERGED) {
