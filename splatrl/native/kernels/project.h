@@ -69,8 +69,22 @@ LANE_INLINE IntLanes patches_of(const Tile& tile, const Lanes& left, const Lanes
     return out;
 }
 
+LANE_INLINE void fetch_group(const SceneView& scene, uint32_t group) {
+    const char* geometry = reinterpret_cast<const char*>(scene.geometry + size_t(group) * GEOMETRY * GROUP);
+    for (int line = 0; line < GEOMETRY; ++line) __builtin_prefetch(geometry + 64 * line);
+    const size_t bytes = size_t(3 * (scene.degree + 1) * (scene.degree + 1)) * GROUP * sizeof(uint16_t);
+    const char* colors = reinterpret_cast<const char*>(scene.colors) + group * bytes;
+    for (size_t line = 0; line < bytes; line += 64) __builtin_prefetch(colors + line, 0, 1);
+    __builtin_prefetch(scene.original_index + size_t(group) * GROUP);
+    if (group < scene.first_merged) return;
+    const float* merging = scene.merging + size_t(group - scene.first_merged) * MERGING * GROUP;
+    for (int line = 0; line < MERGING; ++line) __builtin_prefetch(merging + GROUP * line);
+}
+
 // Groups whose footprints are computed at once: each alone would wait for its own results, if there are the registers.
 constexpr uint32_t AT_ONCE = SPLATRL_REGISTER == LANES ? 4 : 1;
+constexpr uint32_t GROUPS_AHEAD = 4;  // some kilobytes, as memory may be far away
+static_assert(GROUPS_AHEAD + AT_ONCE <= SPARE, "the array has room to read ahead");
 
 // Append what a tile shows of some groups, at most AT_ONCE, after the first `count` splats. Returns the new number of
 // splats. However many there are, the same code computes them, so that they are rounded alike.
@@ -88,6 +102,7 @@ static uint32_t project_some(const Part& part, const Tile& tile, float log2_invi
     Merging<Lanes> merging[AT_ONCE];
 #pragma GCC unroll 1
     for (uint32_t i = 0; i < AT_ONCE; ++i) {
+        fetch_group(scene, groups[GROUPS_AHEAD + i]);
         const uint32_t group = groups[i < some ? i : 0];
         geometry[i] = scene.geometry + size_t(group) * GEOMETRY * GROUP;
         offsets[i] = {load(geometry[i]) - camera.position[0], load(geometry[i] + GROUP) - camera.position[1],
@@ -135,32 +150,17 @@ static uint32_t project_some(const Part& part, const Tile& tile, float log2_invi
     return count;
 }
 
-LANE_INLINE void fetch_group(const SceneView& scene, uint32_t group) {
-    const char* geometry = reinterpret_cast<const char*>(scene.geometry + size_t(group) * GEOMETRY * GROUP);
-    for (int line = 0; line < GEOMETRY; ++line) __builtin_prefetch(geometry + 64 * line);
-    const size_t bytes = size_t(3 * (scene.degree + 1) * (scene.degree + 1)) * GROUP * sizeof(uint16_t);
-    const char* colors = reinterpret_cast<const char*>(scene.colors) + group * bytes;
-    for (size_t line = 0; line < bytes; line += 64) __builtin_prefetch(colors + line, 0, 1);
-    __builtin_prefetch(scene.original_index + size_t(group) * GROUP);
-    if (group < scene.first_merged) return;
-    const float* merging = scene.merging + size_t(group - scene.first_merged) * MERGING * GROUP;
-    for (int line = 0; line < MERGING; ++line) __builtin_prefetch(merging + GROUP * line);
-}
-
 // Project the groups of a part that scratch names, after the first `count` splats. Returns the new number of splats;
 // `peaked` becomes true where one of them could exceed its peak.
 template <bool ANTIALIASED>
 static uint32_t project_groups(const Part& part, const Tile& tile, float log2_invisible, uint32_t groups,
                                const Scratch& scratch, uint32_t count, bool& peaked) {
     const SceneView& scene = *part.scene;
-    constexpr uint32_t GROUPS_AHEAD = 4;  // some kilobytes, as memory may be far away
-    static_assert(GROUPS_AHEAD + AT_ONCE <= SPARE, "the array has room to read ahead");
     for (uint32_t i = 0; i < groups;) {
         const uint32_t* group = scratch.groups + i;
         const bool merged = group[0] >= scene.first_merged;
         uint32_t some = 1;
         while (some < AT_ONCE && i + some < groups && (group[some] >= scene.first_merged) == merged) ++some;
-        for (uint32_t k = 0; k < some; ++k) fetch_group(scene, group[GROUPS_AHEAD + k]);
         const auto project = merged ? project_some<ANTIALIASED, true> : project_some<ANTIALIASED, false>;
         count = project(part, tile, log2_invisible, group, some, scratch, count, peaked);
         i += some;
