@@ -35,9 +35,10 @@ struct SceneView {
     float tolerance;                  // pixels by which what is shown may be displaced
 };
 
-// A visible Gaussian: half a cache line, so that one fetch brings all of it.
+// A visible Gaussian: half a cache line, so that one fetch brings all of it. At the pixel (x, y), u = l11 x + l12 y + u0
+// and v = l22 y + v0.
 struct alignas(32) Splat {
-    float x, y, l11, l12, l22, log2_opacity;
+    float u0, v0, l11, l12, l22, log2_opacity;
     uint16_t red, green, blue;  // half floats
     uint16_t patch;
 };

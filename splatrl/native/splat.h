@@ -234,14 +234,20 @@ SPLAT_INLINE void sh_slopes(int degree, F x, F y, F z, const F* weights, F* out)
              1.1195289977703462f * (w[12] * (2.0f * zz - xx - yy)) + 1.445305721320277f * (w[14] * (xx - yy));
 }
 
-// The opacity of a splat at a pixel, 0 where it is invisible. Not PEAKED where that cannot exceed the peak anyway.
+// The opacity of a splat where u and v are known, 0 where it is invisible. Not PEAKED where that cannot exceed the peak
+// anyway.
 template <bool PEAKED = true, class F>
-SPLAT_INLINE F alpha_at(F dx, F dy, float l11, float l12, float l22, float log2_opacity, float peak,
-                        float log2_invisible) {
-    const F u = dx * l11 + dy * l12, v = dy * l22;
+SPLAT_INLINE F alpha_of(F u, F v, float log2_opacity, float peak, float log2_invisible) {
     const F exponent = log2_opacity - u * u - v * v;
     const F alpha = coarse_exp2(exponent);
     return select_if_at_least(exponent, log2_invisible, PEAKED ? min(alpha, peak) : alpha);
+}
+
+// The opacity of a splat at a pixel.
+template <bool PEAKED = true, class F>
+SPLAT_INLINE F alpha_at(F dx, F dy, float l11, float l12, float l22, float log2_opacity, float peak,
+                        float log2_invisible) {
+    return alpha_of<PEAKED>(dx * l11 + dy * l12, dy * l22, log2_opacity, peak, log2_invisible);
 }
 
 }  // namespace splatrl

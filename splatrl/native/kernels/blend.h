@@ -120,8 +120,8 @@ LANE_INLINE bool blend_block(const SlabSplat* slab, const uint16_t* item, const 
             const SlabSplat& colors = slab[item[i]];
             const Splat& splat = colors.splat;
             const Lanes before = transmittance;
-            shares[i] = before * alpha_at<PEAKED>(x - splat.x, y - splat.y, splat.l11, splat.l12, splat.l22,
-                                                  splat.log2_opacity, colors.peak, log2_invisible);
+            const Lanes u = x * splat.l11 + (y * splat.l12 + splat.u0), v = y * splat.l22 + splat.v0;
+            shares[i] = before * alpha_of<PEAKED>(u, v, splat.log2_opacity, colors.peak, log2_invisible);
             transmittance = before - shares[i];
             seen[i] = FIRM ? transmittance : before;
         }

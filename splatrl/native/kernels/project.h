@@ -139,8 +139,9 @@ static uint32_t project_some(const Part& part, const Tile& tile, float log2_invi
         Lanes depths;
         exact_depths(geometry[i], camera, depths, rests);
         const IntLanes patches = patches_of(tile, left, right, top, bottom);
-        const Record record{{lanes_of(prints.x, i), lanes_of(prints.y, i), lanes_of(prints.l11, i),
-                             lanes_of(prints.l12, i), lanes_of(prints.l22, i), opacity,
+        const Lanes l11 = lanes_of(prints.l11, i), l12 = lanes_of(prints.l12, i), l22 = lanes_of(prints.l22, i);
+        const Lanes x = lanes_of(prints.x, i), y = lanes_of(prints.y, i);
+        const Record record{{-(l11 * x + l12 * y), -(l22 * y), l11, l12, l22, opacity,
                              from_bits(join_halves(rgb[0], rgb[1])), from_bits(join_halves(rgb[2], patches))},
                             depths, rests,
                             plus(load_ints(scene.original_index + groups[i] * GROUP), part.first_index),
