@@ -38,6 +38,6 @@ SPLAT_INLINE float exp2(float a) { return std::exp2(a); }
 
 #endif
 
-SPLAT_INLINE float coarse_exp2(float a) { return exp2(a); }
+SPLAT_INLINE float exp2_if_at_least(float a, float bound) { return select_if_at_least(a, bound, exp2(a)); }
 
 }  // namespace splatrl

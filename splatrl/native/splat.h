@@ -1,7 +1,7 @@
 // The mathematics of a splat, for one number or a vector of them, on any processor.
 //
 // `F` is a number type: float, or Lanes of sixteen floats. Overloads of reciprocal, reciprocal_sqrt, log2, exp2,
-// coarse_exp2, min, max and select for it are found where a template is used. The formulas are those of
+// exp2_if_at_least, min and max for it are found where a template is used. The formulas are those of
 // renderers/reference.py, with one change for precision: covariances are kept as factors A (Σ = A Aᵀ), from which
 // determinants come without cancellation.
 #pragma once
@@ -239,8 +239,8 @@ SPLAT_INLINE void sh_slopes(int degree, F x, F y, F z, const F* weights, F* out)
 template <bool PEAKED = true, class F>
 SPLAT_INLINE F alpha_of(F u, F v, float log2_opacity, float peak, float log2_invisible) {
     const F exponent = log2_opacity - u * u - v * v;
-    const F alpha = coarse_exp2(exponent);
-    return select_if_at_least(exponent, log2_invisible, PEAKED ? min(alpha, peak) : alpha);
+    const F alpha = exp2_if_at_least(exponent, log2_invisible);
+    return PEAKED ? min(alpha, peak) : alpha;
 }
 
 // The opacity of a splat at a pixel.
