@@ -6,7 +6,7 @@ The arrays, of C nodes of the tree in preorder, G groups of 16 Gaussians, the sc
     bounds: [C, 6] float32, of all below a node: centre and radius of a ball around the means, the most standard
         deviations at which one shows, and the largest product of that and its longest axis; metres.
     group_bounds: [C, 6, 16] float32, the same of each of its groups.
-    geometry: [G, 13, 16] float32, mean, factor of the covariance, and log2 of the opacity.
+    geometry: [G, 10, 16] float32, mean, lower triangular factor of the covariance row by row, and log2 of the opacity.
     merging: [M, 2, 16] float32, how many Gaussians a merged one stands for, and the sum of their opacities.
     colors: [G, 3 · harmonics, 16] half floats, as uint16.
     indices: [G, 16] uint32, which breaks ties of depth.
@@ -23,7 +23,7 @@ from splatrl.renderers.lod import build_levels, gaussian_arrays
 from splatrl.scenes.cache import Arrays
 from splatrl.scenes.gaussians import Gaussians
 
-PACKED_VERSION = 1
+PACKED_VERSION = 2
 """Raise it when the arrays or what they are made from change: those in the cache are then made again."""
 
 HUGE_PAGE = 2**21

@@ -86,7 +86,8 @@ def test_exact_pictures_across_borders_are_those_of_one_merged_file(
     assert (drawn != expected).float().mean() < 1e-4
     assert expected.float().std() > 20
     for ours, theirs in zip(renderer.render(cameras), merged.render(cameras), strict=True):
-        torch.testing.assert_close(ours, theirs, atol=5e-3, rtol=5e-3)  # files round, and ties are broken otherwise
+        apart = ~torch.isclose(ours, theirs, atol=5e-3, rtol=5e-3)  # files round, and ties are broken otherwise
+        assert apart.float().mean() < 1e-4
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 1.0, 3.0])
