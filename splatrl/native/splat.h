@@ -90,6 +90,14 @@ struct Flat {
     F determinant;
 };
 
+// A row of J · rotation: how a coordinate of the image changes with the place in the world, where it has this slope.
+template <class F>
+SPLAT_INLINE Vector<F> slope_of(const Camera& camera, int row, F scale, F slope) {
+    const float *along = camera.rotation + 3 * row, *forward = camera.rotation + 6;
+    return {scale * (along[0] - slope * forward[0]), scale * (along[1] - slope * forward[1]),
+            scale * (along[2] - slope * forward[2])};
+}
+
 // The row v · A for a factor A of a covariance, row-major; and for one whose upper triangle is zero and left out.
 template <class F>
 SPLAT_INLINE Vector<F> times(Vector<F> v, const F (&a)[9]) {
@@ -113,15 +121,8 @@ SPLAT_INLINE Flat<F> flatten(const Camera& camera, Vector<F> offset, const F (&a
     const F bent_x = min(max(slope_x, camera.slope_left), camera.slope_right);
     const F bent_y = min(max(slope_y, camera.slope_top), camera.slope_bottom);
 
-    // The rows of J · rotation, then those of J · rotation · A.
-    const float* rotation = camera.rotation;
-    const auto bent = [&](F scale, const float* row, F slope) {
-        const float* forward = rotation + 6;
-        return Vector<F>{scale * (row[0] - slope * forward[0]), scale * (row[1] - slope * forward[1]),
-                         scale * (row[2] - slope * forward[2])};
-    };
-    const Vector<F> jx = times(bent(scale_x, rotation, bent_x), axes);
-    const Vector<F> jy = times(bent(scale_y, rotation + 3, bent_y), axes);
+    const Vector<F> jx = times(slope_of(camera, 0, scale_x, bent_x), axes);  // the rows of J · rotation · A
+    const Vector<F> jy = times(slope_of(camera, 1, scale_y, bent_y), axes);
     const F minor_x = jx.y * jy.z - jx.z * jy.y;
     const F minor_y = jx.z * jy.x - jx.x * jy.z;
     const F minor_z = jx.x * jy.y - jx.y * jy.x;
