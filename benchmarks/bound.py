@@ -15,28 +15,32 @@ nothing in it. Merged Gaussians (level of detail) are counted as plain ones, tho
 from machine import Machine
 
 EXP2_FLOPS = 11  # three to split off the integer, four fused multiply-adds
+FALL_OFF_FLOPS = 8  # the same in blending with AVX-512: an instruction on each side of three fused multiply-adds
 LOG2_FLOPS = 15  # ± 1, a quotient, its square, five fused multiply-adds
 
-PLAIN_FLOPS = 174
+PLAIN_FLOPS = 147
 """Operations to project a Gaussian: offset 3, mean 15, inverse depth 2, slopes and scales 4, bounded slopes 4, Jacobian
-times axes 3 · 21, minors 9, covariance 15, determinants 9, dilation 2, position 4, factor 11, reach 7, first and last
-pixel 2 · 11, tests 4."""
+times rotation 2 · 9, that times a triangle 2 · 9, minors 9, covariance 15, determinants 9, dilation 2, position 4,
+factor 11, reach 7, first and last pixel 2 · 11, tests 4."""
+SQUARE_FLOPS = 12
+"""In addition, where the factor of the covariance has nine numbers."""
 ANTIALIASED_FLOPS = 5 + LOG2_FLOPS
 """In addition: the opacity that keeps the energy of a small Gaussian."""
 MERGED_FLOPS = 2 * (LOG2_FLOPS + EXP2_FLOPS) + 21
 """In addition, for a merged Gaussian in an antialiased image. Not in the bound, as merged ones are not reported."""
 
-VISIBLE_FLOPS = 18 + 8
-"""Operations for a visible Gaussian: its depth in double precision, nine operations, and its first and last block."""
+VISIBLE_FLOPS = 18 + 8 + 4
+"""Operations for a visible Gaussian: its depth in double precision, nine operations, its first and last block, and the
+constants of u and v."""
 DIRECTION_FLOPS, BASIS_FLOPS = 10, (0, 3, 18, 49)
 """Operations for a colour above degree 0: the viewing direction; the basis functions of each degree."""
 
-PIXEL_FLOPS = 2 + 3 + 1 + 4 + EXP2_FLOPS + 2 + 2 + 1 + 6
-"""Operations to blend at a pixel: distance, u, v, exponent, fall-off, peak and invisibility, transmittance, whether it
-counts, three colours."""
+PIXEL_FLOPS = 4 + 2 + 4 + FALL_OFF_FLOPS + 2 + 2 + 1 + 6
+"""Operations to blend at a pixel: u, v, exponent, fall-off, peak and invisibility, transmittance, whether it counts,
+three colours."""
 BLOCK_PIXELS = 16
 
-GEOMETRY_BYTES = 52  # read per Gaussian
+GEOMETRY_BYTES = 40  # read per Gaussian
 COLOR_BYTES = 6  # per harmonic, as half floats, read for visible Gaussians
 SPLAT_BYTES = 32 + 8 + 8 + 8  # record, blocks, tie and key of a visible Gaussian, written and read again
 SORT_BYTES = 8 * 2  # a key read and written, in each of two passes

@@ -9,7 +9,15 @@ Bytes are counted as if every frame fetched them from memory. Frames of a batch 
 part of them, and a frame may take less than its bytes say; it cannot take less than its operations say.
 """
 
-from bound import ANTIALIASED_FLOPS, EXP2_FLOPS, LOG2_FLOPS, PIXEL_FLOPS, PLAIN_FLOPS, color_flops
+from bound import (
+    ANTIALIASED_FLOPS,
+    FALL_OFF_FLOPS,
+    LOG2_FLOPS,
+    PIXEL_FLOPS,
+    PLAIN_FLOPS,
+    SQUARE_FLOPS,
+    color_flops,
+)
 from gpu_device import Machine
 
 CANDIDATE_FLOPS = 66 + 2 * 9
@@ -38,7 +46,7 @@ def bound_us(
         pixels: in the image.
     """
     flops = candidates * CANDIDATE_FLOPS
-    flops += visible * (PLAIN_FLOPS + ANTIALIASED_FLOPS - LOG2_FLOPS + 1 + color_flops(degree))
-    flops += blended * PATCH_PIXELS * (PIXEL_FLOPS - EXP2_FLOPS + 1)
+    flops += visible * (PLAIN_FLOPS + SQUARE_FLOPS + ANTIALIASED_FLOPS - LOG2_FLOPS + 1 + color_flops(degree))
+    flops += blended * PATCH_PIXELS * (PIXEL_FLOPS - FALL_OFF_FLOPS + 1)
     size = candidates * CANDIDATE_BYTES + visible * (VISIBLE_BYTES + COLOR_BYTES * (degree + 1) ** 2) + 3 * pixels
     return 1e6 * flops / machine.flops, 1e6 * size / machine.memory_bandwidth

@@ -293,8 +293,8 @@ LANE_INLINE FloatLanes<COUNT> exp2(const FloatLanes<COUNT>& a) {
     return out;
 }
 
-// 2^a where a >= bound, else 0. With AVX-512 the relative error is 8e-5, which saves every fourth operation: blending
-// waits for them.
+// 2^a where a >= bound, else 0. With AVX-512 in five operations and with a relative error of 8e-5: blending waits for
+// operations.
 LANE_INLINE Lanes exp2_if_at_least(const Lanes& a, float bound) {
 #if defined(SPLATRL_AVX512)
     const __m512 value = (__m512)a.part[0];
