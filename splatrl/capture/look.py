@@ -32,7 +32,7 @@ class Look:
     Attributes:
         images: how many were looked at.
         brightness: median over the images of their mean grey, 0 to 255.
-        keypoints: of the better images (the 75th percentile), at most 1,500.
+        keypoints: distinct points of the better images (the 75th percentile), at most 1,500.
         verified: share of images in which enough points of the third next image are found again; for few photos, of
             those that share points with two others.
         turned: of the pairs that share points and lie at least three images apart, the share that a camera which only
@@ -161,7 +161,7 @@ def summed(seen: list[Features], found: dict[tuple[int, int], Pair], few: bool) 
     return Look(
         images=len(seen),
         brightness=float(np.median([image.brightness for image in seen])),
-        keypoints=float(np.percentile([len(image.points) for image in seen], 75)),
+        keypoints=float(np.percentile([image.distinct for image in seen], 75)),
         verified=verified,
         turned=float(np.mean([how.kind == "turned" for how in apart])) if apart else 0.0,
         shift=float(np.median([how.shift for how in apart])) if apart else 0.0,

@@ -9,6 +9,8 @@ import numpy as np
 from splatrl.capture.optional import needed
 
 LONGEST, FEATURES = 640, 1500
+CONTRAST, FEW, FAINT = 0.02, 400, 0.005
+"""Of a distinct point, at least; an image with fewer of these is searched for fainter ones, as ``structure`` does."""
 MIN_INLIERS = 15
 GUESSED_FOCAL = 1.2
 """Of the longer side: COLMAP's guess where nothing is known."""
@@ -19,10 +21,19 @@ of the distance."""
 
 @dataclass(frozen=True)
 class Features:
-    """Of one image: points [N, 2] float64 in pixels, unit descriptors [N, 128] float32, mean grey, and the size."""
+    """Of one image.
+
+    Attributes:
+        points: [N, 2] float64, pixels.
+        descriptors: [N, 128] float32, unit vectors.
+        distinct: how many points have the contrast of a distinct one.
+        brightness: mean grey, 0 to 255.
+        size: width and height, pixels.
+    """
 
     points: np.ndarray
     descriptors: np.ndarray
+    distinct: int
     brightness: float
     size: tuple[int, int]
 
@@ -57,13 +68,15 @@ def features(path: Path) -> Features:
     scale = LONGEST / max(grey.shape)
     if scale < 1:
         grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    keypoints, descriptors = cv2.SIFT_create(FEATURES, contrastThreshold=0.02).detectAndCompute(grey, None)
-    size = (grey.shape[1], grey.shape[0])
+    keypoints, descriptors = cv2.SIFT_create(FEATURES, contrastThreshold=CONTRAST).detectAndCompute(grey, None)
+    distinct, size = len(keypoints), (grey.shape[1], grey.shape[0])
+    if distinct < FEW:
+        keypoints, descriptors = cv2.SIFT_create(FEATURES, contrastThreshold=FAINT).detectAndCompute(grey, None)
     if descriptors is None:
-        return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), brightness, size)
+        return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), 0, brightness, size)
     points = np.array([keypoint.pt for keypoint in keypoints]).reshape(-1, 2) + 0.5
     descriptors = np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-9))
-    return Features(points, descriptors, brightness, size)
+    return Features(points, descriptors, distinct, brightness, size)
 
 
 def matches(a: Features, b: Features) -> np.ndarray:

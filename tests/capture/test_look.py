@@ -10,7 +10,7 @@ import pytest
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.frames import read_photos
 from splatrl.capture.look import Look, _chosen, _pairs, look, summed
-from splatrl.capture.matches import SAME_CENTRE, Features, Pair, unlike_rotation
+from splatrl.capture.matches import SAME_CENTRE, Features, Pair, features, unlike_rotation
 from tests.capture.ray_cast import K, photos_of, room_image, turning, walk
 
 pytest.importorskip("cv2")
@@ -42,7 +42,8 @@ def test_a_good_capture_passes() -> None:
 
 def test_figures_are_those_of_the_pairs() -> None:
     seen = [
-        Features(np.zeros((count, 2)), np.zeros((count, 128)), 50.0, (64, 48)) for count in (100, 200, 300, 400, 500)
+        Features(np.zeros((count + 7, 2)), np.zeros((count + 7, 128)), count, 50.0, (64, 48))
+        for count in (100, 200, 300, 400, 500)
     ]
     found = {
         (0, 1): Pair("none"),
@@ -54,6 +55,15 @@ def test_figures_are_those_of_the_pairs() -> None:
     assert (figures.verified, figures.turned, figures.keypoints) == (0.5, 0.5, 400)
     assert figures.shift == pytest.approx(0.2) and figures.angle == pytest.approx(0.18)
     assert summed(seen, found, few=True).verified == pytest.approx(1 / 5)
+
+
+def test_faint_points_connect_images_and_do_not_count_as_distinct(tmp_path: Path) -> None:
+    images = [(128 + 0.08 * (room_image(pose).astype(float) - 128)).round().astype(np.uint8) for pose in walk(24)[::4]]
+    photos = photos_of(tmp_path / "in", images)
+    found = [features(path) for path in photos.paths]
+    assert all(one.distinct < 20 and len(one.points) > 100 for one in found)
+    seen = look(photos)
+    assert seen.verified == 1.0 and "textureless" in (seen.cause() or "")
 
 
 def test_of_a_long_video_neighbours_are_looked_at_in_groups() -> None:
