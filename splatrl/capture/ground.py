@@ -20,6 +20,9 @@ MIN_INLIERS = 100
 MIN_WIDTH = 0.15
 """Second in-plane deviation of a floor's points, in heights of the cameras: a narrower strip says little about up."""
 DRAWS = 1500
+NEAR, LOW = 0.06, 0.15
+"""Of the points so near to a floor, in heights of the cameras, this share is below what people measure a height from:
+points lie on the blades of a lawn and the pile of a carpet, and are off to both sides."""
 ERROR_DEG: dict[UpFrom, float] = {"recorded": 1.0, "floor": 1.5, "cameras": 5.0}
 """Largest error found in trials, by what told up; a narrow choice of headings makes that of the cameras larger."""
 
@@ -30,13 +33,15 @@ class Ground:
 
     Attributes:
         up: [3] unit vector, away from the earth.
-        height: of the floor along ``up``.
+        height: of the floor along ``up``, where its points lie.
+        below: how far below that the ground is that a camera's height is measured from; at least 0.
         up_from: what ``up`` comes from.
         inliers: points on the floor.
     """
 
     up: Floats
     height: float
+    below: float
     up_from: UpFrom
     inliers: int
 
@@ -57,15 +62,20 @@ def find_ground(camera_to_world: Floats, points: Floats, recorded_up: Floats | N
     heights = points @ up
     sample = points[heights <= np.quantile(heights, LOWEST)]
     level, count = _level(sample @ up, centers @ up)
-    if recorded_up is not None:
-        return Ground(up, level, "recorded", count)
+    up_from: UpFrom = "cameras" if recorded_up is None else "recorded"
     above = float(np.median(centers @ up)) - level
-    found = _floor(points, sample, up, TOLERANCE * above)
+    found = _floor(points, sample, up, TOLERANCE * above) if recorded_up is None else None
     if found is not None:
         normal, on_floor = found
         if len(on_floor) >= MIN_INLIERS and _width(on_floor) >= MIN_WIDTH * above:
-            return Ground(normal, float(np.median(on_floor @ normal)), "floor", len(on_floor))
-    return Ground(up, level, "cameras", count)
+            up, level, up_from, count = normal, float(np.median(on_floor @ normal)), "floor", len(on_floor)
+    return Ground(up, level, _below(points @ up - level, NEAR * above), up_from, count)
+
+
+def _below(heights: Floats, near: float) -> float:
+    """How far below a floor the ground is, by the heights of points above that floor."""
+    around = heights[np.abs(heights) <= near]
+    return max(0.0, -float(np.quantile(around, LOW))) if len(around) else 0.0
 
 
 def cameras_up(camera_to_world: Floats) -> Floats:

@@ -92,7 +92,7 @@ def place(
     above = mean_height(poses[:, :3, 3] @ ground.up, reconstruction.seconds) - ground.height
     if not above > 0:
         raise CaptureError("found no floor below the cameras; film so that the floor is seen")
-    scale, scale_from, error = _scale(reconstruction, above, metric, marker, distance, camera_height)
+    scale, scale_from, error = _scale(reconstruction, above + ground.below, metric, marker, distance, camera_height)
     transform = _world_from_capture(poses, points, ground, scale)
     return Placed(
         moved(reconstruction, transform),
@@ -101,7 +101,7 @@ def place(
         error,
         ground.up_from,
         ERROR_DEG[ground.up_from],
-        scale * above,
+        scale * (above + ground.below),
         ground.inliers,
     )
 

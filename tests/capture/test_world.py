@@ -58,6 +58,15 @@ def test_up_the_floor_and_the_scale_are_found_however_the_walk_lay(seed: int) ->
     assert min(yaw, 90.0 - yaw) < 2.0, "x runs along a fence of the yard"
 
 
+@pytest.mark.parametrize(("blades", "off"), [(0.0, 0.003), (0.055, 0.012)])
+def test_a_height_is_measured_from_the_ground_below_the_blades_of_a_lawn(blades: float, off: float) -> None:
+    rng, poses = np.random.default_rng(0), walk().camera_to_world.numpy().copy()
+    poses[:, 2, 3] = 0.6
+    lawn = np.concatenate([rng.uniform(-3, 3, (2000, 2)), blades * rng.random((2000, 1))], 1)
+    ground = find_ground(poses, lawn + rng.normal(0, 0.001, lawn.shape))
+    assert abs(ground.height - ground.below) < off
+
+
 @pytest.mark.parametrize("first", [8, 14, 20, 26])
 def test_a_camera_that_was_raised_and_lowered_tells_the_scale_though_images_have_no_pose(first: int) -> None:
     seconds, poses = torch.arange(CAMERAS).double() / 4, walk().camera_to_world.clone()
