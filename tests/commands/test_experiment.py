@@ -53,7 +53,7 @@ def test_every_experiment_composes_and_states_its_budget(
     assert len(trained) == 25 + 8 + 6 + 8 + 2 + 8 + 16 + 6
     assert "kitchen-gru-s0" in trained
     said = capsys.readouterr().out
-    assert "79 of 79 trainings to do" in said
+    assert "98 of 98 trainings to do" in said
     for name in ("grid", "fps", "apple", "sim2real", "loop", "generalise", "demonstrations", "weather"):
         assert f"{name:<14} " in said
         assert (tmp_path / name / "report.md").is_file()
