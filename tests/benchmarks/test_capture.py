@@ -61,9 +61,10 @@ def benchmark(monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_a_capture_is_timed_and_judged_against_its_truth(
     tmp_path: Path, benchmark: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    video = benchmark.filmed(tmp_path / "walk.mp4", 0.2, (64, 48), 0)
+    monkeypatch.setattr(sys, "argv", ["capture.py", "--seconds", "0.2", "--size", "64", "48", "--yard", "3"])
+    video = benchmark.filmed(tmp_path / "walk.mp4", benchmark.parsed())
     written = video.stat().st_mtime_ns
-    assert benchmark.filmed(video, 0.2, (64, 48), 0).stat().st_mtime_ns == written
+    assert benchmark.filmed(video, benchmark.parsed()).stat().st_mtime_ns == written
     np.savez(
         video.with_suffix(".npz"), camera_to_world=walk().camera_to_world, time=np.arange(40) / 10, K=K * 64 / WIDTH
     )
