@@ -50,7 +50,7 @@ def test_every_experiment_composes_and_states_its_budget(
     kitchen = f"kitchen={tmp_path / 'kitchen.spz'}"
     words = ["name=all", f"folder={tmp_path}", kitchen, "jobs=2", "experiments.loop.prepare=null"]
     experiment(load_config(words, "experiment"))
-    assert len(trained) == 25 + 8 + 6 + 8 + 2 + 8 + 16 + 6
+    assert len(trained) == 25 + 8 + 6 + 24 + 5 + 8 + 16 + 6
     assert "kitchen-gru-s0" in trained
     said = capsys.readouterr().out
     assert "98 of 98 trainings to do" in said
