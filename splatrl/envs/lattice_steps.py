@@ -87,10 +87,11 @@ class LatticeSteps:
         read = [held["state"], held["action"], *(held[key] for key in COUNTED)]
         if [_kind(values) for values in read] != self._read:
             return None
+        read = [each.contiguous() for each in read]  # kept, since a copy is gone with its tensor
         values = {key: torch.empty_like(one) for key, one in self._like.items()}
         poses, schedule = torch.empty_like(self._poses), self.curriculum.schedule
         known = self._table.step(
-            [each.contiguous().data_ptr() for each in read],
+            [each.data_ptr() for each in read],
             [each.data_ptr() for each in (*values.values(), poses)],
             len(poses),
             self.task.max_steps,
@@ -115,11 +116,12 @@ class LatticeSteps:
         old = [after[key] for key in self._begun]
         if [_kind(values) for values in old] != [_kind(values) for values in self._begun.values()]:
             return None
+        old = [each.contiguous() for each in old]
         values = {key: torch.empty_like(one) for key, one in self._begun.items()}
         poses, starts, level = torch.empty(len(rows), 4, 4), self.curriculum.starts, int(self.curriculum.progress[0])
         uniform = torch.rand(len(self._poses), generator=generator, dtype=torch.float64)
         self._table.begin(
-            [each.contiguous().data_ptr() for each in old],
+            [each.data_ptr() for each in old],
             [each.data_ptr() for each in (*values.values(), poses)],
             len(uniform),
             rows.data_ptr(),

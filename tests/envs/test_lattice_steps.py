@@ -71,6 +71,20 @@ def test_every_step_that_is_looked_up_is_what_motion_and_task_make_of_it(task: s
     assert set(after["outcome"].unique().tolist()) == met
 
 
+def test_steps_and_episodes_of_a_column_of_a_rollout_are_those_of_its_copy() -> None:
+    looks_up, takes = pair("grid", 6)
+    column = takes.rollout(3, break_when_any_done=False)[:, 1]
+    assert not column["state"].is_contiguous()
+    for env in (looks_up, takes):
+        env.curriculum = Curriculum(world("grid").plan)
+        env.set_seed(1)
+    given = column.exclude("next", "pixels")
+    assert_same(looks_up.step(given.clone(False))["next"], takes.step(given.clone())["next"])
+    after, rows = dict(column["next"].items()), torch.tensor([1, 4])
+    copied = {key: value.contiguous() for key, value in after.items()}
+    assert_same(TensorDict(looks_up.restarted(after, rows), [6]), TensorDict(takes.restarted(copied, rows), [6]))
+
+
 def test_episodes_that_begin_are_those_of_a_reset() -> None:
     envs = pair("grid", 6, first=1)
     torch.manual_seed(0)
