@@ -11,6 +11,7 @@ and the capture may have had its scale from anything.
 redkitchen: a depth sensor's images. AbsRel is the mean of |depth − sensor's| / sensor's over all pixels that the sensor
 measured; free space is made of the voxels of the capture that at least three of the sensor's images look through, up to
 10 cm (and 5 %) before what they measured, and that are more than a voxel away from anything that any of them measured.
+Recall is that of a 0.1 m cube centred on places that the sensor measured.
 
 kitchen: hand-made boxes. False hits are those of a 0.1 m cube in the free middle, recall that of a 0.2 m cube centred
 on surfaces of the counters that at least two cameras of the capture saw.
@@ -81,13 +82,34 @@ def redkitchen(scene: Scene, occupancy: Occupancy, placed: Placed) -> dict[str, 
     known = measured > 0
     away = ((drawn - measured).abs() / measured.clamp_min(1e-6))[known]
     free = looked_through(occupancy, cameras_to_world, measured, scale)
+    surface = measured_places(cameras_to_world, measured)
     return {
         "AbsRel": float(away.mean()),
         "AbsRel, median": float(away.median()),
         "off by more than a quarter": float((away > 0.25).double().mean()),
         "free voxels": float(free.sum()),
         "of these occupied": float(occupancy.occupied[free].mean()),
+        "recall": share_hit(occupancy, surface, SMALL, torch.eye(3), scale),
     }
+
+
+def measured_places(poses: Tensor, measured: Tensor) -> Tensor:
+    """Places [P, 3] on what a depth sensor measured, as many of each image, drawn by a seed."""
+    generator, places = torch.Generator().manual_seed(0), []
+    for pose, depth in zip(poses, measured, strict=True):
+        pixels = depth.nonzero()
+        down, across = pixels[torch.randint(len(pixels), (POSES // len(poses),), generator=generator)].unbind(1)
+        seen = torch.stack([across, down, torch.ones_like(down)], 1).double()
+        rays = seen @ SENSOR_K.inverse().T
+        places.append(depth[down, across, None] * rays @ pose[:3, :3].T + pose[:3, 3])
+    return torch.cat(places)
+
+
+def share_hit(occupancy: Occupancy, places: Tensor, cube: Box, turn: Tensor, scale: float) -> float:
+    """The share of places [P, 3] of a capture at which a cube, metres of the truth, touches what is solid."""
+    checker = NativeChecker(occupancy, Box(tuple(side / scale for side in cube.size)))
+    poses = rigid(turn.expand(len(places), 3, 3), places.float())
+    return float(checker.collides(poses).double().mean())
 
 
 def looked_through(occupancy: Occupancy, poses: Tensor, measured: Tensor, scale: float) -> NDArray[np.bool_]:
@@ -120,9 +142,7 @@ def kitchen(scene: Scene, occupancy: Occupancy, placed: Placed) -> dict[str, flo
     turn = (from_truth[:3, :3] * scale).float()
 
     def hit(places: Tensor, cube: Box) -> float:
-        here = places.double() @ from_truth[:3, :3].T + from_truth[:3, 3]
-        checker = NativeChecker(occupancy, Box(tuple(side / scale for side in cube.size)))
-        return float(checker.collides(rigid(turn.expand(len(here), 3, 3), here.float())).double().mean())
+        return share_hit(occupancy, places.double() @ from_truth[:3, :3].T + from_truth[:3, 3], cube, turn, scale)
 
     return {
         "false hits": hit(truth.free(POSES), SMALL),

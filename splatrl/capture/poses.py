@@ -17,8 +17,7 @@ from splatrl.capture.optional import needed
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.undistort import undistorted
 
-LEAST = 0.8
-VERSION = 4
+VERSION = 5
 DIGEST = "digest.txt"
 
 
@@ -28,7 +27,7 @@ def find_poses(
     seed: int = 0,
     progress: Progress = silent,
     exact_camera: bool = False,
-    least: float = LEAST,
+    least: float = structure.ENOUGH,
 ) -> Reconstruction:
     """Find the pose of every image, the camera's intrinsics, and points; points only where the poses are known.
 

@@ -7,6 +7,7 @@ input closes, so that it never outlives the caller.
 
 import json
 import os
+import shutil
 import sqlite3
 import sys
 import threading
@@ -29,6 +30,10 @@ FEW, FAINTER = 1000, 0.0008
 LEAST_INLIERS, LEAST_SHARE, TRIALS = 15, 0.15, 10
 """Features, and their share, that must agree with a pose, and how often one is sought; COLMAP's 30, 0.25 and 3 leave
 out images of bare places, whose neighbours on the way then break off too."""
+ENOUGH = 0.8
+"""Share of images whose pose must be found; where image after image reaches fewer, all are sought at once."""
+NARROWER = (1.0, 0.75)
+"""Focal lengths from which that begins, times the first guess; it fails from one that is a quarter too long."""
 SPARSE = 40
 """Up to so many images: all pairs, and features from the doubled image, as photos far from each other need."""
 
@@ -191,7 +196,44 @@ def _map(pycolmap: Any, folder: Path, job: Job, options: Any) -> Any:
     models = pycolmap.incremental_mapping(
         folder / DATABASE, job.images, folder / "sparse", options, next_image_callback=next_image
     )
-    return max(models.values(), key=lambda model: model.num_reg_images(), default=None)
+    found = _largest([*models.values()])
+    for share in (1.0,) if job.fixed else NARROWER:
+        if found is not None and found.num_reg_images() >= ENOUGH * len(job.names):
+            break
+        found = _largest([found, *_map_at_once(pycolmap, folder, job, options.min_model_size, share)])
+    return found
+
+
+def _map_at_once(pycolmap: Any, folder: Path, job: Job, least: int, share: float) -> list[Any]:
+    """Models by global mapping (Pan et al. 2024), which needs no first pair: photos along a road have no good one."""
+    options = pycolmap.GlobalPipelineOptions(num_threads=1, random_seed=job.seed, min_model_size=least)
+    mapper = options.mapper
+    mapper.num_threads, mapper.random_seed = 1, job.seed
+    for part in (mapper.rotation_averaging, mapper.global_positioning, mapper.retriangulation):
+        part.random_seed = job.seed
+    bundle = mapper.bundle_adjustment
+    bundle.ceres.solver_options.num_threads = 1
+    mapper.global_positioning.use_gpu = bundle.ceres.use_gpu = False
+    if job.fixed:
+        bundle.refine_focal_length = bundle.refine_extra_params = False
+    own = folder / "at_once"
+    shutil.rmtree(own, ignore_errors=True)
+    own.mkdir()
+    shutil.copy(folder / DATABASE, own / DATABASE)
+    if share < 1.0:
+        database = pycolmap.Database.open(own / DATABASE)
+        camera = database.read_all_cameras()[0]
+        camera.focal_length *= share
+        database.update_camera(camera)
+        database.close()
+    models = pycolmap.global_mapping(own / DATABASE, job.images, own, options)
+    shutil.rmtree(own)
+    return [*models.values()]
+
+
+def _largest(models: list[Any]) -> Any:
+    """The one with the most images, the first of equals; None where there is none."""
+    return max((model for model in models if model is not None), key=lambda model: model.num_reg_images(), default=None)
 
 
 def _triangulate(pycolmap: Any, folder: Path, job: Job, options: Any) -> Any:

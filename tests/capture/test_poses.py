@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 import torch
 
+from splatrl.array_files import read_arrays
 from splatrl.capture import poses as poses_module
 from splatrl.capture.base import CaptureError
 from splatrl.capture.child import run_child
 from splatrl.capture.optional import needed
 from splatrl.capture.poses import find_poses, missing_runs
-from splatrl.capture.structure import pairs
+from splatrl.capture.structure import MODEL, Job, pairs, run, write_job
 from tests.capture.ray_cast import HALF, K, photos_of, room_image, walk
 
 pytest.importorskip("cv2")
@@ -85,6 +86,27 @@ def test_images_of_faint_things_are_posed(tmp_path: Path) -> None:
         images[number] = (128 + 0.03 * (images[number].astype(float) - 128)).round().astype(np.uint8)
     found = find_poses(photos_of(tmp_path / "in", images), tmp_path / "out")
     assert found.missing == 0 and _similar(found.camera_to_world.numpy(), truth)[0] < 0.05
+
+
+def test_images_that_no_pair_of_them_begins_are_posed_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = walk(24)[::2]
+    photos = photos_of(tmp_path / "in", [room_image(pose) for pose in truth])
+    pycolmap = needed("pycolmap")
+    monkeypatch.setattr(pycolmap, "incremental_mapping", lambda *_, **__: {})
+    models = []
+    for name in ("a", "b"):
+        folder = tmp_path / name
+        folder.mkdir()
+        names = [path.name for path in photos.paths]
+        guess = (K * [[1.2, 1, 1], [1, 1.2, 1], [1, 1, 1]]).tolist()
+        write_job(folder, Job(str(photos.paths[0].parent), names, photos.width, photos.height, guess))
+        run(folder)
+        models.append(read_arrays(folder / MODEL))
+    assert models[0]["images"].tolist() == list(range(len(truth)))
+    distance, angle = _similar(models[0]["camera_to_world"], truth)
+    assert distance < 0.02 and angle < 0.01
+    assert models[0]["camera"][0] == pytest.approx(K[0, 0], rel=0.03)
+    assert all(np.array_equal(models[0][key], models[1][key]) for key in models[0])
 
 
 def test_known_poses_without_intrinsics_are_refused(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 from splatrl.capture.pipeline import CaptureSettings, reconstruct
 from splatrl.capture.truth import deviation, read_truth
@@ -59,6 +60,20 @@ def test_a_rendered_video_becomes_a_scene_like_the_one_that_it_shows(
     if name == "kitchen_m":
         found = against_truth("kitchen", folder, monkeypatch, capsys)
         assert found["false hits"] < 0.01 and found["recall"] > 0.95
+
+
+def test_photos_along_a_street_find_their_poses(shared_scenes: Path, tmp_path: Path) -> None:
+    photos = shared_scenes / "lund" / "photos"
+    if not photos.is_dir():
+        pytest.skip(f"{photos} is not here")
+    placed, _ = reconstruct(photos, tmp_path / "lund", CaptureSettings(camera_height=1.6))
+    places = placed.reconstruction.camera_to_world[:, :3, 3]
+    ahead = placed.reconstruction.camera_to_world[:-1, :3, 2]
+    steps = places.diff(dim=0)
+    assert placed.reconstruction.missing == 0
+    assert (torch.nn.functional.cosine_similarity(steps, ahead, dim=1) > 0.9).all()  # walked where they look
+    assert steps.norm(dim=1).max() < 5 * steps.norm(dim=1).median()
+    assert placed.reconstruction.K[0, 0].item() == pytest.approx(870 * 960 / 1024, rel=0.1)
 
 
 def test_a_video_of_a_real_place_becomes_a_scene_as_a_depth_sensor_saw_it(
