@@ -35,7 +35,7 @@ _VOXELS = (256, 50)
 """Along the diagonal, at most and at least, where the usual voxel does not fit the place."""
 VOXEL = 0.05
 """Metres: edge of a voxel in places the size of a room or a garden."""
-SOLID = DensitySettings(cutoff=0.9)
+SOLID = DensitySettings(cutoff=0.91)
 """What the Gaussians of a fit make solid. Its surfaces absorb all light within a voxel: what lets a tenth through is
 what it could not place well, in front of bare walls and behind edges."""
 
