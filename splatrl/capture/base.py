@@ -26,6 +26,7 @@ class Photos:
         up: [3] float64, the direction away from the earth in the frame of ``camera_to_world``; None where unknown.
         depths: N files of measured depth, uint16 PNG in millimetres, 0 where there is none; empty without a sensor.
         metric: whether the unit of ``camera_to_world`` is the metre.
+        gps: [N, 2] float64, latitude and longitude of each in degrees, NaN where unknown; None where nothing says so.
     """
 
     paths: list[Path]
@@ -37,6 +38,7 @@ class Photos:
     up: Tensor | None = None
     depths: tuple[Path, ...] = ()
     metric: bool = False
+    gps: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,7 @@ class Reconstruction:
         depths: N files of measured depth, as in ``Photos``; empty without a sensor.
         depth_unit: of one count in these files, in the unit of the frame.
         seconds: [N] float64, when each image was taken, as in ``Photos``; None where nothing says so.
+        gps: [N, 2] float64, as in ``Photos``.
     """
 
     paths: list[Path]
@@ -72,6 +75,7 @@ class Reconstruction:
     depths: tuple[Path, ...] = ()
     depth_unit: float = 0.001
     seconds: Tensor | None = None
+    gps: Tensor | None = None
 
     def K_at(self, width: int, height: int) -> Tensor:
         """The intrinsics [3, 3] float64 for these images at another size."""

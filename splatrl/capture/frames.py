@@ -24,7 +24,7 @@ INDEX = "index.json"
 PER_SECOND = 4.0
 """Fewest frames to take of a second of video, up to the most frames that are wanted."""
 SHARPNESS_WIDTH = 480
-VERSION = 2
+VERSION = 3
 Thing = TypeVar("Thing")
 
 
@@ -32,6 +32,7 @@ Thing = TypeVar("Thing")
 class _Taken:
     image: Image.Image
     seconds: float
+    gps: tuple[float, float] | None = None
 
 
 def read_photos(
@@ -50,7 +51,7 @@ def read_photos(
 
     Returns:
         The images in the order in which they were taken; K where all photos' EXIF agree on a focal length (a first
-        guess: it is rounded to a millimetre).
+        guess: it is rounded to a millimetre), and where it says that they were taken.
 
     Raises:
         CaptureError: where the source cannot be read or its images are not of one size.
@@ -138,14 +139,14 @@ def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: P
                 progress("photos", number, len(paths))
                 image = videos.shrunk(photo_files.read_photo(paths[number]), longest)
                 value = sharpness(np.asarray(image.convert("L"))) if len(group) > 1 else 0.0
-                yield bucket, _Taken(image, float(number)), value
+                yield bucket, _Taken(image, float(number), photo_files.gps_place(paths[number])), value
 
     yield from sharpest(graded())
     progress("photos", len(paths), len(paths))
 
 
 def _write(made: Path, taken: Iterator[_Taken], source: Path, digest: str) -> None:
-    names, seconds, size = [], [], None
+    names, seconds, gps, size = [], [], [], None
     for number, photo in enumerate(taken):
         size = size or photo.image.size
         if photo.image.size != size:
@@ -157,9 +158,10 @@ def _write(made: Path, taken: Iterator[_Taken], source: Path, digest: str) -> No
         names.append(f"{number:04}.jpg")
         photo.image.convert("RGB").save(made / names[-1], quality=95, subsampling=0)
         seconds.append(photo.seconds)
+        gps.append(photo.gps or (math.nan, math.nan))
     assert size is not None
     focal = photo_files.focal_length(source, size) if source.is_dir() else None
-    index = {"digest": digest, "names": names, "seconds": seconds, "size": size, "focal": focal}
+    index = {"digest": digest, "names": names, "seconds": seconds, "size": size, "focal": focal, "gps": gps}
     (made / INDEX).write_text(json.dumps(index), "utf-8")
 
 
@@ -170,7 +172,9 @@ def _kept(kept: Path) -> Photos:
     if index["focal"]:
         K = torch.tensor([[index["focal"], 0, width / 2], [0, index["focal"], height / 2], [0, 0, 1]]).double()
     paths = [kept / name for name in index["names"]]
-    return Photos(paths, width, height, torch.tensor(index["seconds"], dtype=torch.float64), K)
+    gps = torch.tensor(index["gps"], dtype=torch.float64)
+    seconds = torch.tensor(index["seconds"], dtype=torch.float64)
+    return Photos(paths, width, height, seconds, K, gps=None if gps.isnan().all() else gps)
 
 
 def _index(kept: Path) -> dict:

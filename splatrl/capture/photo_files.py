@@ -1,6 +1,7 @@
 """Photos of a folder: upright by their EXIF, with the focal length that it tells."""
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -12,7 +13,7 @@ from splatrl.files import natural
 from splatrl.images import PHOTO_SUFFIXES
 
 UNREAD = (".heic", ".heif", ".avif", ".dng")
-EXIF_IFD, FOCAL_35MM = 0x8769, 0xA405
+EXIF_IFD, FOCAL_35MM, GPS_IFD = 0x8769, 0xA405, 0x8825
 DIAGONAL_35MM = math.hypot(36, 24)
 
 
@@ -67,3 +68,24 @@ def focal_length(folder: Path, size: tuple[int, int]) -> float | None:
     if not isinstance(millimetres, int | float) or not millimetres > 0:
         return None
     return float(millimetres) / DIAGONAL_35MM * math.hypot(*size)
+
+
+def gps_place(path: Path) -> tuple[float, float] | None:
+    """Where the EXIF of a photo says that it was taken.
+
+    Returns:
+        Latitude and longitude, degrees, to the north and to the east positive; None where it does not tell them.
+    """
+    try:
+        with Image.open(path, formats=("PNG", "JPEG")) as image:
+            told = image.getexif().get_ifd(GPS_IFD)
+        latitude = _degrees(told[2]) * (-1 if told[1] == "S" else 1)
+        longitude = _degrees(told[4]) * (-1 if told[3] == "W" else 1)
+    except (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError):
+        return None
+    return (latitude, longitude) if abs(latitude) <= 90 and abs(longitude) <= 180 else None
+
+
+def _degrees(told: Iterable[float]) -> float:
+    """Of degrees, minutes and seconds."""
+    return sum(float(part) / unit for part, unit in zip(told, (1, 60, 3600), strict=True))

@@ -161,6 +161,7 @@ def _reconstruction(
         missing=1 - len(images) / len(photos.paths),
         depths=tuple(photos.depths[number] for number in images) if photos.depths else (),
         seconds=photos.seconds[torch.tensor(images, dtype=torch.int64)],
+        gps=None if photos.gps is None else photos.gps[torch.tensor(images, dtype=torch.int64)],
     )
 
 

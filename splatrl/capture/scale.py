@@ -1,4 +1,4 @@
-"""How many metres a reconstruction's unit is: from two points that somebody clicked, or from the cameras' height."""
+"""How many metres a reconstruction's unit is: by two points that somebody clicked, the cameras' height, or GPS."""
 
 import math
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from splatrl.capture.base import CaptureError, Reconstruction
 
 Floats = NDArray[np.float64]
-ScaleFrom = Literal["recorded", "marker", "distance", "camera_height", "unknown"]
+ScaleFrom = Literal["recorded", "marker", "distance", "camera_height", "gps", "unknown"]
 
 NEAREST = 12
 """Points around a click that say how far away it is."""
@@ -20,6 +20,11 @@ CLICK_ERROR = 6.0
 """Pixels that clicks are off, at worst."""
 FARTHEST = 0.1
 """Share of the image's width from a click within which they must lie."""
+
+DEGREE = 111_195.0
+"""Metres of a degree of latitude."""
+LEAST_PLACES, MOST_ERROR = 5, 0.1
+"""Photos that know their place, and the share by which GPS may be off, for it to tell the scale."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,39 @@ def scale_by_distance(reconstruction: Reconstruction, distance: Distance) -> flo
     if apart < 1e-9:
         raise CaptureError("distance: expected two different points, got one; click points that are far apart")
     return distance.metres / apart
+
+
+def scale_by_gps(reconstruction: Reconstruction, up: Floats) -> tuple[float, float] | None:
+    """Metres per unit from where photos say that they were taken, by the similarity that fits the cameras' plan best.
+
+    Heights do not count: those of GPS are several times worse.
+
+    Args:
+        reconstruction: with ``gps``.
+        up: [3], unit direction away from the earth in its frame.
+
+    Returns:
+        The scale, and the share by which it may be off: how far places are from where they fit, over how far they are
+        from their middle. None where that is too much, or too few photos know their place.
+    """
+    if reconstruction.gps is None:
+        return None
+    known = ~reconstruction.gps.isnan().any(1)
+    if int(known.sum()) < LEAST_PLACES:
+        return None
+    latitude, longitude = reconstruction.gps[known].numpy().T
+    east = np.mod(longitude - longitude[0] + 180.0, 360.0) - 180.0  # across the date line too
+    told = DEGREE * np.stack([east * math.cos(math.radians(latitude[0])), latitude - latitude[0]], 1)
+    first = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    first /= np.linalg.norm(first)
+    plan = reconstruction.camera_to_world[known, :3, 3].numpy() @ np.stack([first, np.cross(up, first)], 1)
+    told, plan = told - told.mean(0), plan - plan.mean(0)
+    a, b = plan @ [1, 1j], told @ [1, 1j]  # a turn and a scale of the plane are one complex factor
+    if not (a.any() and b.any()):
+        return None
+    factor = np.vdot(a, b) / np.vdot(a, a)
+    error = float(np.linalg.norm(b - factor * a) / np.linalg.norm(b))
+    return (float(abs(factor)), error) if error <= MOST_ERROR else None
 
 
 def clicked_point(reconstruction: Reconstruction, clicks: Sequence[Click]) -> Floats:

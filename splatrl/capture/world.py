@@ -11,7 +11,7 @@ from torch import Tensor
 from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.ground import ERROR_DEG, Ground, UpFrom, find_ground
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
-from splatrl.capture.scale import Distance, ScaleFrom, scale_by_distance
+from splatrl.capture.scale import Distance, ScaleFrom, scale_by_distance, scale_by_gps
 
 Floats = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ def place(
 ) -> Placed:
     """Place a reconstruction in the world.
 
-    The scale comes from the first of: recorded poses, a printed marker, a known distance, a known camera height.
+    The scale comes from the first of: recorded poses, a printed marker, a known distance, a known camera height, GPS.
 
     Args:
         reconstruction: in any frame and unit.
@@ -92,7 +92,9 @@ def place(
     above = mean_height(poses[:, :3, 3] @ ground.up, reconstruction.seconds) - ground.height
     if not above > 0:
         raise CaptureError("found no floor below the cameras; film so that the floor is seen")
-    scale, scale_from, error = _scale(reconstruction, above + ground.below, metric, marker, distance, camera_height)
+    scale, scale_from, error = _scale(
+        reconstruction, ground.up, above + ground.below, metric, marker, distance, camera_height
+    )
     transform = _world_from_capture(poses, points, ground, scale)
     return Placed(
         moved(reconstruction, transform),
@@ -136,6 +138,7 @@ def moved(reconstruction: Reconstruction, transform: Floats) -> Reconstruction:
 
 def _scale(
     reconstruction: Reconstruction,
+    up: Floats,
     above: float,
     metric: bool,
     marker: float | None,
@@ -152,6 +155,9 @@ def _scale(
         return scale_by_distance(reconstruction, distance), "distance", SCALE_ERROR["distance"]
     if camera_height is not None:
         return camera_height / above, "camera_height", SCALE_ERROR["camera_height"]
+    by_gps = scale_by_gps(reconstruction, up)
+    if by_gps is not None:
+        return by_gps[0], "gps", by_gps[1]
     return USUAL_HEIGHT / above, "unknown", None
 
 

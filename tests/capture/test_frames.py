@@ -116,6 +116,25 @@ def test_photos_come_upright_in_the_order_of_their_numbers_with_the_focal_length
     assert photos.K[:2, 2].tolist() == [30, 40]
 
 
+def test_photos_tell_where_they_were_taken(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    image = Image.new("RGB", (80, 60))
+    told = [{1: "N", 2: (46.0, 30.0, 36.0), 3: "W", 4: (91.0, 0.0, 18.0)}, {}, {1: "S", 2: (46.0, 30.0, 36.0)}]
+    told += [{1: "S", 2: (0.0, 15.0, 0.0), 3: "E", 4: (0.0, 0.0, 36.0)}, {1: "N", 2: 46.0, 3: "E", 4: 3.0}]
+    told += [{1: "N", 2: (91.0, 0.0, 0.0), 3: "E", 4: (0.0, 0.0, 36.0)}]
+    for number, place in enumerate(told):
+        exif = Image.Exif()
+        exif.get_ifd(0x8825).update(place)
+        image.save(tmp_path / "in" / f"{number}.jpg", exif=exif)
+    gps = read_photos(tmp_path / "in", tmp_path / "out").gps
+    unknown = (torch.nan, torch.nan)
+    expected = torch.tensor([(46.51, -91.005), unknown, unknown, (-0.25, 0.01), unknown, unknown]).double()
+    torch.testing.assert_close(gps, expected, equal_nan=True, atol=1e-5, rtol=0)
+    for number in (0, 3):
+        image.save(tmp_path / "in" / f"{number}.jpg")
+    assert read_photos(tmp_path / "in", tmp_path / "out").gps is None
+
+
 def test_photos_of_two_sizes_are_refused(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     for name, size in (("a.png", (60, 80)), ("b.png", (80, 60))):

@@ -58,6 +58,36 @@ def test_up_the_floor_and_the_scale_are_found_however_the_walk_lay(seed: int) ->
     assert min(yaw, 90.0 - yaw) < 2.0, "x runs along a fence of the yard"
 
 
+def told_by_gps(noise: float, latitude: float = 46.8, longitude: float = 180.0) -> torch.Tensor:
+    """Where the cameras of the walk are on the earth, the world's x to the north, with so many metres of noise."""
+    places = walk().camera_to_world[:, :2, 3] + noise * torch.randn(CAMERAS, 2, generator=torch.manual_seed(0)).double()
+    north, east = places[:, 0] / 111_195, -places[:, 1] / 111_195 / math.cos(math.radians(latitude))
+    return torch.stack([latitude + north, (longitude + east + 180.0) % 360.0 - 180.0], 1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_scale_is_told_by_gps_where_nothing_else_tells_it(seed: int) -> None:
+    lying, transform = strewn(seed)
+    gps = told_by_gps(0.1)
+    gps[3:9] = torch.nan
+    placed = place(replace(lying, gps=gps), marker=None)
+    assert placed.scale_from == "gps" and scale_error(placed, transform) < 0.03
+    assert placed.scale_error is not None and 0.03 < placed.scale_error < 0.1
+    assert place(replace(lying, gps=gps), marker=None, camera_height=ABOVE).scale_from == "camera_height"
+
+
+@pytest.mark.parametrize("case", ["noise", "few", "one place", "mirrored"])
+def test_gps_that_does_not_fit_tells_nothing(case: str) -> None:
+    gps = told_by_gps(1.0 if case == "noise" else 0.0)
+    if case == "few":
+        gps[4:] = torch.nan
+    if case == "one place":
+        gps[:] = gps[0].clone()
+    if case == "mirrored":
+        gps[:, 0] = 93.6 - gps[:, 0]
+    assert place(replace(strewn(0)[0], gps=gps), marker=None).scale_from == "unknown"
+
+
 @pytest.mark.parametrize(("blades", "off"), [(0.0, 0.003), (0.055, 0.012)])
 def test_a_height_is_measured_from_the_ground_below_the_blades_of_a_lawn(blades: float, off: float) -> None:
     rng, poses = np.random.default_rng(0), walk().camera_to_world.numpy().copy()
@@ -194,4 +224,4 @@ def test_x_runs_along_the_longest_wall(yaw_deg: float) -> None:
 
 
 def test_every_means_has_a_name() -> None:
-    assert set(ScaleFrom.__args__) == {"recorded", "marker", "distance", "camera_height", "unknown"}
+    assert set(ScaleFrom.__args__) == {"recorded", "marker", "distance", "camera_height", "gps", "unknown"}
