@@ -32,6 +32,8 @@ WIDTH = 480
 """Pixels of a photo in it."""
 BODY = 0.1
 """Metres above and below the robot's height within which solid things are drawn."""
+LONG = 2.5
+"""Times as long as wide: maps of a longer place stand one above the other."""
 PATH, BLOCKED, POINTS = "#1f6feb", "#d1242f", "#8a6d3b"
 _MOST_POINTS = 20_000
 
@@ -119,9 +121,11 @@ def draw_map(
     )
     shape = (upper[0] - lower[0]) / (upper[1] - lower[1])
     width = 6.0 * min(1.6, max(0.7, shape))
-    figure = Figure(figsize=(2 * width + 0.8, 7.4), dpi=110, layout="constrained")
+    stacked = shape > LONG
+    size = (12.0, 2.4 + max(1.0, 22.0 / shape)) if stacked else (2 * width + 0.8, 7.4)
+    figure = Figure(figsize=size, dpi=110, layout="constrained")
     canvas = FigureCanvasAgg(figure)
-    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+    left, right = figure.subplots(*((2, 1) if stacked else (1, 2)), sharex=True, sharey=True)
     left.imshow(ground.image.numpy(), extent=ground.extent)
     left.set_title("from above, and the camera's path")
     colors = np.array([[int(tone[i : i + 2], 16) for i in (1, 3, 5)] for tone in (FREE, SOLID)], np.uint8)
@@ -147,8 +151,8 @@ def draw_map(
             )
         if thing is not None:
             axis.plot(*thing[:2], marker="*", color="#e3b341", markeredgecolor="black", markersize=12)
-        axis.set(xlim=ground.extent[:2], ylim=ground.extent[2:], xlabel="x, m")
-    left.set_ylabel("y, m")
+        axis.set(xlim=ground.extent[:2], ylim=ground.extent[2:], xlabel="x, m", ylabel="y, m")
+        axis.label_outer()
     with replacing(path) as stream:
         canvas.print_png(stream)
 

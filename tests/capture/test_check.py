@@ -12,6 +12,7 @@ from splatrl.capture.area import dense_voxels, survey_area
 from splatrl.capture.base import CaptureError
 from splatrl.capture.check import check, colour_corrected, psnr, ssim
 from splatrl.capture.floaters import hazy_voxels, seen_through, without_floaters
+from splatrl.capture.pictures import draw_map
 from splatrl.collision.occupancy import Occupancy
 from tests.capture.rooms import CAMERAS, FLOATER, HAZE, tiny_capture, with_floater, with_haze
 from tests.tiny import tiny_gaussians
@@ -29,6 +30,18 @@ def test_a_perfect_fit_scores_high_and_its_path_is_free(tmp_path: Path) -> None:
     for picture in ("held_out.png", "map.png"):
         with Image.open(tmp_path / picture) as image:
             assert min(image.size) > 100
+
+
+@pytest.mark.parametrize("longer", [1.0, 12.0])
+def test_the_maps_fill_their_picture_however_long_the_place(longer: float, tmp_path: Path) -> None:
+    placed = tiny_capture(tmp_path / "images")
+    area = survey_area(tiny_gaussians(), placed)
+    (x0, y0, z0), (x1, y1, z1) = area.bounds
+    area = replace(area, bounds=((longer * x0, y0, z0), (longer * x1, y1, z1)))
+    draw_map(tiny_gaussians(), placed, area, np.ones(CAMERAS, bool), tmp_path / "map.png")
+    with Image.open(tmp_path / "map.png") as image:
+        empty = (np.asarray(image.convert("RGB")) == 255).all(2)
+    assert empty.mean() < 0.5
 
 
 def test_a_darker_photo_is_forgiven_by_the_corrected_figures_alone(tmp_path: Path) -> None:
