@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from PIL import Image
 
@@ -60,8 +60,7 @@ def focal_length(folder: Path, size: tuple[int, int]) -> float | None:
     told = set()
     for path in photos_of(folder):
         try:
-            with Image.open(path, formats=("PNG", "JPEG")) as image:
-                told.add(image.getexif().get_ifd(EXIF_IFD).get(FOCAL_35MM))
+            told.add(_exif(path, EXIF_IFD).get(FOCAL_35MM))
         except (OSError, SyntaxError, ValueError):
             return None
     millimetres = told.pop() if len(told) == 1 else None
@@ -77,13 +76,18 @@ def gps_place(path: Path) -> tuple[float, float] | None:
         Latitude and longitude, degrees, to the north and to the east positive; None where it does not tell them.
     """
     try:
-        with Image.open(path, formats=("PNG", "JPEG")) as image:
-            told = image.getexif().get_ifd(GPS_IFD)
+        told = _exif(path, GPS_IFD)
         latitude = _degrees(told[2]) * (-1 if told[1] == "S" else 1)
         longitude = _degrees(told[4]) * (-1 if told[3] == "W" else 1)
     except (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError):
         return None
     return (latitude, longitude) if abs(latitude) <= 90 and abs(longitude) <= 180 else None
+
+
+def _exif(path: Path, directory: int) -> dict[int, Any]:
+    """What a directory of a photo's EXIF holds, by tag."""
+    with Image.open(path, formats=("PNG", "JPEG")) as image:
+        return dict(image.getexif().get_ifd(directory))
 
 
 def _degrees(told: Iterable[float]) -> float:

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
 
@@ -83,32 +84,29 @@ def scale_by_distance(reconstruction: Reconstruction, distance: Distance) -> flo
     return distance.metres / apart
 
 
-def scale_by_gps(reconstruction: Reconstruction, up: Floats) -> tuple[float, float] | None:
+def scale_by_gps(gps: Tensor | None, plan: Floats) -> tuple[float, float] | None:
     """Metres per unit from where photos say that they were taken, by the similarity that fits the cameras' plan best.
 
     Heights do not count: those of GPS are several times worse.
 
     Args:
-        reconstruction: with ``gps``.
-        up: [3], unit direction away from the earth in its frame.
+        gps: [N, 2], as in ``Reconstruction``.
+        plan: [N, 2] of the cameras from above, in any unit.
 
     Returns:
         The scale, and the share by which it may be off: how far places are from where they fit, over how far they are
         from their middle. None where that is too much, or too few photos know their place.
     """
-    if reconstruction.gps is None:
+    if gps is None:
         return None
-    known = ~reconstruction.gps.isnan().any(1)
-    if int(known.sum()) < LEAST_PLACES:
+    known = ~gps.isnan().any(1).numpy()
+    if known.sum() < LEAST_PLACES:
         return None
-    latitude, longitude = reconstruction.gps[known].numpy().T
+    latitude, longitude = gps.numpy()[known].T
     east = np.mod(longitude - longitude[0] + 180.0, 360.0) - 180.0  # across the date line too
     told = DEGREE * np.stack([east * math.cos(math.radians(latitude[0])), latitude - latitude[0]], 1)
-    first = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-    first /= np.linalg.norm(first)
-    plan = reconstruction.camera_to_world[known, :3, 3].numpy() @ np.stack([first, np.cross(up, first)], 1)
-    told, plan = told - told.mean(0), plan - plan.mean(0)
-    a, b = plan @ [1, 1j], told @ [1, 1j]  # a turn and a scale of the plane are one complex factor
+    a, b = plan[known] @ [1, 1j], told @ [1, 1j]  # a turn and a scale of the plane are one complex factor
+    a, b = a - a.mean(), b - b.mean()
     if not (a.any() and b.any()):
         return None
     factor = np.vdot(a, b) / np.vdot(a, a)

@@ -155,7 +155,9 @@ def _scale(
         return scale_by_distance(reconstruction, distance), "distance", SCALE_ERROR["distance"]
     if camera_height is not None:
         return camera_height / above, "camera_height", SCALE_ERROR["camera_height"]
-    by_gps = scale_by_gps(reconstruction, up)
+    by_gps = scale_by_gps(
+        reconstruction.gps, (reconstruction.camera_to_world[:, :3, 3].numpy() @ _standing(up).T)[:, :2]
+    )
     if by_gps is not None:
         return by_gps[0], "gps", by_gps[1]
     return USUAL_HEIGHT / above, "unknown", None
