@@ -1,4 +1,5 @@
-// A scene as CUDA reads it: each Gaussian separately, not in groups of sixteen.
+// A scene as CUDA reads it: what tests need by slot, in the order of the tree; what blending needs by index, which is what
+// sorted keys hold.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
@@ -30,14 +31,13 @@ uint16_t half_above(float value) {
 
 struct FlatScene {
     bool antialiased;
-    uint32_t first_slot;
     std::vector<float> spheres, shapes;
     std::vector<uint16_t> colors;
-    std::vector<uint32_t> indices, slots;
+    std::vector<uint32_t> indices;
 
-    FlatScene(const SceneView& view, size_t capacity, size_t gaussians, bool antialiased, uint32_t first_slot)
-        : antialiased(antialiased), first_slot(first_slot), spheres(capacity * SPHERE), shapes(capacity * SHAPE),
-          colors(capacity * color_stride(view.degree)), indices(capacity), slots(gaussians) {
+    FlatScene(const SceneView& view, size_t capacity, size_t gaussians, bool antialiased)
+        : antialiased(antialiased), spheres(capacity * SPHERE), shapes(gaussians * SHAPE),
+          colors(gaussians * color_stride(view.degree)), indices(capacity) {
         for (size_t slot = 0; slot < capacity; ++slot) {
             if (slot % 4096 == 0) poll();
             add(view, slot);
@@ -48,14 +48,18 @@ private:
     void add(const SceneView& view, size_t slot) {
         const size_t group = slot / GROUP, lane = slot % GROUP;
         const float* geometry = view.geometry + group * GEOMETRY * GROUP + lane;
-        float *sphere = &spheres[slot * SPHERE], *shape = &shapes[slot * SHAPE];
+        float* sphere = &spheres[slot * SPHERE];
         const float log2_opacity = geometry[LOG2_OPACITY * GROUP];
         for (int i = 0; i < 3; ++i) sphere[i] = geometry[(MEAN + i) * GROUP];
         if (log2_opacity == std::numeric_limits<float>::lowest()) return;  // it pads a group, or is transparent
-        for (int row = 0, i = FACTOR; row < 3; ++row)
-            for (int column = 0; column <= row; ++column, ++i) shape[3 * row + column] = geometry[i * GROUP];
+        const size_t index = indices[slot] = view.original_index[slot];
+        float *shape = &shapes[index * SHAPE], axes[9] = {};
+        for (int i = 0; i < 3; ++i) shape[i] = sphere[i];
+        for (int row = 0, i = 0; row < 3; ++row)
+            for (int column = 0; column <= row; ++column, ++i)
+                shape[4 + i] = axes[3 * row + column] = geometry[(FACTOR + i) * GROUP];
         float opacity = std::exp2(log2_opacity);
-        shape[9] = log2_opacity;
+        shape[3] = log2_opacity;
         if (group >= view.first_merged) {
             const float* merging = view.merging + (group - view.first_merged) * MERGING * GROUP + lane;
             shape[10] = merging[MEMBERS * GROUP];
@@ -63,13 +67,11 @@ private:
             opacity = most_opacity(opacity, shape[11], antialiased);
         }
         const float reach = reach_of(opacity);
-        const uint32_t reaches = half_above(reach) | uint32_t(half_above(reach * longest_axis(shape))) << 16;
+        const uint32_t reaches = half_above(reach) | uint32_t(half_above(reach * longest_axis(axes))) << 16;
         std::memcpy(&sphere[3], &reaches, sizeof(reaches));
         const size_t values = 3 * size_t(harmonics_of(view.degree));
         const uint16_t* color = view.colors + group * values * GROUP + lane;
-        for (size_t i = 0; i < values; ++i) colors[slot * color_stride(view.degree) + i] = color[i * GROUP];
-        indices[slot] = view.original_index[slot];
-        slots[indices[slot]] = first_slot + uint32_t(slot);
+        for (size_t i = 0; i < values; ++i) colors[index * color_stride(view.degree) + i] = color[i * GROUP];
     }
 };
 
@@ -96,15 +98,14 @@ nb::dict flat_scene(Tensor<const float, -1, 3> means, Tensor<const float, -1, 3,
     const Scene scene(gaussians, tree, background, antialiased);
     const SceneView view = scene.view(0.0f);
     const size_t capacity = scene.capacity();
-    FlatScene flat(view, capacity, gaussians.count + tree.opacities.size(), antialiased, first_slot);
+    const size_t all = gaussians.count + tree.opacities.size();
+    FlatScene flat(view, capacity, all, antialiased);
     const std::vector<Cluster> clusters = clusters_behind(view, first_slot, first_cluster);
     nb::dict out;
     out["spheres"] = to_numpy(std::move(flat.spheres), {capacity, size_t(SPHERE)});
-    out["shapes"] = to_numpy(std::move(flat.shapes), {capacity, size_t(SHAPE)});
-    out["colors"] = to_numpy(std::move(flat.colors), {capacity, size_t(color_stride(degree))});
+    out["shapes"] = to_numpy(std::move(flat.shapes), {all, size_t(SHAPE)});
+    out["colors"] = to_numpy(std::move(flat.colors), {all, size_t(color_stride(degree))});
     out["indices"] = to_numpy(std::move(flat.indices), {capacity});
-    const size_t all = flat.slots.size();
-    out["slots"] = to_numpy(std::move(flat.slots), {all});
     out["tolerance"] = held_tolerance(tolerance, antialiased);
     out["clusters"] = bytes_of(clusters.data(), clusters.size());
     out["group_bounds"] = bytes_of(view.group_bounds, view.cluster_count);

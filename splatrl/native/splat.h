@@ -176,8 +176,8 @@ SPLAT_INLINE Footprint<F> dilate(const Flat<F>& flat, F log2_opacity, Merging<F>
 }
 
 // Project a Gaussian: flatten it, then dilate it.
-template <bool ANTIALIASED, bool MERGED, class F>
-SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const F (&axes)[9], F log2_opacity,
+template <bool ANTIALIASED, bool MERGED, class F, int NUMBERS>
+SPLAT_INLINE Footprint<F> project(const Camera& camera, Vector<F> offset, const F (&axes)[NUMBERS], F log2_opacity,
                                   Merging<F> merging, float log2_invisible) {
     return dilate<ANTIALIASED, MERGED>(flatten(camera, offset, axes), log2_opacity, merging, log2_invisible);
 }

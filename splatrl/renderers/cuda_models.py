@@ -29,7 +29,7 @@ class _SceneArrays(ctypes.Structure):
     _fields_ = (
         *(
             (name, ctypes.c_void_p)
-            for name in ("spheres", "shapes", "colors", "indices", "slots", "clusters", "group_bounds")
+            for name in ("spheres", "indices", "shapes", "colors", "clusters", "group_bounds")
         ),
         ("background", ctypes.c_float * 3),
         ("tolerance", ctypes.c_float),
@@ -89,7 +89,7 @@ class CudaModels:
                 first_slot=slots,
                 first_cluster=clusters,
             )
-            size = len(flat["slots"])
+            size = len(flat["shapes"])
             self.models.append(Model(clusters, indices, size, gaussians_of(scene).numel()))
             self.clusters = max(self.clusters, len(flat["clusters"]))
             slots, clusters, indices = slots + len(flat["indices"]), clusters + len(flat["clusters"]), indices + size

@@ -310,7 +310,7 @@ static inline int __float_as_int(float value) { return int(emulator::to_bits(val
 namespace splatrl {
 
 static inline float half_to_float(uint16_t half) { return from_half(half); }
-static inline float rounded_to_half(float value) { return from_half(to_half(value)); }
+static inline uint32_t halves_of(float low, float high) { return to_half(low) | uint32_t(to_half(high)) << 16; }
 static inline uint64_t bits_of(double value) { return emulator::to_bits(value); }
 
 }  // namespace splatrl

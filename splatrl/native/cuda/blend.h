@@ -1,4 +1,5 @@
-// From sorted keys to pixels. Each warp holds four patches of 8×4 pixels in its registers, a pixel of each in a lane.
+// From sorted keys to pixels. Each warp holds four patches of 8×4 pixels in its registers, a pixel of each in a lane; each
+// quarter of its lanes goes through the splats of its own cell of a patch, so that narrow splats leave few lanes idle.
 #pragma once
 
 #include "order.h"
@@ -6,48 +7,40 @@
 
 namespace splatrl {
 
-constexpr int QUAD = 4;  // patches per warp
+constexpr int PATCHES = 4;                   // of a warp
+constexpr int QUARTER = WARP / 4;            // lanes that share a cell
+static_assert(CELL_WIDTH * CELL_HEIGHT == QUARTER, "a lane for each pixel of a cell");
 
-struct Color {
-    float red, green, blue;
-};
-
-// The colour of the Gaussian in a slot, seen along `offset`, relative to the background; rounded to half floats, as on
-// the CPU.
-SPLAT_INLINE Color color_of(const SceneArrays& scene, uint32_t slot, const Vector<float>& offset) {
-    constexpr int HARMONICS = harmonics_of(SH_DEGREE), STRIDE = color_stride(SH_DEGREE);
-    const uint16_t* coefficients = scene.colors + size_t(slot) * STRIDE;
-    if (SH_DEGREE == 0)
-        return {half_to_float(coefficients[0]), half_to_float(coefficients[1]), half_to_float(coefficients[2])};
+// The half floats of a colour, seen along `offset` and relative to the background, beside the peak of its splat.
+SPLAT_INLINE void add_color(const SceneArrays& scene, uint32_t at, const Vector<float>& offset, float peak,
+                            Record& record) {
+    constexpr int HARMONICS = harmonics_of(SH_DEGREE), WORDS = color_stride(SH_DEGREE) / 8;
+    const uint4* words = scene.colors + size_t(at) * WORDS;
+    if (SH_DEGREE == 0) {
+        const uint2 three = *reinterpret_cast<const uint2*>(words);
+        record.peak_red = halves_of(peak, 0.0f) | three.x << 16;
+        record.green_blue = three.x >> 16 | three.y << 16;
+        return;
+    }
     const float squared = offset.x * offset.x + offset.y * offset.y + offset.z * offset.z;
     const float inverse = reciprocal_sqrt(max(squared, 1e-30f));
     float basis[16], sums[3] = {0.5f, 0.5f, 0.5f};
     sh_basis(SH_DEGREE, offset.x * inverse, offset.y * inverse, offset.z * inverse, basis);
-    const uint2* words = reinterpret_cast<const uint2*>(coefficients);  // four half floats each
 #pragma unroll
-    for (int word = 0; word < STRIDE / 4; ++word) {
-        const uint2 four = words[word];
-        const uint32_t halves[2] = {four.x, four.y};
+    for (int word = 0; word < WORDS; ++word) {
+        const uint4 eight = words[word];
+        const uint32_t pairs[4] = {eight.x, eight.y, eight.z, eight.w};
 #pragma unroll
-        for (int i = 0; i < 4; ++i) {
-            const int at = 4 * word + i;
-            const uint16_t coefficient = uint16_t(halves[i / 2] >> 16 * (i % 2));
-            if (at < 3 * HARMONICS) sums[at % 3] += basis[at / 3] * half_to_float(coefficient);
+        for (int i = 0; i < 8; ++i) {
+            const int harmonic = (8 * word + i) / 3, channel = (8 * word + i) % 3;
+            const float coefficient = i % 2 == 0 ? low_half(pairs[i / 2]) : high_half(pairs[i / 2]);
+            if (harmonic < HARMONICS) sums[channel] += basis[harmonic] * coefficient;
         }
     }
     float out[3];
-    for (int i = 0; i < 3; ++i) out[i] = rounded_to_half(max(sums[i], 0.0f) - scene.background[i]);
-    return {out[0], out[1], out[2]};
-}
-
-// The projection of the Gaussian in a slot.
-SPLAT_INLINE Footprint<float> footprint_of(const SceneArrays& scene, const Camera& camera, uint32_t slot,
-                                           const Vector<float>& offset, float log2_invisible) {
-    const float4* shape = scene.shapes + 3 * size_t(slot);
-    const float4 a = shape[0], b = shape[1], c = shape[2];
-    const float axes[9] = {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x};
-    return project<ANTIALIASED_IMAGE, WITH_LEVELS>(camera, offset, axes, c.y, Merging<float>{c.z, c.w},
-                                                   log2_invisible);
+    for (int i = 0; i < 3; ++i) out[i] = max(sums[i], 0.0f) - scene.background[i];
+    record.peak_red = halves_of(peak, out[0]);
+    record.green_blue = halves_of(out[1], out[2]);
 }
 
 // The part to which an index of the row belongs.
@@ -55,10 +48,9 @@ SPLAT_INLINE int part_of(const Views& views, const Shared& shared, uint32_t inde
     return WITH_PARTS ? behind_last(shared.bases, 0, views.parts, index) - 1 : 0;
 }
 
-// The slot of the Gaussian with an index of the row.
-SPLAT_INLINE uint32_t slot_of(const SceneArrays& scene, const Views& views, const Shared& shared, int part,
-                              uint32_t index) {
-    return scene.slots[WITH_PARTS ? index + place_of(views, shared.row, part).shift : index];
+// Where the Gaussian with an index of the row is in shapes and colours.
+SPLAT_INLINE uint32_t place_of(const Views& views, const Shared& shared, int part, uint32_t index) {
+    return WITH_PARTS ? index + place_of(views, shared.row, part).shift : index;
 }
 
 // The row's camera in the frame of a part.
@@ -75,108 +67,163 @@ SPLAT_INLINE Camera camera_of_part(const Views& views, const Shared& shared, int
     return camera;
 }
 
-// Project the Gaussians of a sorted slab, colour those that show, and lay them out in their order. Returns how many.
-SPLAT_INLINE uint32_t load_slab(const SceneArrays& scene, const Views& views, Shared& shared, uint32_t count) {
-    const float log2_invisible = log2_invisible_at(scene.tolerance, ANTIALIASED_IMAGE);
-    uint32_t shown = 0;
+// A Gaussian of a slab, seen by the row's camera in the frame of its part.
+struct Seen {
+    Camera camera;
+    uint32_t at;           // in shapes and colours
+    float4 mean;           // and log2 opacity
+    Vector<float> offset;  // from the camera
+
+    INLINE_MEMBER Seen(const SceneArrays& scene, const Views& views, const Shared& shared, Key key) {
+        const uint32_t index = uint32_t(key) & ((1u << INDEX_BITS) - 1);
+        const int part = part_of(views, shared, index);
+        camera = camera_of_part(views, shared, part);
+        at = place_of(views, shared, part, index);
+        mean = scene.shapes[3 * size_t(at)];
+        offset = {mean.x - camera.position[0], mean.y - camera.position[1], mean.z - camera.position[2]};
+    }
+
+    INLINE_MEMBER Footprint<float> footprint(const SceneArrays& scene, float log2_invisible) const {
+        const float4 a = scene.shapes[3 * size_t(at) + 1], b = scene.shapes[3 * size_t(at) + 2];
+        const float factor[6] = {a.x, a.y, a.z, a.w, b.x, b.y};
+        return project<ANTIALIASED_IMAGE, WITH_LEVELS>(camera, offset, factor, mean.w, Merging<float>{b.z, b.w},
+                                                       log2_invisible);
+    }
+};
+
+// Project the Gaussians of a sorted slab and keep those that may show, in their order. Returns how many.
+template <bool WITH_DEPTH>
+SPLAT_INLINE uint32_t project_slab(const SceneArrays& scene, const Views& views, Shared& shared, uint32_t count,
+                                   float log2_invisible) {
+    uint32_t kept = 0;
     for (uint32_t begin = 0; begin < count; begin += THREADS) {
         const uint32_t i = begin + thread();
-        uint32_t slot = 0, patches = 0;
-        Vector<float> offset{};
+        const Key key = i < count ? shared.sorted[i] : NO_KEY;
         Footprint<float> print{};
+        bool shows = false;
         if (i < count) {
-            const uint32_t index = uint32_t(shared.sorted[i]) & ((1u << INDEX_BITS) - 1);
-            const int part = part_of(views, shared, index);
-            slot = slot_of(scene, views, shared, part, index);
-            const float4 sphere = scene.spheres[slot];
-            const Camera camera = camera_of_part(views, shared, part);
-            offset = {sphere.x - camera.position[0], sphere.y - camera.position[1], sphere.z - camera.position[2]};
-            print = footprint_of(scene, camera, slot, offset, log2_invisible);
-            patches = covered_patches(print, shared.tile, log2_invisible);
+            print = Seen(scene, views, shared, key).footprint(scene, log2_invisible);
+            shows = may_show(print, shared.tile, log2_invisible);
         }
-        const uint32_t lanes = __ballot_sync(ALL_LANES, patches != 0);
+        const uint32_t lanes = __ballot_sync(ALL_LANES, shows);
         if (lane() == 0) shared.sums[warp()] = __popc(lanes);
         __syncthreads();
-        uint32_t place = shown + rank_in(lanes);
-        for (int i = 0; i < WARPS; ++i) {
-            if (i < warp()) place += shared.sums[i];
-            shown += shared.sums[i];
+        uint32_t place = kept + rank_in(lanes);
+        for (int other = 0; other < WARPS; ++other) {
+            if (other < warp()) place += shared.sums[other];
+            kept += shared.sums[other];
         }
-        if (patches != 0) {
-            shared.patches[place] = patches;
-            Record& record = shared.records[place];
-            record.place = make_float4(print.x, print.y, print.l11, print.l12);
-            record.fall = make_float4(print.l22, print.log2_opacity, rounded_to_half(print.peak), print.depth);
-            const Color color = color_of(scene, slot, offset);
-            record.color = make_float4(color.red, color.green, color.blue, 0.0f);
+        if (shows) {
+            shared.sorted[place] = key;  // none behind it has been read, and none before it will be
+            shared.records[place] = {print.x, print.y, print.l11, print.l12, print.l22, print.log2_opacity,
+                                     __float_as_uint(print.peak), 0};
+            if (WITH_DEPTH) shared.depths[place] = print.depth;
         }
         __syncthreads();
     }
-    return shown;
+    return kept;
+}
+
+// Colour what project_slab kept, and note on which cells each shows. A warp takes a chunk.
+SPLAT_INLINE void color_slab(const SceneArrays& scene, const Views& views, Shared& shared, uint32_t count,
+                             float log2_invisible) {
+    if (thread() < CELLS) shared.chunks[thread()] = 0;
+    __syncthreads();
+    for (uint32_t first = warp() * WARP; first < count; first += THREADS) {
+        const uint32_t chunk = first / WARP, i = first + lane();
+        uint32_t* cells = shared.cells[chunk];
+        for (int cell = lane(); cell < CELLS; cell += WARP) cells[cell] = 0;
+        __syncwarp();
+        if (i < count) {
+            Record record = shared.records[i];
+            const Seen seen(scene, views, shared, shared.sorted[i]);
+            add_color(scene, seen.at, seen.offset, __uint_as_float(record.peak_red), record);
+            shared.records[i].peak_red = record.peak_red, shared.records[i].green_blue = record.green_blue;
+            const Ellipse ellipse(record.x - float(shared.tile.left), record.y - float(shared.tile.top), record.l11,
+                                  record.l12, record.l22, record.log2_opacity - log2_invisible);
+            for_each_cell(ellipse, [&](int cell) { atomicOr(&cells[cell], 1u << lane()); });
+        }
+        __syncwarp();
+        for (int cell = lane(); cell < CELLS; cell += WARP)
+            if (cells[cell] != 0) atomicOr(&shared.chunks[cell], 1u << chunk);
+    }
+    __syncthreads();
 }
 
 // What a lane accumulates: a pixel of each of its warp's patches.
 template <bool WITH_DEPTH>
 struct Pixels {
-    float red[QUAD], green[QUAD], blue[QUAD], transmittance[QUAD], depth[QUAD], alpha[QUAD];
-    float finished;      // the transmittance at which a pixel is
+    float red[PATCHES], green[PATCHES], blue[PATCHES], transmittance[PATCHES], depth[PATCHES], alpha[PATCHES];
+    float finished;        // the transmittance at which a pixel is
     float log2_invisible;
-    float x, y;          // of the lane's pixel in the first patch
-    uint32_t active;     // patches that are not finished, by bits
-    uint32_t blended;    // pairs of a splat and a patch: this lane's share
+    float x, y;            // of the lane's pixel in the first patch
+    uint32_t active;       // patches in which the lane's cell is not finished, by bits
+    uint32_t blended;      // splats that its cells met
 
     INLINE_MEMBER void begin(const SceneArrays& scene, const Tile& tile) {
-        const int column = tile.left + warp() % 2 * 2 * PATCH_WIDTH + lane() % PATCH_WIDTH;
-        const int row = tile.top + warp() / 2 * 2 * PATCH_HEIGHT + lane() / PATCH_WIDTH;
+        const int quarter = lane() / QUARTER, pixel = lane() % QUARTER;
+        const int column = warp() % 2 * 4 * CELL_WIDTH + quarter % 2 * CELL_WIDTH + pixel % CELL_WIDTH;
+        const int row = warp() / 2 * 4 * CELL_HEIGHT + quarter / 2 * CELL_HEIGHT + pixel / CELL_WIDTH;
         finished = finished_at(scene.tolerance);
         log2_invisible = log2_invisible_at(scene.tolerance, ANTIALIASED_IMAGE);
-        x = float(column) + 0.5f, y = float(row) + 0.5f, blended = 0;
+        x = float(tile.left + column) + 0.5f, y = float(tile.top + row) + 0.5f, blended = 0;
 #pragma unroll
-        for (int i = 0; i < QUAD; ++i) {
-            const bool inside = column + i % 2 * PATCH_WIDTH < tile.right && row + i / 2 * PATCH_HEIGHT < tile.bottom;
+        for (int i = 0; i < PATCHES; ++i) {
             red[i] = scene.background[0], green[i] = scene.background[1], blue[i] = scene.background[2];
-            transmittance[i] = inside ? 1.0f : 0.0f;
+            transmittance[i] = x_of(i) < float(tile.right) && y_of(i) < float(tile.bottom) ? 1.0f : 0.0f;
             if (WITH_DEPTH) depth[i] = 0.0f, alpha[i] = 0.0f;
         }
         find_active();
     }
 
+    INLINE_MEMBER float x_of(int patch) const { return x + float(patch % 2 * 2 * CELL_WIDTH); }
+    INLINE_MEMBER float y_of(int patch) const { return y + float(patch / 2 * 2 * CELL_HEIGHT); }
+
     INLINE_MEMBER void find_active() {
         active = 0;
 #pragma unroll
-        for (int i = 0; i < QUAD; ++i)
-            active |= uint32_t(__any_sync(ALL_LANES, transmittance[i] > finished) != 0) << i;
+        for (int i = 0; i < PATCHES; ++i) {
+            const uint32_t lanes = __ballot_sync(ALL_LANES, transmittance[i] > finished);
+            active |= uint32_t((lanes >> lane() / QUARTER * QUARTER & ((1u << QUARTER) - 1)) != 0) << i;
+        }
     }
 
-    // Blend one splat over a patch. Its share of a pixel is 0 once the transmittance has fallen to `finished`, or in an
+    // Blend one splat over a cell. Its share of a pixel is 0 once the transmittance has fallen to `finished`, or in an
     // exact image once it would; the transmittance itself keeps falling.
-    INLINE_MEMBER void blend(const Record& record, int patch) {
-        const float4 place = record.place, fall = record.fall, color = record.color;
-        const float dx = (patch % 2 == 0 ? x : x + PATCH_WIDTH) - place.x;
-        const float dy = (patch / 2 == 0 ? y : y + PATCH_HEIGHT) - place.y;
+    INLINE_MEMBER void blend(const Record& splat, const float& far, int patch) {
+        const Record record = splat;
         const float before = transmittance[patch];
-        const float share = before * alpha_at(dx, dy, place.z, place.w, fall.x, fall.y, fall.z, log2_invisible);
+        const float share = before * alpha_at(x_of(patch) - record.x, y_of(patch) - record.y, record.l11, record.l12,
+                                              record.l22, record.log2_opacity, low_half(record.peak_red), log2_invisible);
         transmittance[patch] = before - share;
         const float tested = finished > MIN_TRANSMITTANCE ? before : transmittance[patch];
         const float counted = tested > finished ? share : 0.0f;
-        red[patch] += counted * color.x;
-        green[patch] += counted * color.y;
-        blue[patch] += counted * color.z;
-        if (WITH_DEPTH) depth[patch] += counted * fall.w, alpha[patch] += counted;
+        red[patch] += counted * high_half(record.peak_red);
+        green[patch] += counted * low_half(record.green_blue);
+        blue[patch] += counted * high_half(record.green_blue);
+        if (WITH_DEPTH) depth[patch] += counted * far, alpha[patch] += counted;
     }
 
-    // Blend a slab, nearest first. Each warp picks what shows on its own patches, 32 splats at a time.
-    INLINE_MEMBER void blend_slab(const Shared& shared, uint32_t count) {
-        if (active == 0) return;
-        for (uint32_t first = 0; first < count; first += WARP) {
-            const uint32_t at = first + lane();
-            const uint32_t patches = at < count ? shared.patches[at] >> (warp() * QUAD) & active : 0;
-            const Record* records = shared.records + first;
-            blended += __popc(patches);
+    // Blend a slab, nearest first. A quarter of a warp takes the chunks in which its cell has splats, and these by
+    // their bits.
+    INLINE_MEMBER void blend_slab(const Shared& shared) {
+        const int first = (warp() * 4 + lane() / QUARTER) * PATCHES;
 #pragma unroll
-            for (int i = 0; i < QUAD; ++i) {
-                uint32_t left = __ballot_sync(ALL_LANES, patches >> i & 1);
-                for (; left != 0; left &= left - 1) blend(records[__ffs(left) - 1], i);
+        for (int i = 0; i < PATCHES; ++i) {
+            uint32_t chunks = active >> i & 1 ? shared.chunks[first + i] : 0, splats = 0;
+            int from = 0;  // the first splat of the chunk
+            const auto next_chunk = [&] {
+                const int chunk = __ffs(chunks) - 1;
+                chunks &= chunks - 1, from = chunk * WARP;
+                splats = shared.cells[chunk][first + i];
+                blended += __popc(splats);
+            };
+            if (chunks != 0) next_chunk();
+            while (splats != 0) {
+                const int at = from + __ffs(splats) - 1;
+                blend(shared.records[at], shared.depths[at], i);
+                splats &= splats - 1;
+                if (splats == 0 && chunks != 0) next_chunk();
             }
         }
         find_active();
@@ -184,8 +231,8 @@ struct Pixels {
 
     INLINE_MEMBER void write(const Tile& tile, const Images& images, int row_of_batch, int width, int height) const {
 #pragma unroll
-        for (int i = 0; i < QUAD; ++i) {
-            const int column = int(x) + i % 2 * PATCH_WIDTH, row = int(y) + i / 2 * PATCH_HEIGHT;
+        for (int i = 0; i < PATCHES; ++i) {
+            const int column = int(x_of(i)), row = int(y_of(i));
             if (column >= tile.right || row >= tile.bottom) continue;
             const size_t at = (size_t(row_of_batch) * height + row) * width + column;
             const float sums[3] = {red[i], green[i], blue[i]};

@@ -75,7 +75,7 @@ SPLAT_INLINE Key candidate(const SceneArrays& scene, const Shared& shared, int p
     if (reaches == 0) return NO_KEY;
     const float center[3] = {sphere.x, sphere.y, sphere.z};
     const float* position = view.camera.position;
-    const float reach = half_to_float(uint16_t(reaches)), reach_scale = half_to_float(uint16_t(reaches >> 16));
+    const float reach = low_half(reaches), reach_scale = high_half(reaches);
     if (misses(view.frustum, position, center, reach, reach_scale)) return NO_KEY;
     double depth = 0.0;
     for (int axis = 0; axis < 3; ++axis)

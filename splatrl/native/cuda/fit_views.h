@@ -3,8 +3,8 @@
 
 #include "platform.h"
 
-#include "coverage.h"
 #include "fit_kernel.h"
+#include "splat.h"
 
 namespace splatrl {
 

@@ -24,7 +24,12 @@ SPLAT_INLINE float half_to_float(uint16_t half) {
     return out;
 }
 
-HARDWARE(rounded_to_half, "{ .reg .b16 half; cvt.rn.f16.f32 half, %1; cvt.f32.f16 %0, half; }")  // the nearest
+// The nearest half floats, `low` in the low bits.
+SPLAT_INLINE uint32_t halves_of(float low, float high) {
+    uint32_t out;
+    asm("cvt.rn.f16x2.f32 %0, %1, %2;" : "=r"(out) : "f"(high), "f"(low));
+    return out;
+}
 
 SPLAT_INLINE uint64_t bits_of(double value) { return uint64_t(__double_as_longlong(value)); }
 
@@ -37,6 +42,9 @@ namespace splatrl {
 SPLAT_INLINE int thread() { return int(threadIdx.x); }
 SPLAT_INLINE int lane() { return int(threadIdx.x % WARP); }
 SPLAT_INLINE int warp() { return int(threadIdx.x / WARP); }
+
+SPLAT_INLINE float low_half(uint32_t halves) { return half_to_float(uint16_t(halves)); }
+SPLAT_INLINE float high_half(uint32_t halves) { return half_to_float(uint16_t(halves >> 16)); }
 
 // How many lanes before this one have a bit.
 SPLAT_INLINE int rank_in(unsigned lanes) { return __popc(lanes & ((1u << lane()) - 1u)); }

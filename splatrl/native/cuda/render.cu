@@ -72,13 +72,14 @@ SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const
         pixels.begin(scene, shared.tile);
         begin_slabs(shared, keys, workspace.key_capacity);
         while (const uint32_t count = next_slab(shared)) {
-            const uint32_t shown = load_slab(scene, views, shared, count);
+            const uint32_t shown = project_slab<WITH_DEPTH>(scene, views, shared, count, pixels.log2_invisible);
             if (workspace.efforts != nullptr) note(workspace, shared, VISIBLE, thread() == 0 ? shown : 0);
-            pixels.blend_slab(shared, shown);
+            color_slab(scene, views, shared, shown, pixels.log2_invisible);
+            pixels.blend_slab(shared);
             if (!__syncthreads_or(pixels.active != 0)) break;
         }
         pixels.write(shared.tile, images, shared.row, views.width, views.height);
-        if (workspace.efforts != nullptr) note(workspace, shared, BLENDED, pixels.blended);
+        if (workspace.efforts != nullptr) note(workspace, shared, BLENDED, lane() % QUARTER == 0 ? pixels.blended : 0);
     }
 }
 

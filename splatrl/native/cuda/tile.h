@@ -11,13 +11,14 @@
 namespace splatrl {
 
 constexpr int THREADS = BLOCK_THREADS, WARPS = THREADS / WARP;
-static_assert(WARPS * 4 == PATCHES_ACROSS * PATCHES_DOWN, "four patches of 8×4 pixels per warp, in its registers");
+static_assert(WARPS * BLOCK_CELLS * BLOCK_CELLS == CELLS, "a warp holds 4×4 cells in its registers");
 
 constexpr bool ANTIALIASED_IMAGE = ANTIALIASED_IMAGES != 0, WITH_LEVELS = LEVELS_OF_DETAIL != 0;
 constexpr bool WITH_PARTS = MOST_PARTS > 0;  // otherwise a row is the first model where it stands
 constexpr int VIEWS = WITH_PARTS ? MOST_PARTS : 1;
 
 constexpr int SLAB = 512;      // splats that are sorted and blended at once
+constexpr int CHUNKS = SLAB / WARP;  // of a slab: splats with a bit each in a word
 constexpr int BUCKETS = 1024;  // of a histogram of depths
 
 // Depth in the high bits, the index in the row, counted across its parts, in the low ones: no two keys of an image
@@ -26,13 +27,12 @@ using Key = uint64_t;
 constexpr int INDEX_BITS = 24;
 constexpr Key NO_KEY = ~Key(0);
 
-// The models of a renderer, one after another, with a slot for every Gaussian; slots without a Gaussian pad the groups.
+// The models of a renderer, one after another. Slots are in the order of the trees, and some pad a group of sixteen.
 struct SceneArrays {
     const float4* spheres;            // [slots] mean, metres; the bits of its reach (flat_scene.h), 0 for nothing
-    const float4* shapes;             // [slots, 3] factor A of the covariance, log2 opacity, members and sum if merged
-    const uint16_t* colors;           // [slots, color_stride] half floats, [harmonics, 3]; final colours at degree 0
-    const uint32_t* indices;          // [slots] index in the model, merged Gaussians behind it
-    const uint32_t* slots;            // [indices] of all models
+    const uint32_t* indices;          // [slots] index in the model, merged Gaussians behind the others
+    const float4* shapes;             // [indices of all models, 3] mean, log2 opacity, factor and merging (flat_scene.h)
+    const uint4* colors;              // [indices of all models, color_stride] half floats, [harmonics, 3]; final at degree 0
     const Cluster* clusters;          // the trees in preorder
     const GroupBounds* group_bounds;  // of each cluster
     float background[3];              // the colours are relative to it
@@ -61,7 +61,7 @@ struct Workspace {
     int key_capacity, node_capacity;
 };
 
-enum Efforts { PROJECTED, VISIBLE, BLENDED, EFFORTS };  // candidates, splats that show, pairs of a splat and a patch
+enum Efforts { PROJECTED, VISIBLE, BLENDED, EFFORTS };  // candidates, splats that show, pairs of a splat and a cell
 
 // Where to write; null where not asked for.
 struct Images {
@@ -69,11 +69,11 @@ struct Images {
     float *rgb, *depth, *alpha;       // [batch, height, width, 3], [batch, height, width] twice
 };
 
-// A splat as it is blended.
-struct Record {
-    float4 place;   // x, y, l11, l12
-    float4 fall;    // l22, log2 opacity, peak, depth
-    float4 color;   // red, green, blue, relative to the background
+// A splat as it is blended, in two words of sixteen bytes.
+struct alignas(16) Record {
+    float x, y, l11, l12;
+    float l22, log2_opacity;
+    uint32_t peak_red, green_blue;    // half floats, the first in the low bits; relative to the background
 };
 
 // How far the candidates of a tile have been put in order; see order.h.
@@ -102,8 +102,9 @@ struct Shared {
     Slabs slabs;
     uint32_t sums[WARPS];
     uint32_t ends[BUCKETS];           // where each bucket of the candidates ends
-    Key sorted[SLAB];                 // the keys of a slab, in the end nearest first
-    uint32_t patches[SLAB];           // bits of the patches that each of its splats shows on
+    Key sorted[SLAB];                 // the keys of a slab, in the end of those that show, nearest first
+    alignas(16) uint32_t cells[CHUNKS][CELLS];  // which splats of each chunk show on each cell, by bits
+    alignas(16) uint32_t chunks[CELLS];         // in which chunks there are any, by bits
     uint32_t bases[VIEWS];            // of the parts; not set without parts
     union {                           // never needed at the same time
         View views[VIEWS];            // of the parts
@@ -111,7 +112,10 @@ struct Shared {
             uint32_t histogram[BUCKETS];
             Key dealt[SLAB];          // the keys of a slab in the order of their buckets
         };
-        Record records[SLAB];
+        struct {
+            Record records[SLAB];
+            float depths[SLAB];
+        };
     };
 };
 
