@@ -17,7 +17,7 @@ from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
-BLOCK_THREADS, SHARED_BYTES = 256, 35 * 1024
+BLOCK_THREADS, SHARED_BYTES = 256, 40 * 1024
 """Threads and shared memory of a block, which draws one tile at a time."""
 BLOCKS_A_MULTIPROCESSOR = 4
 """Blocks that the compiler leaves enough registers for."""

@@ -49,7 +49,7 @@ SPLAT_INLINE int part_of(const Views& views, const Shared& shared, uint32_t inde
 }
 
 // Where the Gaussian with an index of the row is in shapes and colours.
-SPLAT_INLINE uint32_t place_of(const Views& views, const Shared& shared, int part, uint32_t index) {
+SPLAT_INLINE uint32_t location_of(const Views& views, const Shared& shared, int part, uint32_t index) {
     return WITH_PARTS ? index + place_of(views, shared.row, part).shift : index;
 }
 
@@ -78,7 +78,7 @@ struct Seen {
         const uint32_t index = uint32_t(key) & ((1u << INDEX_BITS) - 1);
         const int part = part_of(views, shared, index);
         camera = camera_of_part(views, shared, part);
-        at = place_of(views, shared, part, index);
+        at = location_of(views, shared, part, index);
         mean = scene.shapes[3 * size_t(at)];
         offset = {mean.x - camera.position[0], mean.y - camera.position[1], mean.z - camera.position[2]};
     }
@@ -207,23 +207,20 @@ struct Pixels {
     // Blend a slab, nearest first. A quarter of a warp takes the chunks in which its cell has splats, and these by
     // their bits.
     INLINE_MEMBER void blend_slab(const Shared& shared) {
-        const int first = (warp() * 4 + lane() / QUARTER) * PATCHES;
+        const int first = thread() / QUARTER * PATCHES;  // of its cells
 #pragma unroll
         for (int i = 0; i < PATCHES; ++i) {
             uint32_t chunks = active >> i & 1 ? shared.chunks[first + i] : 0, splats = 0;
-            int from = 0;  // the first splat of the chunk
-            const auto next_chunk = [&] {
-                const int chunk = __ffs(chunks) - 1;
-                chunks &= chunks - 1, from = chunk * WARP;
-                splats = shared.cells[chunk][first + i];
-                blended += __popc(splats);
-            };
-            if (chunks != 0) next_chunk();
-            while (splats != 0) {
-                const int at = from + __ffs(splats) - 1;
+            int begin = 0;  // of the chunk
+            while (chunks != 0 || splats != 0) {
+                if (splats == 0) {
+                    const int chunk = __ffs(chunks) - 1;
+                    splats = shared.cells[chunk][first + i], begin = chunk * WARP;
+                    chunks &= chunks - 1, blended += __popc(splats);
+                }
+                const int at = begin + __ffs(splats) - 1;
                 blend(shared.records[at], shared.depths[at], i);
                 splats &= splats - 1;
-                if (splats == 0 && chunks != 0) next_chunk();
             }
         }
         find_active();

@@ -6,6 +6,31 @@
 
 namespace splatrl {
 
+// The ellipse in which a splat shows, by its right edge: dx = center ± half where dy is known.
+struct FitEllipse {
+    float squared_reach;     // of u² + v²
+    float l12, l22, inverse_l11;
+    float height, tip;       // the largest dy; and dy where dx is largest
+
+    INLINE_MEMBER explicit FitEllipse(const FitSplat& splat) {
+        squared_reach = max(splat.log2_opacity - LOG2_INVISIBLE_ANTIALIASED, 0.0f) * 1.0002f + 1e-6f;
+        l12 = splat.l12, l22 = splat.l22, inverse_l11 = reciprocal(splat.l11);
+        const float inverse_l22 = reciprocal(l22), slope = l12 * inverse_l22;
+        height = square_root(squared_reach) * inverse_l22;
+        tip = -height * slope * reciprocal_sqrt(1.0f + slope * slope);
+    }
+
+    // The largest dx for dy in [low, high], which meets [-height, height]; the boundary is concave.
+    INLINE_MEMBER float right(float low, float high) const { return edge(min(max(tip, low), high), 1.0f); }
+    INLINE_MEMBER float left(float low, float high) const { return edge(min(max(-tip, low), high), -1.0f); }
+
+private:
+    INLINE_MEMBER float edge(float dy, float side) const {
+        const float v = l22 * dy;
+        return (side * square_root(max(squared_reach - v * v, 0.0f)) - l12 * dy) * inverse_l11;
+    }
+};
+
 // Calls `take` with each tile of a view on which a splat shows at the centre of some pixel; perhaps a few more.
 template <class Take>
 SPLAT_INLINE void for_tiles(const FitSplat& splat, const FitViews& views, Take take) {
@@ -13,10 +38,7 @@ SPLAT_INLINE void for_tiles(const FitSplat& splat, const FitViews& views, Take t
     const float right_edge = float(views.width) - 0.5f, lower_edge = float(views.height) - 0.5f;
     const float above = splat.y - splat.extent_y, below = splat.y + splat.extent_y;
     if (!(above <= lower_edge && below >= 0.5f)) return;
-    Footprint<float> print{};
-    print.l11 = splat.l11, print.l12 = splat.l12, print.l22 = splat.l22, print.log2_opacity = splat.log2_opacity;
-    Ellipse ellipse;
-    ellipse.of(print, LOG2_INVISIBLE_ANTIALIASED);
+    const FitEllipse ellipse(splat);
     const int first_row = int(max(above - 0.5f, 0.0f)) / FIT_TILE;
     const int last_row = int(min(below, lower_edge) - 0.5f) / FIT_TILE;
     for (int row = first_row; row <= last_row; ++row) {
