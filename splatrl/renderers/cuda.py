@@ -156,7 +156,7 @@ class CudaRenderer:
     def efforts(self, cameras: Cameras, parts: Parts | None = None) -> Tensor:
         """What it takes to draw each view: [B, 3] int32, counted while drawing it.
 
-        The columns count the candidates for its tiles, those that show, and blended pairs of one and a patch of 8×4
+        The columns count the candidates for its tiles, those that show, and blended pairs of one and a cell of 4×2
         pixels.
         """
         efforts = self._zeros(len(cameras), 3, dtype=torch.int32)

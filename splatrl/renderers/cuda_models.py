@@ -27,10 +27,7 @@ class _SceneArrays(ctypes.Structure):
     """``SceneArrays`` of cuda/tile.h, where all members are described."""
 
     _fields_ = (
-        *(
-            (name, ctypes.c_void_p)
-            for name in ("spheres", "indices", "shapes", "colors", "clusters", "group_bounds")
-        ),
+        *((name, ctypes.c_void_p) for name in ("spheres", "indices", "shapes", "colors", "clusters", "group_bounds")),
         ("background", ctypes.c_float * 3),
         ("tolerance", ctypes.c_float),
     )

@@ -6,9 +6,11 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
+from splatrl.faults import Faulty
 from splatrl.native import _core
-from splatrl.renderers.base import Renderer, RenderOutput, draw_only
-from splatrl.renderers.parts import ABSENT, Parts
+from splatrl.renderers.base import Renderer, RenderOutput, checked_only, draw_only
+from splatrl.renderers.device_album import DeviceAlbum
+from splatrl.renderers.parts import ABSENT, Parts, require_parts_of
 
 Column = tuple[int, int, int]
 """Address of values, bytes of a row, and bytes from one row to the next."""
@@ -52,33 +54,46 @@ class LatticeRenderer:
 
     Worth it where robots stand on a finite lattice of poses: in time every view is a copy. Where poses are continuous
     or noisy nothing repeats; use the renderer itself. When the memory is full, new views are rendered and not
-    remembered. Duplicates within a batch are rendered once. Pickles remember nothing.
+    remembered. Duplicates within a batch are rendered once, on a device until one of them is remembered. Pickles
+    remember nothing.
 
     Args:
         renderer: what renders the views that are not remembered.
-        max_bytes: bound on the remembered images; while they are copied to a larger tensor, the old one exists too.
+        max_bytes: bound on the remembered images; while they are copied to a larger tensor, the old one exists too. On
+            a device this much is taken at once for each size of images, keys included.
+        on_device: whether views are looked up where the cameras are, without the host reading anything, so that a step
+            can be captured in a CUDA graph: for a GPU. The renderer must take ``only`` the same way.
 
     Raises:
         ValueError: for a negative bound.
     """
 
-    def __init__(self, renderer: Renderer, max_bytes: int = 256 * 2**20) -> None:
+    def __init__(self, renderer: Renderer, max_bytes: int = 256 * 2**20, on_device: bool = False) -> None:
         if max_bytes < 0:
             raise ValueError(f"max_bytes: expected at least 0, got {max_bytes}")
         self.renderer = renderer
         self.max_bytes = max_bytes
+        self.on_device = on_device
         self._albums: dict[tuple[int, int, bool], _Album] = {}
+        self._on_device: dict[tuple[int, int, int], DeviceAlbum] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.renderer, self.max_bytes)
+        return type(self), (self.renderer, self.max_bytes, self.on_device)
 
     def __len__(self) -> int:
         """How many views are remembered."""
-        return sum(len(album.index) for album in self._albums.values())
+        on_device = sum(len(album) for album in self._on_device.values())
+        return on_device + sum(len(album.index) for album in self._albums.values())
 
     def bytes_held(self) -> int:
         """Memory that the remembered images take."""
-        return sum(album.bytes_held() for album in self._albums.values())
+        on_device = sum(album.images.nbytes for album in self._on_device.values())
+        return on_device + sum(album.bytes_held() for album in self._albums.values())
+
+    def raise_faults(self) -> None:
+        """Raise what the renderer refused since the last call; see ``Faulty``."""
+        if isinstance(self.renderer, Faulty):
+            self.renderer.raise_faults()
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera; nothing is remembered."""
@@ -87,7 +102,29 @@ class LatticeRenderer:
     @torch.compiler.disable
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         """[B, H, W, 3] uint8: remembered views are copied, others rendered; rows not in ``only`` are zero."""
+        if self.on_device:
+            return self._found(cameras, parts, only)
         return draw_only(self._recalled, cameras, parts, only)
+
+    def _found(self, cameras: Cameras, parts: Parts | None, only: Tensor | None) -> Tensor:
+        """What ``pixels`` gives, from the album of a device: the renderer draws what is not in it, and only that."""
+        if parts is not None:
+            require_parts_of(parts, cameras)
+        wanted = None if only is None else checked_only(only, cameras)
+        keys = _words(cameras, parts)
+        kind = cameras.width, cameras.height, keys.shape[1]
+        if kind not in self._on_device:
+            one = keys.new_empty(cameras.height, cameras.width, 3, dtype=torch.uint8)
+            self._on_device[kind] = DeviceAlbum(keys.shape[1], one, self.max_bytes)
+        album = self._on_device[kind]
+        if album.sets == 0 or len(cameras) == 0:
+            return self.renderer.pixels(cameras, parts, only)
+        places, known = album.find(keys)
+        fresh = ~known if wanted is None else wanted & ~known
+        drawn = self.renderer.pixels(cameras, parts, fresh)
+        album.add(keys, places, drawn, fresh)
+        recalled = known if wanted is None else wanted & known
+        return torch.where(recalled[:, None, None, None], album.images[places], drawn)
 
     def _recalled(self, cameras: Cameras, parts: Parts | None) -> Tensor:
         kind = cameras.width, cameras.height, parts is None  # a row without parts is not the scene where it stands
@@ -114,6 +151,17 @@ class LatticeRenderer:
 def _take(images: Tensor, rows: Tensor) -> Tensor:
     """A copy of some images; ``index_select`` copies a whole image at a time, indexing goes pixel by pixel."""
     return images.index_select(0, rows.to(images.device))
+
+
+def _words(cameras: Cameras, parts: Parts | None) -> Tensor:
+    """What tells views apart, where the cameras are: [B, words] int32."""
+    count = len(cameras)
+    values = [cameras.camera_to_world.float(), cameras.K.float().expand(count, 3, 3)]
+    if parts is not None:
+        absent = (parts.model == ABSENT)[..., None, None]
+        values += [parts.model_to_world.float().masked_fill(absent, 0.0)]
+    words = [value.contiguous().view(torch.int32).flatten(1) for value in values]
+    return torch.cat(words if parts is None else [*words, parts.model.int()], 1)
 
 
 def _values(cameras: Cameras, parts: Parts | None) -> list[tuple[Tensor, int, int]]:

@@ -16,7 +16,7 @@ from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.restart import restart
 from splatrl.envs.tasks import Fps, Grid, Task
 from splatrl.motions import ForwardMotion
-from splatrl.renderers import NativeRenderer
+from splatrl.renderers import LatticeRenderer, NativeRenderer
 from splatrl.renderers.cuda import CudaRenderer
 from tests.emulator import emulated
 from tests.envs.devices import NoHostReads
@@ -60,11 +60,12 @@ def make(request: pytest.FixtureRequest) -> Make:
     body = Box(BODY.size)
     if request.param == "gpu":
         device = request.getfixturevalue("cuda_device")
-        parts = CudaRenderer(tiny_gaussians(), device=device), CudaChecker(occupancy(), body, device)
-        return lambda name: env_of(name, device, *parts)
-    renderer = CudaRenderer(tiny_gaussians(), load=emulated)
-    checker = CudaChecker(occupancy(), body, load=emulated)
-    return lambda name: env_of(name, "cpu", renderer, checker)
+        renderer, checker = CudaRenderer(tiny_gaussians(), device=device), CudaChecker(occupancy(), body, device)
+    else:
+        device, renderer = "cpu", CudaRenderer(tiny_gaussians(), load=emulated)
+        checker = CudaChecker(occupancy(), body, load=emulated)
+    album = LatticeRenderer(renderer, 2**20, on_device=True)  # where views repeat
+    return lambda name: env_of(name, device, album if name == "grid" else renderer, checker)
 
 
 def walked(env: SplatEnv, steps: int) -> list[TensorDictBase]:

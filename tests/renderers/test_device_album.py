@@ -1,0 +1,128 @@
+"""Views that a device remembers, found without the host."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from splatrl.cameras import Cameras
+from splatrl.renderers import LatticeRenderer, NativeRenderer, Parts, RenderOutput
+from splatrl.renderers.device_album import WAYS, DeviceAlbum
+from tests.envs.devices import NoHostReads, Painter
+from tests.renderers.cases import random_cameras, random_gaussians
+from tests.renderers.parts_cases import at, placed, random_parts
+
+
+class Counting:
+    """A renderer that counts the rows it is asked to draw."""
+
+    def __init__(self) -> None:
+        self.renderer = NativeRenderer([random_gaussians(0, 100), random_gaussians(1, 30)], threads=1)
+        self.frames = 0
+
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
+        return self.renderer.render(cameras, parts, only)
+
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
+        self.frames += len(cameras) if only is None else int(only.sum())
+        return self.renderer.pixels(cameras, parts, only)
+
+
+def lattice_around(inner: Counting, max_bytes: int = 2**22) -> LatticeRenderer:
+    return LatticeRenderer(inner, max_bytes, on_device=True)
+
+
+def test_pixels_are_those_of_the_renderer_and_each_view_is_drawn_once() -> None:
+    inner, cameras = Counting(), random_cameras(1, 20)
+    lattice, expected = lattice_around(inner), inner.renderer.pixels(cameras)
+    g = torch.Generator().manual_seed(2)
+    for _ in range(30):
+        rows = torch.randperm(20, generator=g)[:7]
+        assert torch.equal(lattice.pixels(cameras[rows]), expected[rows])
+    assert inner.frames == len(lattice) == 20
+    assert 0 < lattice.bytes_held() <= 2**22
+
+
+def test_of_several_rows_with_one_view_one_is_remembered() -> None:
+    inner, cameras = Counting(), random_cameras(1, 3)
+    lattice, rows = lattice_around(inner), torch.tensor([2, 0, 2, 2, 1, 0])
+    for frames in (6, 6):
+        assert torch.equal(lattice.pixels(cameras[rows]), inner.renderer.pixels(cameras[rows]))
+        assert inner.frames == frames
+    assert len(lattice) == 3
+
+
+def test_views_for_one_place_are_remembered_one_after_another_until_their_set_is_full() -> None:
+    inner, cameras = Counting(), random_cameras(1, WAYS + 4)
+    lattice, expected = lattice_around(inner, WAYS * (37 * 22 * 3 + 4 * 25)), inner.renderer.pixels(cameras)
+    for turn in range(WAYS + 6):  # one set, so one view a turn
+        assert torch.equal(lattice.pixels(cameras), expected)
+        assert len(lattice) == min(turn + 1, WAYS)
+    before = inner.frames
+    assert torch.equal(lattice.pixels(cameras), expected)
+    assert inner.frames == before + 4
+
+
+def test_rows_that_are_not_asked_for_are_zero_and_not_remembered() -> None:
+    inner, cameras = Counting(), random_cameras(1, 4)
+    lattice, expected = lattice_around(inner), inner.renderer.pixels(cameras)
+    only = torch.tensor([True, False, True, False])
+    for _ in range(2):
+        assert torch.equal(lattice.pixels(cameras, only=only), expected * only.view(-1, 1, 1, 1))
+    assert inner.frames == len(lattice) == 2
+    assert torch.equal(lattice.pixels(cameras), expected)
+    assert torch.equal(lattice.pixels(cameras, only=~only), expected * ~only.view(-1, 1, 1, 1))
+    assert inner.frames == 4
+    with pytest.raises(ValueError, match=r"only: expected \[4\] torch.bool"):
+        lattice.pixels(cameras, only=only.long())
+
+
+def test_another_lens_size_or_place_of_a_part_is_another_view() -> None:
+    inner, cameras = Counting(), random_cameras(1, 2, 16, 12)
+    lattice = lattice_around(inner)
+    wider = Cameras(cameras.camera_to_world, cameras.K, 17, 12)
+    longer = Cameras(cameras.camera_to_world, cameras.K * torch.tensor([[1.1], [1.1], [1.0]]), 16, 12)
+    shown = [(one, None) for one in (cameras, wider, longer)]
+    shown += [(cameras, placed(2, (0, at(0.0)), (1, at(x)))) for x in (0.2, 0.3)]
+    shown += [(cameras, placed(2, (0, at(0.0)))), (cameras, placed(2, (0, at(0.0)), (0, at(0.2))))]
+    for number, (view, parts) in enumerate([*shown, *shown]):
+        assert torch.equal(lattice.pixels(view, parts), inner.renderer.pixels(view, parts))
+        assert inner.frames == 2 * min(number + 1, len(shown))
+
+
+def test_where_an_absent_part_would_stand_makes_no_other_view() -> None:
+    inner, cameras = Counting(), random_cameras(1, 3)
+    lattice, parts = lattice_around(inner), placed(3, (1, at(0.1)), (-1, at(0.0)))
+    expected = lattice.pixels(cameras, parts)
+    parts.model_to_world[:, 1] = torch.nan
+    assert torch.equal(lattice.pixels(cameras, parts), expected) and inner.frames == 3
+    with pytest.raises(ValueError, match=r"parts\.model: expected \[3, M\]"):
+        lattice.pixels(cameras, random_parts(2, 4))
+
+
+def test_without_memory_or_rows_it_is_the_renderer() -> None:
+    inner, cameras = Counting(), random_cameras(1, 3)
+    for max_bytes in (0, 2**22):
+        lattice = lattice_around(inner, max_bytes)
+        assert lattice.pixels(cameras[:0]).shape == (0, 22, 37, 3)
+        assert torch.equal(lattice.pixels(cameras), inner.renderer.pixels(cameras))
+        assert len(lattice) == (3 if max_bytes else 0)
+
+
+def test_the_host_reads_nothing() -> None:
+    lattice, cameras = LatticeRenderer(Painter(), 2**22, on_device=True), random_cameras(1, 9)
+    expected = Painter().pixels(cameras)
+    with NoHostReads():
+        seen = [lattice.pixels(cameras), lattice.pixels(cameras, only=cameras.camera_to_world[:, 0, 3] > 0)]
+    assert torch.equal(seen[0], expected) and torch.equal(lattice.pixels(cameras), expected)
+
+
+def test_keys_of_one_hash_are_told_apart() -> None:
+    album = DeviceAlbum(2, torch.zeros(1, 1, 3, dtype=torch.uint8), 10**4)
+    album._factors.zero_()  # every key has the same hash
+    keys, images = torch.arange(10, dtype=torch.int32).view(5, 2), torch.arange(15, dtype=torch.uint8).view(5, 1, 1, 3)
+    for _ in range(5):
+        places, known = album.find(keys)
+        album.add(keys, places, images, ~known)
+    places, known = album.find(keys)
+    assert known.all() and torch.equal(album.images[places], images)
+    assert not album.find(keys + 1)[1].any()
