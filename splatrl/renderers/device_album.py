@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 WAYS = 16
-"""Places in which an image may be. With half of all taken one image in 1,200 finds none, what exceeds 16 of Poisson(8)."""
+"""Places in which an image may be. With half of all taken one image in 1,200 finds none: Poisson(8) beyond 16."""
 
 
 class DeviceAlbum:
