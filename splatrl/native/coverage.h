@@ -3,6 +3,7 @@
 
 #include <cstdint>
 
+#include "passes.h"
 #include "scalars.h"
 #include "splat.h"
 
@@ -12,13 +13,13 @@ constexpr int SMALL_TILE = 32;                    // width and height of a tile,
 constexpr int CELL_WIDTH = 4, CELL_HEIGHT = 2;    // 8 pixels: a quarter of the lanes of a warp
 constexpr int CELLS_ACROSS = SMALL_TILE / CELL_WIDTH, CELLS_DOWN = SMALL_TILE / CELL_HEIGHT;
 constexpr int CELLS = CELLS_ACROSS * CELLS_DOWN;  // of a tile
-constexpr int BLOCK_CELLS = 4;                    // 4×4 cells, 16×8 pixels, belong to one warp
+constexpr uint32_t BLOCK_CELLS = 4;               // 4×4 cells, 16×8 pixels, belong to one warp
 
 // Cells are numbered warp by warp; those of a warp by where they are in a patch of 2×2 cells, and then patch by patch,
 // so that one quarter of its lanes finds its cells of all four patches side by side.
-SPLAT_INLINE int cell_number(int column, int row) {
-    const int warp = row / BLOCK_CELLS * (CELLS_ACROSS / BLOCK_CELLS) + column / BLOCK_CELLS;
-    const int quarter = row % 2 * 2 + column % 2, patch = row % BLOCK_CELLS / 2 * 2 + column % BLOCK_CELLS / 2;
+SPLAT_INLINE uint32_t cell_number(uint32_t column, uint32_t row) {
+    const uint32_t warp = row / BLOCK_CELLS * (CELLS_ACROSS / BLOCK_CELLS) + column / BLOCK_CELLS;
+    const uint32_t quarter = row % 2 * 2 + column % 2, patch = row / 2 % 2 * 2 + column / 2 % 2;
     return (warp * 4 + quarter) * 4 + patch;
 }
 
@@ -70,11 +71,14 @@ SPLAT_INLINE void for_each_cell(const Ellipse& ellipse, const Show& show) {
     const Stretch lines = ellipse.lines();
     if (lines.empty()) return;
     for (int row = lines.first / CELL_HEIGHT; row <= lines.last / CELL_HEIGHT; ++row) {
+        PASS(row);
         const Stretch upper = ellipse.pixels(CELL_HEIGHT * row), lower = ellipse.pixels(CELL_HEIGHT * row + 1);
         const int first = upper.first < lower.first ? upper.first : lower.first;
         const int last = upper.last > lower.last ? upper.last : lower.last;
-        for (int column = first / CELL_WIDTH; first <= last && column <= last / CELL_WIDTH; ++column)
-            show(cell_number(column, row));
+        for (int column = first / CELL_WIDTH; first <= last && column <= last / CELL_WIDTH; ++column) {
+            PASS(cell);
+            show(cell_number(uint32_t(column), uint32_t(row)));
+        }
     }
 }
 

@@ -30,6 +30,8 @@ _FLAGS = [
     "-ffp-contract=fast",
     "-U_FORTIFY_SOURCE",
 ]
+PASSES = tuple(re.findall(r"^    (\w+),  +//", (NATIVE / "passes.h").read_text(), re.MULTILINE))
+"""The members of ``Pass``, in their order."""
 _KERNEL = re.compile(r"__global__\s+void\s+(?:__launch_bounds__\([^)]*\)\s*)?(\w+)\s*\(")
 
 
@@ -58,6 +60,17 @@ class EmulatedKernels:
             ctypes.c_uint64,
         ]
         self.seed = 0
+        self.counts = "COUNT_PASSES" in defines
+
+    def passes(self) -> dict[str, tuple[int, int]]:
+        """How often warps came by each ``Pass`` (passes.h) since this was last asked, and how many lanes in all."""
+        assert self.counts, "expected kernels that were loaded by `counted`"
+        row = ctypes.c_uint64 * len(PASSES)
+        warps, lanes = (row.in_dll(self._library, f"passes_of_{what}") for what in ("warps", "lanes"))
+        found = dict(zip(PASSES, zip(warps, lanes, strict=True), strict=True))
+        for counts in (warps, lanes):
+            ctypes.memset(counts, 0, ctypes.sizeof(row))
+        return found
 
     def resident(self, name: str, threads: int, shared: int = 0) -> int:
         """One block."""
@@ -74,6 +87,11 @@ class EmulatedKernels:
 def emulated(source: str | Path, defines: Mapping[str, int] | None = None) -> EmulatedKernels:
     """The kernels of a source on the CPU."""
     return EmulatedKernels(source, defines or {})
+
+
+def counted(source: str | Path, defines: Mapping[str, int] | None = None) -> EmulatedKernels:
+    """The kernels of a source on the CPU, which count: see ``EmulatedKernels.passes``."""
+    return EmulatedKernels(source, {**(defines or {}), "COUNT_PASSES": len(PASSES)})
 
 
 @functools.cache

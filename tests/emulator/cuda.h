@@ -62,6 +62,9 @@ struct Fiber {
     bool started = false, finished = false;
     Index thread;
     unsigned collectives = 0;
+#ifdef COUNT_PASSES
+    uint64_t passes[COUNT_PASSES] = {};  // since its warp met last
+#endif
 };
 
 struct Block {
@@ -93,8 +96,33 @@ inline void yield() {
     if (_setjmp(running->state) == 0) _longjmp(scheduler, 1);
 }
 
-// Wait until `count` fibers have arrived.
-inline void meet(Barrier& barrier, unsigned count, int vote = 0) {
+#ifdef COUNT_PASSES
+
+// Times that warps came by each place that is counted, which is as often as the busiest lane of each; and lanes.
+extern "C" inline uint64_t passes_of_warps[COUNT_PASSES] = {}, passes_of_lanes[COUNT_PASSES] = {};
+
+#define PASS(what) (++emulator::running->passes[int(splatrl::Pass::what)])
+
+// Add up what the threads of warps have counted since they met last.
+inline void add_passes(unsigned begin, unsigned end) {
+    for (unsigned first = begin; first < end; first += LANES)
+        for (int what = 0; what < COUNT_PASSES; ++what) {
+            uint64_t most = 0;
+            for (unsigned i = first; i < end && i < first + LANES; ++i) {
+                uint64_t& count = here->fibers[i].passes[what];
+                most = most > count ? most : count;
+                passes_of_lanes[what] += count, count = 0;
+            }
+            passes_of_warps[what] += most;
+        }
+}
+
+#else
+inline void add_passes(unsigned, unsigned) {}
+#endif
+
+// Wait until `count` fibers have arrived, the first of which has this number.
+inline void meet(Barrier& barrier, unsigned count, unsigned first_thread, int vote = 0) {
     barrier.any |= vote != 0, barrier.every &= vote != 0;
     const unsigned turn = barrier.passed;
     if (++barrier.waiting == count) {
@@ -102,6 +130,7 @@ inline void meet(Barrier& barrier, unsigned count, int vote = 0) {
         barrier.any_before = barrier.any, barrier.every_before = barrier.every;
         barrier.any = 0, barrier.every = 1;
         ++barrier.passed, ++moves;
+        add_passes(first_thread, first_thread + count);
         return;
     }
     while (barrier.passed == turn) yield();
@@ -120,7 +149,7 @@ inline const uint64_t* exchange(unsigned mask, uint64_t value) {
     if (warp_size() != LANES) fail("expected whole warps");
     uint64_t* values = warp().values[running->collectives++ % 2];
     values[running->thread.x % LANES] = value;
-    meet(warp().barrier, LANES);
+    meet(warp().barrier, LANES, running->thread.x / LANES * LANES);
     return values;
 }
 
@@ -233,13 +262,13 @@ void launch(void (*kernel)(A...), unsigned blocks, unsigned count, void** argume
     static_assert(sizeof(T) <= emulator::MOST_SHARED, "too much shared memory"); \
     T& name = *reinterpret_cast<T*>(emulator::here->shared_memory)
 
-static inline void __syncthreads() { emulator::meet(emulator::here->barrier, emulator::here->alive); }
+static inline void __syncthreads() { emulator::meet(emulator::here->barrier, emulator::here->alive, 0); }
 static inline int __syncthreads_or(int vote) {
-    emulator::meet(emulator::here->barrier, emulator::here->alive, vote);
+    emulator::meet(emulator::here->barrier, emulator::here->alive, 0, vote);
     return emulator::here->barrier.any_before;
 }
 static inline int __syncthreads_and(int vote) {
-    emulator::meet(emulator::here->barrier, emulator::here->alive, vote);
+    emulator::meet(emulator::here->barrier, emulator::here->alive, 0, vote);
     return emulator::here->barrier.every_before;
 }
 static inline void __syncwarp(unsigned mask = 0xffffffffu) { emulator::exchange(mask, 0); }

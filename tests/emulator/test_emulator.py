@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from tests.emulator import emulated
+from tests.emulator import PASSES, counted, emulated
 
 SUMS = """
 #include "platform.h"
@@ -44,6 +44,26 @@ extern "C" __global__ void turns(int* next, int* out, int count) {
         if (shared.taken >= count) return;
         if (threadIdx.x == 0) out[shared.taken] = blockIdx.x;
     }
+}
+"""
+LOOPS = """
+#include "platform.h"
+#include "passes.h"
+extern "C" __global__ void loops(int* out) {
+    int sum = 0;
+    for (unsigned i = 0; i < threadIdx.x % WARP; ++i) {
+        PASS(row);
+        sum += i;
+    }
+    __syncwarp();
+    if (threadIdx.x < 3) {
+        PASS(row);
+        PASS(cell);
+    }
+    __syncthreads();
+    if (threadIdx.x == 40) PASS(pair);
+    out[threadIdx.x] = sum;
+    __syncthreads();
 }
 """
 HALF_A_WARP = """
@@ -99,3 +119,13 @@ def test_threads_that_never_come_end_the_program(
     child.start()
     child.join()
     assert child.exitcode == -signal.SIGABRT and said in capfd.readouterr().err
+
+
+def test_passes_are_those_of_the_busiest_lane_between_two_meetings(tmp_path: Path) -> None:
+    kernels = counted(source(tmp_path, LOOPS))
+    kernels.launch("loops", 1, 64, torch.zeros(64, dtype=torch.int32))
+    found = kernels.passes()
+    assert found["row"] == (2 * 31 + 1, 2 * sum(range(32)) + 3)
+    assert (found["cell"], found["pair"], found["key"]) == ((1, 3), (1, 1), (0, 0))
+    assert not any(sum(counts) for counts in kernels.passes().values())  # they begin anew
+    assert PASSES[0] == "node" and PASSES[-1] == "pair"

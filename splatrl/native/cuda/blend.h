@@ -9,6 +9,7 @@ namespace splatrl {
 
 constexpr int PATCHES = 4;                   // of a warp
 constexpr int QUARTER = WARP / 4;            // lanes that share a cell
+constexpr uint32_t FIRST = 1u << 31;         // the bit of the first of 32 splats, or chunks: the highest is found soonest
 static_assert(CELL_WIDTH * CELL_HEIGHT == QUARTER, "a lane for each pixel of a cell");
 
 // The half floats of a colour, seen along `offset` and relative to the background, beside the peak of its splat.
@@ -102,6 +103,7 @@ SPLAT_INLINE uint32_t project_slab(const SceneArrays& scene, const Views& views,
         Footprint<float> print{};
         bool shows = false;
         if (i < count) {
+            PASS(project);
             print = Seen(scene, views, shared, key).footprint(scene, log2_invisible);
             shows = may_show(print, shared.tile, log2_invisible);
         }
@@ -135,17 +137,18 @@ SPLAT_INLINE void color_slab(const SceneArrays& scene, const Views& views, Share
         for (int cell = lane(); cell < CELLS; cell += WARP) cells[cell] = 0;
         __syncwarp();
         if (i < count) {
+            PASS(color);
             Record record = shared.records[i];
             const Seen seen(scene, views, shared, shared.sorted[i]);
             add_color(scene, seen.at, seen.offset, __uint_as_float(record.peak_red), record);
             shared.records[i].peak_red = record.peak_red, shared.records[i].green_blue = record.green_blue;
             const Ellipse ellipse(record.x - float(shared.tile.left), record.y - float(shared.tile.top), record.l11,
                                   record.l12, record.l22, record.log2_opacity - log2_invisible);
-            for_each_cell(ellipse, [&](int cell) { atomicOr(&cells[cell], 1u << lane()); });
+            for_each_cell(ellipse, [&](int cell) { atomicOr(&cells[cell], FIRST >> lane()); });
         }
         __syncwarp();
         for (int cell = lane(); cell < CELLS; cell += WARP)
-            if (cells[cell] != 0) atomicOr(&shared.chunks[cell], 1u << chunk);
+            if (cells[cell] != 0) atomicOr(&shared.chunks[cell], FIRST >> chunk);
     }
     __syncthreads();
 }
@@ -214,14 +217,17 @@ struct Pixels {
             int begin = 0;  // of the chunk
             while (chunks != 0 || splats != 0) {
                 if (splats == 0) {
-                    const int chunk = __ffs(chunks) - 1;
+                    PASS(chunk);
+                    const int chunk = __clz(chunks);
                     splats = shared.cells[chunk][first + i], begin = chunk * WARP;
-                    chunks &= chunks - 1, blended += __popc(splats);
+                    chunks &= ~(FIRST >> chunk), blended += __popc(splats);
                 }
-                const int at = begin + __ffs(splats) - 1;
-                blend(shared.records[at], shared.depths[at], i);
-                splats &= splats - 1;
+                PASS(pair);
+                const int next = __clz(splats);
+                blend(shared.records[begin + next], shared.depths[begin + next], i);
+                splats &= ~(FIRST >> next);
             }
+            __syncwarp();  // or quarters drift apart
         }
         find_active();
     }

@@ -38,6 +38,7 @@ SPLAT_INLINE void cull(const SceneArrays& scene, const Views& views, Shared& sha
         const uint32_t* here = nodes + size_t(side) * capacity;
         uint32_t* below = nodes + size_t(side ^ 1) * capacity;
         for (uint32_t i = thread(); i < shared.frontier[side]; i += THREADS) {
+            PASS(node);
             const Node at{here[i]};
             const Cluster node = scene.clusters[at.cluster()];
             const View& view = shared.views[at.part()];
@@ -116,6 +117,7 @@ SPLAT_INLINE void find_candidates(const SceneArrays& scene, Shared& shared, cons
         int part = 0;
         bool seen = false;
         if (first + half < shared.accepted) {
+            PASS(groups);
             const Node node{accepted[first + half]};
             const uint32_t at = node.cluster();
             part = node.part(), first_group = scene.clusters[at].first_group;
@@ -124,7 +126,10 @@ SPLAT_INLINE void find_candidates(const SceneArrays& scene, Shared& shared, cons
         uint32_t left = __ballot_sync(ALL_LANES, seen) >> (half * GROUP) & 0xffffu;
         while (__any_sync(ALL_LANES, left != 0)) {
             Key key = NO_KEY;
-            if (left != 0) key = candidate(scene, shared, part, (first_group + __ffs(left) - 1) * GROUP + member);
+            if (left != 0) {
+                PASS(test);
+                key = candidate(scene, shared, part, (first_group + __ffs(left) - 1) * GROUP + member);
+            }
             left &= left - 1;
             append(shared, keys, key);
             if (key != NO_KEY) low = key < low ? key : low, high = key > high ? key : high;

@@ -45,27 +45,36 @@ SPLAT_INLINE uint32_t sum_up(Shared& shared, uint32_t* counts) {
     return all;
 }
 
-// Count the keys of a range into counts [BUCKETS].
-SPLAT_INLINE void count_keys(uint32_t* counts, const Key* keys, uint32_t count, const Cut& cut) {
+// Count the keys of a range into counts [BUCKETS]. Returns the most that this thread found in a bucket before it added
+// its own.
+SPLAT_INLINE uint32_t count_keys(uint32_t* counts, const Key* keys, uint32_t count, const Cut& cut) {
+    uint32_t most = 0;
     for (int i = thread(); i < BUCKETS; i += THREADS) counts[i] = 0;
     __syncthreads();
     for (uint32_t i = thread(); i < count; i += THREADS) {
+        PASS(key);
         const Key key = keys[i];
-        if (key >= cut.low && key <= cut.high) atomicAdd(&counts[cut.bucket(key)], 1u);
+        if (key < cut.low || key > cut.high) continue;
+        const uint32_t before = atomicAdd(&counts[cut.bucket(key)], 1u);
+        most = before > most ? before : most;
     }
     __syncthreads();
+    return most;
 }
 
-// Copy keys from `from` to `to` in the order of their buckets; `ends` [BUCKETS] says where each bucket ends.
-SPLAT_INLINE void deal_to_buckets(Shared& shared, const Key* from, Key* to, uint32_t count, const Cut& cut,
-                                  uint32_t* ends) {
-    count_keys(ends, from, count, cut);
+// Copy keys from `from` to `to` in the order of their buckets; `ends` [BUCKETS] says where each bucket ends. Returns what
+// count_keys does.
+SPLAT_INLINE uint32_t deal_to_buckets(Shared& shared, const Key* from, Key* to, uint32_t count, const Cut& cut,
+                                      uint32_t* ends) {
+    const uint32_t most = count_keys(ends, from, count, cut);
     sum_up(shared, ends);
     for (uint32_t i = thread(); i < count; i += THREADS) {
+        PASS(key);
         const Key key = from[i];
         to[atomicAdd(&ends[cut.bucket(key)], 1u)] = key;
     }
     __syncthreads();
+    return most;
 }
 
 // Sort all of shared.sorted, whatever its keys: a bitonic sort in which each thread holds neighbours and exchanges them
@@ -115,32 +124,28 @@ SPLAT_INLINE void find_range(Shared& shared, Key low, Key high) {
     __syncthreads();
 }
 
-// Sort the first `count` of shared.sorted. They are dealt to buckets of their own range, where each key finds its place
-// by comparison with the others of its bucket; where one bucket holds too many for that, they are sorted by exchange.
-SPLAT_INLINE void sort_slab(Shared& shared, uint32_t count) {
+// Sort the first `count` of shared.sorted, which are within the cut. They are dealt to its buckets, where each key finds
+// its place by comparison with the others of its bucket; where one bucket holds too many for that, they are sorted by
+// exchange.
+SPLAT_INLINE void sort_slab(Shared& shared, uint32_t count, const Cut& cut) {
     constexpr uint32_t CROWD = 48;
-    Key low = NO_KEY, high = 0;
-    for (uint32_t i = thread(); i < count; i += THREADS) {
-        const Key key = shared.sorted[i];
-        low = key < low ? key : low, high = key > high ? key : high;
-    }
-    find_range(shared, low, high);
-    const Cut cut(shared.low, shared.high);
     const uint32_t* ends = shared.histogram;
-    deal_to_buckets(shared, shared.sorted, shared.dealt, count, cut, shared.histogram);
-    int crowded = 0;
-    for (int i = thread(); i < BUCKETS; i += THREADS) crowded |= ends[i] - (i == 0 ? 0 : ends[i - 1]) > CROWD;
-    if (__syncthreads_or(crowded)) {
+    const uint32_t most = deal_to_buckets(shared, shared.sorted, shared.dealt, count, cut, shared.histogram);
+    if (__syncthreads_or(most >= CROWD)) {
         for (uint32_t i = count + thread(); i < SLAB; i += THREADS) shared.sorted[i] = NO_KEY;
         sort_by_exchange(shared);
         return;
     }
     for (uint32_t i = thread(); i < count; i += THREADS) {
+        PASS(place);
         const Key key = shared.dealt[i];
         const int bucket = cut.bucket(key);
         const uint32_t first = bucket == 0 ? 0 : ends[bucket - 1], end = ends[bucket];
         uint32_t place = first;
-        for (uint32_t other = first; other < end; ++other) place += shared.dealt[other] < key;
+        for (uint32_t other = first; other < end; ++other) {
+            PASS(compare);
+            place += shared.dealt[other] < key;
+        }
         shared.sorted[place] = key;
     }
     __syncthreads();
@@ -158,6 +163,16 @@ SPLAT_INLINE int behind_last(const uint32_t* numbers, int first, int end, uint32
     return first;
 }
 
+// The same by a warp whose lanes all ask for it: soonest where the answer is near.
+SPLAT_INLINE int behind_last_by_warp(const uint32_t* numbers, int first, int end, uint32_t limit) {
+    for (; first < end; first += WARP) {
+        const int at = first + lane();
+        const uint32_t lanes = __ballot_sync(ALL_LANES, at < end && numbers[at] <= limit);
+        if (lanes != ALL_LANES) return first + __popc(lanes);
+    }
+    return end;
+}
+
 // Where to cut keys in [from, last] so that those before the cut fit into a slab.
 SPLAT_INLINE Key fitting_cut(Shared& shared, const Key* keys, uint32_t count, Key from, Key last) {
     for (;;) {
@@ -165,7 +180,7 @@ SPLAT_INLINE Key fitting_cut(Shared& shared, const Key* keys, uint32_t count, Ke
         count_keys(shared.histogram, keys, count, cut);
         const uint32_t all = sum_up(shared, shared.histogram);
         if (all <= SLAB) return last + 1;
-        const int whole = behind_last(shared.histogram, 0, BUCKETS, SLAB) - 1;  // buckets before it fit into the slab
+        const int whole = behind_last_by_warp(shared.histogram, 0, BUCKETS, SLAB) - 1;  // what is before it fits
         __syncthreads();
         if (whole > 0) return cut.begin(whole);
         last = cut.begin(1) - 1;
@@ -177,6 +192,7 @@ SPLAT_INLINE uint32_t gather(Shared& shared, const Key* keys, uint32_t count, Ke
     if (thread() == 0) shared.gathered = 0;
     __syncthreads();
     for (uint32_t i = thread(); i < count; i += THREADS) {
+        PASS(key);
         const Key key = keys[i];
         if (key >= from && key < until) shared.sorted[atomicAdd(&shared.gathered, 1u)] = key;
     }
@@ -201,7 +217,7 @@ SPLAT_INLINE void begin_slabs(Shared& shared, Key* both, int capacity) {
 // Advance to as many buckets as fit into a slab, or to a single one that does not.
 SPLAT_INLINE void take_buckets(const Shared& shared, Slabs& slabs) {
     const Cut cut(slabs.low, slabs.high);
-    const int first = slabs.bucket, behind = behind_last(shared.ends, first, BUCKETS, slabs.end + SLAB);
+    const int first = slabs.bucket, behind = behind_last_by_warp(shared.ends, first, BUCKETS, slabs.end + SLAB);
     slabs.bucket = behind > first ? behind : first + 1;
     slabs.begin = slabs.end, slabs.end = shared.ends[slabs.bucket - 1];
     slabs.from = cut.begin(first), slabs.last = cut.begin(slabs.bucket) - 1;
@@ -210,6 +226,7 @@ SPLAT_INLINE void take_buckets(const Shared& shared, Slabs& slabs) {
 // Bring the next slab, nearest first, to shared.sorted. Returns its size, 0 after the last one. The progress
 // is kept in shared memory, because blending needs the registers.
 SPLAT_INLINE uint32_t next_slab(Shared& shared) {
+    PASS(slab);
     Slabs slabs = shared.slabs;
     uint32_t some = 0;
     while (some == 0 && (slabs.from <= slabs.last || slabs.end < slabs.count)) {
@@ -218,9 +235,9 @@ SPLAT_INLINE uint32_t next_slab(Shared& shared) {
         const uint32_t count = slabs.end - slabs.begin;
         const Key until = count <= SLAB ? slabs.last + 1 : fitting_cut(shared, keys, count, slabs.from, slabs.last);
         some = gather(shared, keys, count, slabs.from, until);
+        if (some > 0) sort_slab(shared, some, Cut(slabs.from, until - 1));
         slabs.from = until;
     }
-    if (some > 0) sort_slab(shared, some);
     if (thread() == 0) shared.slabs = slabs;
     return some;
 }
