@@ -36,8 +36,8 @@ INSTRUCTIONS = {
     "compare": 12,
     "project": 254,
     "color": 300,
-    "row": 55,
-    "cell": 25,
+    "row": 44,
+    "cell": 20,
     "chunk": 13,
     "pair": 35,
 }

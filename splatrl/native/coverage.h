@@ -30,20 +30,21 @@ struct Stretch {
     INLINE_MEMBER bool empty() const { return last < first; }
 };
 
-// Those whose centres, at halves, are within `half` of `middle`; perhaps one more on either side, never fewer.
-SPLAT_INLINE Stretch stretch_of(float middle, float half) {
+// Those whose centres, at halves, are from `low` to `high`; perhaps one more on either side, never fewer.
+SPLAT_INLINE Stretch stretch_of(float low, float high) {
     constexpr float SLACK = 1e-3f;  // pixels: covers the rounding of what is asked
     constexpr float MOST = float(SMALL_TILE);
-    const float from = min(max(middle - half - (0.5f + SLACK), 0.0f), MOST);
-    const float until = min(max(middle + half + (0.5f + SLACK), 0.0f), MOST);
+    const float from = min(max(low - (0.5f + SLACK), 0.0f), MOST);
+    const float until = min(max(high + (0.5f + SLACK), 0.0f), MOST);
     return {SMALL_TILE - int(MOST - from), int(until) - 1};  // rounded up, and down
 }
 
 // Whether a splat may show on a tile: whether there is a pixel in its box.
 SPLAT_INLINE bool may_show(const Footprint<float>& print, const Tile& tile, float log2_invisible) {
+    const float x = print.x - float(tile.left), y = print.y - float(tile.top);
     return print.log2_opacity > log2_invisible && print.depth >= NEAR_DEPTH &&
-           !stretch_of(print.x - float(tile.left), print.extent_x).empty() &&
-           !stretch_of(print.y - float(tile.top), print.extent_y).empty();
+           !stretch_of(x - print.extent_x, x + print.extent_x).empty() &&
+           !stretch_of(y - print.extent_y, y + print.extent_y).empty();
 }
 
 // The ellipse in which a splat is visible, seen from the corner of a tile.
@@ -56,12 +57,20 @@ struct Ellipse {
         slant = l12 * inverse_l11;
     }
 
-    INLINE_MEMBER Stretch lines() const { return stretch_of(y, square_root(squared_reach) * reciprocal(l22)); }
+    INLINE_MEMBER Stretch lines() const {
+        const float half = square_root(squared_reach) * reciprocal(l22);
+        return stretch_of(y - half, y + half);
+    }
 
-    // Its pixels in a line.
-    INLINE_MEMBER Stretch pixels(int line) const {
-        const float dy = float(line) + 0.5f - y, v = l22 * dy;
-        return stretch_of(x - slant * dy, square_root(max(squared_reach - v * v, 0.0f)) * inverse_l11);
+    // Its pixels in a row of cells.
+    INLINE_MEMBER Stretch pixels(int row) const {
+        float left = float(SMALL_TILE), right = 0.0f;
+        for (int line = 0; line < CELL_HEIGHT; ++line) {
+            const float dy = float(CELL_HEIGHT * row + line) + 0.5f - y, v = l22 * dy, middle = x - slant * dy;
+            const float half = square_root(max(squared_reach - v * v, 0.0f)) * inverse_l11;
+            left = min(left, middle - half), right = max(right, middle + half);
+        }
+        return stretch_of(left, right);
     }
 };
 
@@ -72,10 +81,9 @@ SPLAT_INLINE void for_each_cell(const Ellipse& ellipse, const Show& show) {
     if (lines.empty()) return;
     for (int row = lines.first / CELL_HEIGHT; row <= lines.last / CELL_HEIGHT; ++row) {
         PASS(row);
-        const Stretch upper = ellipse.pixels(CELL_HEIGHT * row), lower = ellipse.pixels(CELL_HEIGHT * row + 1);
-        const int first = upper.first < lower.first ? upper.first : lower.first;
-        const int last = upper.last > lower.last ? upper.last : lower.last;
-        for (int column = first / CELL_WIDTH; first <= last && column <= last / CELL_WIDTH; ++column) {
+        const Stretch pixels = ellipse.pixels(row);
+        if (pixels.empty()) continue;
+        for (int column = pixels.first / CELL_WIDTH; column <= pixels.last / CELL_WIDTH; ++column) {
             PASS(cell);
             show(cell_number(uint32_t(column), uint32_t(row)));
         }

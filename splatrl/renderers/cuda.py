@@ -19,8 +19,6 @@ from splatrl.scenes.scene import Scene
 
 BLOCK_THREADS, SHARED_BYTES = 256, 40 * 1024
 """Threads and shared memory of a block, which draws one tile at a time."""
-BLOCKS_A_MULTIPROCESSOR = 4
-"""Blocks that the compiler leaves enough registers for."""
 TILE = 32
 """Width and height of a tile, pixels."""
 
@@ -40,7 +38,6 @@ def kernel_defines(antialiased: bool, sh_degree: int, levels: bool, parts: bool 
         "SH_DEGREE": sh_degree,
         "MOST_PARTS": MOST_PARTS if parts else 0,
         "BLOCK_THREADS": BLOCK_THREADS,
-        "BLOCKS_A_MULTIPROCESSOR": BLOCKS_A_MULTIPROCESSOR,
         "SHARED_BYTES": SHARED_BYTES,
     }
 

@@ -76,6 +76,11 @@ def test_the_fit_keeps_all_it_computes_in_registers(defines: dict[str, int], arc
     assert spilled == [("0", "0")] * 8
 
 
+def test_where_shared_memory_is_small_a_block_has_registers_for_all_it_computes() -> None:
+    _, log = kept("render", "sm_120", SOURCES["render"][0])
+    assert re.findall(r"(\d+) bytes stack frame, (\d+) bytes spill stores", log) == [("0", "0")] * 2
+
+
 def test_a_kernel_is_compiled_once_and_says_so(cache: Path, sources: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first = compiled("double", "sm_90")
     assert "compiling double.cu for sm_90, once" in capsys.readouterr().err

@@ -1,5 +1,5 @@
-// From sorted keys to pixels. Each warp holds four patches of 8×4 pixels in its registers, a pixel of each in a lane; each
-// quarter of its lanes goes through the splats of its own cell of a patch, so that narrow splats leave few lanes idle.
+// From sorted keys to pixels. Each warp holds four patches of 8×4 pixels in its registers, a pixel of each in a lane;
+// each quarter of its lanes goes through the splats of its own cell of a patch: narrow splats leave fewer lanes idle.
 #pragma once
 
 #include "order.h"
@@ -9,7 +9,7 @@ namespace splatrl {
 
 constexpr int PATCHES = 4;                   // of a warp
 constexpr int QUARTER = WARP / 4;            // lanes that share a cell
-constexpr uint32_t FIRST = 1u << 31;         // the bit of the first of 32 splats, or chunks: the highest is found soonest
+constexpr uint32_t FIRST = 1u << 31;         // the bit of the first of 32 splats or chunks
 static_assert(CELL_WIDTH * CELL_HEIGHT == QUARTER, "a lane for each pixel of a cell");
 
 // The half floats of a colour, seen along `offset` and relative to the background, beside the peak of its splat.
@@ -197,7 +197,8 @@ struct Pixels {
         const Record record = splat;
         const float before = transmittance[patch];
         const float share = before * alpha_at(x_of(patch) - record.x, y_of(patch) - record.y, record.l11, record.l12,
-                                              record.l22, record.log2_opacity, low_half(record.peak_red), log2_invisible);
+                                              record.l22, record.log2_opacity, low_half(record.peak_red),
+                                              log2_invisible);
         transmittance[patch] = before - share;
         const float tested = finished > MIN_TRANSMITTANCE ? before : transmittance[patch];
         const float counted = tested > finished ? share : 0.0f;

@@ -62,8 +62,8 @@ SPLAT_INLINE uint32_t count_keys(uint32_t* counts, const Key* keys, uint32_t cou
     return most;
 }
 
-// Copy keys from `from` to `to` in the order of their buckets; `ends` [BUCKETS] says where each bucket ends. Returns what
-// count_keys does.
+// Copy keys from `from` to `to` in the order of their buckets; `ends` [BUCKETS] says where each bucket ends. Returns
+// what count_keys does.
 SPLAT_INLINE uint32_t deal_to_buckets(Shared& shared, const Key* from, Key* to, uint32_t count, const Cut& cut,
                                       uint32_t* ends) {
     const uint32_t most = count_keys(ends, from, count, cut);

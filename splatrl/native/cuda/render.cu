@@ -85,12 +85,12 @@ SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const
 
 }  // namespace splatrl
 
-extern "C" __global__ void __launch_bounds__(splatrl::THREADS, BLOCKS_A_MULTIPROCESSOR)
+extern "C" __global__ void __launch_bounds__(splatrl::THREADS, splatrl::BLOCKS_AT_ONCE)
 draw_pixels(splatrl::SceneArrays scene, splatrl::Views views, splatrl::Workspace workspace, splatrl::Images images) {
     splatrl::draw_tiles<false>(scene, views, workspace, images);
 }
 
-extern "C" __global__ void __launch_bounds__(splatrl::THREADS, BLOCKS_A_MULTIPROCESSOR)
+extern "C" __global__ void __launch_bounds__(splatrl::THREADS, splatrl::BLOCKS_AT_ONCE)
 draw_images(splatrl::SceneArrays scene, splatrl::Views views, splatrl::Workspace workspace, splatrl::Images images) {
     splatrl::draw_tiles<true>(scene, views, workspace, images);
 }

@@ -13,6 +13,13 @@ namespace splatrl {
 constexpr int THREADS = BLOCK_THREADS, WARPS = THREADS / WARP;
 static_assert(WARPS * BLOCK_CELLS * BLOCK_CELLS == CELLS, "a warp holds 4×4 cells in its registers");
 
+// Blocks that share the registers of a multiprocessor: as many as its shared memory holds, on graphics cards 100 KB.
+#if defined(__CUDA_ARCH__) && (__CUDA_ARCH__ == 860 || __CUDA_ARCH__ == 890 || __CUDA_ARCH__ >= 1200)
+constexpr int BLOCKS_AT_ONCE = 2;
+#else
+constexpr int BLOCKS_AT_ONCE = 4;
+#endif
+
 constexpr bool ANTIALIASED_IMAGE = ANTIALIASED_IMAGES != 0, WITH_LEVELS = LEVELS_OF_DETAIL != 0;
 constexpr bool WITH_PARTS = MOST_PARTS > 0;  // otherwise a row is the first model where it stands
 constexpr int VIEWS = WITH_PARTS ? MOST_PARTS : 1;
@@ -31,8 +38,9 @@ constexpr Key NO_KEY = ~Key(0);
 struct SceneArrays {
     const float4* spheres;            // [slots] mean, metres; the bits of its reach (flat_scene.h), 0 for nothing
     const uint32_t* indices;          // [slots] index in the model, merged Gaussians behind the others
-    const float4* shapes;             // [indices of all models, 3] mean, log2 opacity, factor and merging (flat_scene.h)
-    const uint4* colors;              // [indices of all models, color_stride] half floats, [harmonics, 3]; final at degree 0
+    const float4* shapes;             // [indices of all models, 3] the numbers of SHAPE (flat_scene.h)
+    const uint4* colors;              // [indices of all models] color_stride half floats, [harmonics, 3]; at degree 0
+                                      // the final colour
     const Cluster* clusters;          // the trees in preorder
     const GroupBounds* group_bounds;  // of each cluster
     float background[3];              // the colours are relative to it
