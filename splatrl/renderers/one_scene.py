@@ -19,6 +19,8 @@ class OneScene:
 
     def __init__(self, renderer: Renderer, model: int):
         self.renderer, self.model = renderer, model
+        if isinstance(renderer, Faulty):
+            self.raise_faults = renderer.raise_faults
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera; see ``Renderer``."""
@@ -27,11 +29,6 @@ class OneScene:
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         """The pixels of an observation; see ``Renderer``."""
         return self.renderer.pixels(cameras, self._placed(cameras, parts), only)
-
-    def raise_faults(self) -> None:
-        """Raise what the renderer refused since the last call; see ``Faulty``."""
-        if isinstance(self.renderer, Faulty):
-            self.renderer.raise_faults()
 
     def _placed(self, cameras: Cameras, parts: Parts | None) -> Parts:
         poses = cameras.camera_to_world

@@ -74,6 +74,8 @@ class LatticeRenderer:
         self.renderer = renderer
         self.max_bytes = max_bytes
         self.on_device = on_device
+        if isinstance(renderer, Faulty):
+            self.raise_faults = renderer.raise_faults
         self._albums: dict[tuple[int, int, bool], _Album] = {}
         self._on_device: dict[tuple[int, int, int], DeviceAlbum] = {}
 
@@ -89,11 +91,6 @@ class LatticeRenderer:
         """Memory that the remembered images take."""
         on_device = sum(album.images.nbytes for album in self._on_device.values())
         return on_device + sum(album.bytes_held() for album in self._albums.values())
-
-    def raise_faults(self) -> None:
-        """Raise what the renderer refused since the last call; see ``Faulty``."""
-        if isinstance(self.renderer, Faulty):
-            self.renderer.raise_faults()
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera; nothing is remembered."""

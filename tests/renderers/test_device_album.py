@@ -5,8 +5,10 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
+from splatrl.faults import Faulty
 from splatrl.renderers import LatticeRenderer, NativeRenderer, Parts, RenderOutput
 from splatrl.renderers.device_album import WAYS, DeviceAlbum
+from splatrl.renderers.one_scene import OneScene
 from tests.envs.devices import NoHostReads, Painter
 from tests.renderers.cases import random_cameras, random_gaussians
 from tests.renderers.parts_cases import at, placed, random_parts
@@ -127,3 +129,14 @@ def test_keys_of_one_hash_are_told_apart() -> None:
     places, known = album.find(keys)
     assert known.all() and torch.equal(album.images[places], images)
     assert not album.find(keys + 1)[1].any()
+
+
+def test_faults_are_those_of_the_renderer_if_it_records_any() -> None:
+    class Recording(Painter):
+        def raise_faults(self) -> None:
+            raise ValueError("cameras[3]")
+
+    for around in (LatticeRenderer, lambda renderer: OneScene(renderer, 0)):
+        assert not isinstance(around(Painter()), Faulty)  # an env that asks for none is not captured in a graph
+        with pytest.raises(ValueError, match="3"):
+            around(Recording()).raise_faults()
