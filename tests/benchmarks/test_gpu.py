@@ -6,6 +6,7 @@ import math
 import os
 import signal
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -196,6 +197,45 @@ def ended(process: int) -> bool:
         time.sleep(0.05)
     os.kill(process, signal.SIGKILL)
     return False
+
+
+@pytest.mark.parametrize("step", ["load", "thread", "tiny", "frames", "twice", "launch"])
+def test_the_first_steps_can_be_made(
+    benchmark: Any, step: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["gpu_steps.py", step, "--dry-run"])
+    benchmark("gpu_steps").main()
+    assert capsys.readouterr().out
+
+
+def test_a_first_step_that_finds_a_fault_says_so(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps, bench = benchmark("gpu_steps"), benchmark("gpu_bench").DryRun()
+    pixels, drawn = steps.NativeRenderer.pixels, []
+    monkeypatch.setattr(steps.NativeRenderer, "pixels", lambda *all: 255 - pixels(*all))
+    with pytest.raises(SystemExit, match=r"expected at least 99.99% and 60 dB"):
+        steps.frames(bench, 0.5)
+    threads: list[str] = []
+    monkeypatch.setattr(steps, "first_query", lambda bench: threads.append(threading.current_thread().name) or 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        steps.thread(bench, 0.5)
+    assert threads != ["MainThread"]
+    renderer = type(bench.renderer(bench.fitted("").scene))
+    ours = renderer.pixels
+
+    def changing(*all: Any) -> torch.Tensor:
+        drawn.append(0)
+        return ours(*all) + len(drawn) // 2
+
+    monkeypatch.setattr(renderer, "pixels", changing)
+    with pytest.raises(SystemExit, match="expected the same bytes"):
+        steps.twice(bench, 0.5)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_without_a_gpu_no_step_is_made(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["gpu_steps.py", "load"])
+    with pytest.raises(SystemExit, match="no CUDA device: nothing was tried"):
+        benchmark("gpu_steps").main()
 
 
 @pytest.mark.parametrize(
