@@ -119,7 +119,7 @@ part_correct() {
         tool_step compute-sanitizer "$tool" 100 env PYTORCH_NO_CUDA_MEMORY_CACHING=1 \
             compute-sanitizer --tool "$tool" --error-exitcode 9 "$PYTHON" benchmarks/gpu_steps.py tiny
     done
-    tests_in tests/renderers
+    tests_in tests/renderers tests/native
     tests_in tests/collision
 }
 
