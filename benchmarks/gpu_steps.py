@@ -1,7 +1,7 @@
 """The first things to try on a GPU, from the smallest to the largest, each in a process of its own.
 
     python benchmarks/gpu_steps.py load      # kernels of the renderer are loaded and draw
-    python benchmarks/gpu_steps.py thread    # the same of the checker, in a thread in which PyTorch has done nothing
+    python benchmarks/gpu_steps.py thread    # the same of the checker, in threads in which PyTorch has done nothing
     python benchmarks/gpu_steps.py tiny      # one frame and one batch of queries, small enough for compute-sanitizer
     python benchmarks/gpu_steps.py frames    # 64 frames of the backyard, as the CPU draws them
     python benchmarks/gpu_steps.py twice     # 4,096 frames have the same bytes again, and in smaller batches
@@ -38,10 +38,12 @@ def load(bench: Bench, tolerance: float) -> None:
 
 
 def thread(bench: Bench, tolerance: float) -> None:
-    """Load kernels in a thread in which PyTorch has done nothing."""
-    with ThreadPoolExecutor(1) as fresh:
-        fresh.submit(first_query, bench).result()
-    print("a query was answered")
+    """Load kernels in threads in which PyTorch has done nothing: before it has begun anywhere, and after."""
+    for _ in range(2):
+        with ThreadPoolExecutor(1) as fresh:
+            fresh.submit(first_query, bench).result()
+        first_frame(bench)
+    print("queries were answered in new threads, and frames drawn in the main one")
 
 
 def tiny(bench: Bench, tolerance: float) -> None:

@@ -138,13 +138,16 @@ benchmark() { # FOLDER SECONDS SECTION...
 
 part_rendering() {
     benchmark rendering 200 rendering
-    local tolerance report
-    for tolerance in 0 0.5; do
-        report=$out/ncu-$tolerance
-        tool_step ncu "profile: $tolerance px" 120 ncu --set full --kernel-name regex:^draw --launch-skip 1 --launch-count 1 \
-            -f --export "$report" "$PYTHON" benchmarks/gpu_steps.py launch --tolerance "$tolerance"
-        [[ ! -f $report.ncu-rep ]] || step "report: $tolerance px" 30 ncu --import "$report.ncu-rep" --page details
-    done
+    profile exact 0
+    profile detail 0.5
+}
+
+profile() { # NAME TOLERANCE
+    local report=$out/$1.ncu-rep
+    rm -f "$report"
+    tool_step ncu "profile: $1" 120 ncu --set full --kernel-name regex:^draw --launch-skip 1 --launch-count 1 \
+        --export "$report" "$PYTHON" benchmarks/gpu_steps.py launch --tolerance "$2" "${dry[@]}"
+    [[ ! -f $report ]] || step "report: $1" 30 ncu --import "$report" --page details
 }
 
 part_rest() {

@@ -60,7 +60,7 @@ def test_every_part_is_run_with_what_the_kit_brings(run: Any, tmp_path: Path) ->
     marked = {str(path.relative_to(ROOT)) for path in (ROOT / "tests").rglob("test_*.py") if MARK in path.read_text()}
     assert {name for name in endings if name.startswith("tests/")} == marked
     assert list(endings)[:6] == ["versions", "load", "thread", "tiny", "frames", "twice"]
-    assert {"benchmark: rendering", "profile: 0.5 px", "benchmark: rest"} <= endings.keys()
+    assert {"benchmark: rendering", "profile: detail", "benchmark: rest"} <= endings.keys()
     log = (tmp_path / "out" / "log.txt").read_text()
     assert log.startswith("A GPU; a-commit\n") and "it ran benchmarks/gpu_kernels.py --count --arch sm_90\n" in log
     assert "--commit a-commit --only first use collision stepping training fit gsplat" in log
