@@ -2,6 +2,7 @@
 
 import math
 import os
+import pickle
 import sys
 import time
 from collections.abc import Iterator
@@ -24,6 +25,7 @@ from splatrl.collision.cuda import CudaChecker
 from splatrl.configuration import load_config
 from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.world import World
+from splatrl.files import replacing
 from splatrl.renderers.cuda import CudaRenderer
 from splatrl.renderers.gsplat import GsplatRenderer
 from splatrl.scenes import Gaussians, Scene
@@ -114,6 +116,7 @@ class Bench:
         results: dataclasses, in the order in which they were found.
         notes: lines for people, such as what was left out.
         ends: when the current section must be over, by ``time.monotonic``.
+        file: where results and notes are written as soon as they are found, for another process to read.
     """
 
     device: torch.device
@@ -121,6 +124,7 @@ class Bench:
     results: list[Any] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     ends: float = math.inf
+    file: Path | None = None
 
     @property
     def left(self) -> float:
@@ -132,10 +136,28 @@ class Bench:
         mine = (result for result in self.results if isinstance(result, kind))
         return [one for one in mine if all(getattr(one, name) == value for name, value in fields.items())]
 
+    def keep(self, result: Any) -> None:
+        """Add a result."""
+        self.results.append(result)
+        self._write()
+
     def note(self, line: str) -> None:
         """Print a line, and keep it for the results."""
         print(line, flush=True)
         self.notes.append(line)
+        self._write()
+
+    def read(self, file: Path) -> None:
+        """Add what another process has written, if it has written anything."""
+        if file.is_file():
+            results, notes = pickle.loads(file.read_bytes())
+            self.results += results
+            self.notes += notes
+
+    def _write(self) -> None:
+        if self.file is not None:
+            with replacing(self.file) as stream:
+                stream.write(pickle.dumps((self.results, self.notes)))
 
     def machine(self) -> Machine:
         """Measure the device."""

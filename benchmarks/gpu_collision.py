@@ -91,7 +91,7 @@ def speeds(
     times = in_turns({kind: call for kind, (call, _, _) in asked.items()}, bench.device, budget)
     for kind, (_, count, answers) in asked.items():
         hits = round(float(answers().double().mean()), 4)
-        bench.results.append(Collision(*names, *kind, hits, rate(count, times[kind])))
+        bench.keep(Collision(*names, *kind, hits, rate(count, times[kind])))
 
 
 def agreements(
@@ -104,4 +104,4 @@ def agreements(
     touches = checker.collides(here.start).cpu() != native.collides(some.start)
     fractions = checker.free_fraction(*here).cpu() - native.free_fraction(*some)
     for query, differs in (("static", touches), ("swept", fractions.abs() > MARGIN)):
-        bench.results.append(Agreement(*names, query, len(differs), int(differs.sum())))
+        bench.keep(Agreement(*names, query, len(differs), int(differs.sum())))

@@ -1,5 +1,6 @@
 """The GPU that is measured: what it is, how fast it can be, and how long things take on it."""
 
+import math
 import re
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
@@ -58,6 +59,10 @@ class Machine:
         rates = f"{self.flops / 1e12:.2f} Tflop/s, {self.memory_bandwidth / 1e9:,.0f} GB/s"
         versions = f"driver {self.driver or 'unknown'}, CUDA {self.cuda or 'none'}, PyTorch {self.torch}"
         return f"{self.name} {self.architecture}, {self.memory_bytes / 2**30:.0f} GiB: {rates}; {versions}"
+
+
+UNKNOWN = Machine("unknown GPU", "", 0, 0, "", torch.version.cuda or "", torch.__version__, math.nan, math.nan)
+"""The device, where it could not be measured."""
 
 
 def measured_machine(device: torch.device, kernels: Kernels | None, copied: int) -> Machine:

@@ -62,7 +62,7 @@ def fitting(bench: Bench) -> None:
         likeness = agreement(fitter, model, photos)
         for count, seconds in times.items():
             found = rate(count, seconds)
-            bench.results.append(Fit(model.count, width, height, count, found, likeness, memory[0]))
+            bench.keep(Fit(model.count, width, height, count, found, likeness, memory[0]))
         bench.free()
 
 

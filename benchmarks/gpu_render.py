@@ -108,7 +108,7 @@ def measure(
         with peak_memory(bench.device) as memory:
             times = in_turns({batch: call}, bench.device, budget / len(sizes.batches))[batch]
         facts = (subject.scene.name, gaussians.numel(), gaussians.sh_degree, tolerance, batch)
-        bench.results.append(Rendering("CudaRenderer", *facts, rate(frames, times), memory[0]))
+        bench.keep(Rendering("CudaRenderer", *facts, rate(frames, times), memory[0]))
     renderer.raise_faults()
 
 
@@ -121,7 +121,7 @@ def count_effort(
     bound = bound_us(machine, *counts, scene.gaussians.sh_degree, bench.sizes.pixels**2)
     (row,) = bench.found(Rendering, renderer="CudaRenderer", scene=scene.name, tolerance=tolerance, batch=batch)
     taken = 1e6 / row.frames_per_second.typical
-    bench.results.append(Effort(scene.name, tolerance, batch, *counts, *bound, taken))
+    bench.keep(Effort(scene.name, tolerance, batch, *counts, *bound, taken))
 
 
 def likeness(names: tuple[str, str, float, str], ours: Any, theirs: Any, mine: Cameras, other: Cameras) -> Likeness:
@@ -139,11 +139,11 @@ def compare(
     name, sizes = subject.scene.name, bench.sizes
     if tolerance:
         views = cameras[: sizes.views]
-        bench.results.append(likeness(("CudaRenderer", name, tolerance, "exact"), renderer, exact, views, views))
+        bench.keep(likeness(("CudaRenderer", name, tolerance, "exact"), renderer, exact, views, views))
     native = NativeRenderer(subject.scene, tolerance=tolerance)
     views = cameras[: sizes.native_views]
     names = ("CudaRenderer", name, tolerance, "NativeRenderer")
-    bench.results.append(likeness(names, renderer, native, views, on(views, torch.device("cpu"))))
+    bench.keep(likeness(names, renderer, native, views, on(views, torch.device("cpu"))))
 
 
 def gsplat_missing() -> str | None:
@@ -181,10 +181,10 @@ def against_gsplat(bench: Bench, subject: Subject, budget: float) -> None:
         times = in_turns({name: call for name, (call, _) in calls.items()}, bench.device, budget)
     facts = (scene.name, scene.gaussians.numel(), scene.gaussians.sh_degree, 0.0, batch)
     for name, (_, frames) in calls.items():
-        bench.results.append(Rendering(name, *facts, rate(frames, times[name]), memory[0]))
+        bench.keep(Rendering(name, *facts, rate(frames, times[name]), memory[0]))
     del renderers, calls
     bench.free()
     views = cameras[: sizes.native_views]
     ours, theirs = bench.renderer(scene, antialiased=False), bench.gsplat(scene, antialiased=False)
     names = ("CudaRenderer", scene.name, 0.0, "gsplat, both classic")
-    bench.results.append(likeness(names, ours, theirs, views, views))
+    bench.keep(likeness(names, ours, theirs, views, views))

@@ -10,6 +10,7 @@ from gpu_first_use import FirstUse
 from gpu_fit import Fit
 from gpu_reach import Target
 from gpu_render import Effort, Likeness, Rendering
+from gpu_sections import Section
 from gpu_training import Stepping, Training
 from record import print_markdown
 
@@ -84,6 +85,11 @@ TABLES: dict[type, Columns] = {
         "views/s of the fit (slowest to fastest)": lambda r: str(r.views_per_second),
         "slopes, cosine with the CPU's": lambda r: f"{r.cosine:.6f}",
         "GiB": lambda r: f"{r.memory_bytes / GIB:.1f}",
+    },
+    Section: {
+        "section": lambda r: r.name,
+        "ending": lambda r: r.ending,
+        "s": lambda r: f"{r.seconds:.0f}",
     },
     Target: {
         "reach (H200)": lambda r: r.name,

@@ -119,7 +119,7 @@ def stepping(bench: Bench) -> None:
         bare = rates.pop("bare")
         for name, found in rates.items():
             share = round(found.typical / bare.typical, 4)
-            bench.results.append(Stepping(world.scene.name, tolerance, robots, name == "graph", found, bare, share))
+            bench.keep(Stepping(world.scene.name, tolerance, robots, name == "graph", found, bare, share))
         bench.free()
 
 
@@ -157,7 +157,7 @@ def training(bench: Bench) -> None:
         collected = timed(bench, ppo.collect, 0.3 * bench.left)
         taken = timed(bench, ppo.iterate, 0.8 * bench.left)
     facts = (world.scene.name, tolerance, cfg.env.num_envs, frames, cfg.loss.mini_batch_size, cfg.loss.ppo_epochs)
-    bench.results.append(Training(*facts, rate(frames, taken), rate(frames, collected)))
+    bench.keep(Training(*facts, rate(frames, taken), rate(frames, collected)))
 
 
 def timed(bench: Bench, call: Callable[[], object], budget: float) -> list[float]:

@@ -3,15 +3,16 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
-import av
 import numpy as np
-from av.container import InputContainer
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from splatrl.files import refusing
+
+if TYPE_CHECKING:
+    from av.container import InputContainer
 
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 CONTAINERS = ("mov", "matroska", "webm", "avi", "mpegts", "mpeg", "mpegvideo", "flv", "asf", "ogg", "mxf", "gif", "ivf")
@@ -62,7 +63,7 @@ def _opened(path: Path, stream: BinaryIO | None, formats: tuple[str, ...]) -> It
 
 
 @contextmanager
-def open_video(path: Path) -> Iterator[InputContainer]:
+def open_video(path: Path) -> Iterator["InputContainer"]:
     """Open a video.
 
     Args:
@@ -71,6 +72,8 @@ def open_video(path: Path) -> Iterator[InputContainer]:
     Raises:
         ValueError: where it cannot be read, is not a video in one of ``CONTAINERS``, or has too large images.
     """
+    import av
+
     options = {"protocol_whitelist": "file", "format_whitelist": ",".join(CONTAINERS)}
     whole = f"a whole video ({', '.join(CONTAINERS)})"
     with refusing(path, whole), av.open(str(path.resolve()), container_options=options) as container:

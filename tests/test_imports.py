@@ -312,7 +312,11 @@ def test_asking_for_a_device_is_no_choice(source: str) -> None:
 
 @pytest.mark.parametrize(
     ("module", "absent"),
-    [("splatrl", {"hydra", "omegaconf", "torchrl", "torch"}), ("splatrl.geometry", {"hydra", "omegaconf", "torchrl"})],
+    [
+        ("splatrl", {"hydra", "omegaconf", "torchrl", "torch"}),
+        ("splatrl.geometry", {"hydra", "omegaconf", "torchrl"}),
+        ("splatrl.commands.train, splatrl.capture.pipeline", {"av"}),
+    ],
 )
 def test_a_small_import_brings_no_large_library(module: str, absent: set[str]) -> None:
     asks = f"import sys, {module}; print(*sorted({absent!r} & sys.modules.keys()))"

@@ -8,9 +8,8 @@ import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-import av
 import numpy as np
 import torch
 from PIL import Image
@@ -19,6 +18,9 @@ from splatrl.capture import photo_files, videos
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.progress import Progress, silent
 from splatrl.files import new_folder
+
+if TYPE_CHECKING:
+    from av import VideoFrame
 
 INDEX = "index.json"
 PER_SECOND = 4.0
@@ -115,7 +117,7 @@ def _from_video(source: Path, count: tuple[int, int], longest: int, progress: Pr
     times = videos.packet_times(source)
     ends, start, found = buckets(times, count), float(times[0]), False
 
-    def graded() -> Iterator[tuple[int, av.VideoFrame, float]]:
+    def graded() -> Iterator[tuple[int, "VideoFrame", float]]:
         for number, (seconds, frame) in enumerate(videos.frames(source)):
             progress("frames", min(number, len(times)), len(times))
             bucket = int(np.searchsorted(ends, seconds, side="right"))

@@ -3,20 +3,23 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import av
 import numpy as np
-from av.container import InputContainer
 from PIL import Image
 
 from splatrl import images
 from splatrl.capture.base import CaptureError
 
+if TYPE_CHECKING:
+    from av import VideoFrame
+    from av.container import InputContainer
+
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".m2ts", ".ts", ".3gp", ".mpg", ".wmv")
 
 
 @contextmanager
-def open_video(path: Path) -> Iterator[InputContainer]:
+def open_video(path: Path) -> Iterator["InputContainer"]:
     """Open a video.
 
     Args:
@@ -66,7 +69,7 @@ def packet_times(path: Path) -> np.ndarray:
     return np.sort(np.asarray(times, np.float64)) * base
 
 
-def frames(path: Path) -> Iterator[tuple[float, av.VideoFrame]]:
+def frames(path: Path) -> Iterator[tuple[float, "VideoFrame"]]:
     """Decode a video.
 
     Args:
@@ -92,7 +95,7 @@ def frames(path: Path) -> Iterator[tuple[float, av.VideoFrame]]:
             yield frame.time, frame
 
 
-def grey(frame: av.VideoFrame, longest: int) -> np.ndarray:
+def grey(frame: "VideoFrame", longest: int) -> np.ndarray:
     """The brightness of a frame as decoded, scaled down: [H, W] uint8.
 
     Args:
@@ -104,7 +107,7 @@ def grey(frame: av.VideoFrame, longest: int) -> np.ndarray:
     return small.to_ndarray()
 
 
-def upright(frame: av.VideoFrame, longest: int) -> Image.Image:
+def upright(frame: "VideoFrame", longest: int) -> Image.Image:
     """The image of a frame, turned as the phone was held and scaled down by area.
 
     Args:

@@ -6,7 +6,6 @@ from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
 
-import av
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -162,6 +161,8 @@ def encode(
         fps: images per second.
         options: more of the encoder's options.
     """
+    import av
+
     x264 = "libx264" in av.codecs_available
     # by its name, since FFmpeg then says itself what is wrong with a disk
     with replacing(path) as file, av.open(file.name, "w", format="mp4") as container:

@@ -10,6 +10,7 @@ from torch import Tensor
 from splatrl.cameras import Cameras
 from splatrl.faults import FaultFlag
 from splatrl.native.cuda.kernels import CudaKernels, Kernels, Load
+from splatrl.native.cuda.turns import Turns
 from splatrl.renderers.base import RenderOutput, checked_background, checked_only, models_of
 from splatrl.renderers.cuda_models import MOST_INDICES, CudaModels, degree_of
 from splatrl.renderers.cuda_parts import MOST_PARTS, CudaParts, require_few_parts_of
@@ -131,6 +132,7 @@ class CudaRenderer:
         self._memory = self._kernels.memory // 4 if memory is None else memory
         self._faults = FaultFlag(self.device)
         self._working: dict[int | None, _Working] = {}  # by the number of parts; launches share it, one after the other
+        self._turns = Turns(self.device)
 
     @torch.compiler.disable
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
@@ -196,7 +198,8 @@ class CudaRenderer:
         workspace = _Workspace(*(_address(part) for part in memory), working.key_capacity, working.node_capacity)
         tiles = len(cameras) * -(-cameras.height // TILE) * -(-cameras.width // TILE)
         blocks, arguments = min(len(working.keys), tiles), (self._models.arrays, views, workspace, images)
-        kernels.launch(kernel, blocks, BLOCK_THREADS, *arguments, shared=SHARED_BYTES)
+        with self._turns.taken():
+            kernels.launch(kernel, blocks, BLOCK_THREADS, *arguments, shared=SHARED_BYTES)
 
     def _for_parts(self) -> tuple[Kernels, CudaParts]:
         """The kernels that draw rows with parts, and what places the parts."""

@@ -8,7 +8,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
-import av
 from PIL import Image
 
 from splatrl.files import checked_name, replacing
@@ -152,6 +151,8 @@ def gif(path: Path) -> tuple[tuple[int, int], bytes]:
     Args:
         path: a video of ours; frames beyond ``MOST_FRAMES`` are left out.
     """
+    import av
+
     images: list[Image.Image] = []
     with av.open(str(path)) as container:
         stream = container.streams.video[0]

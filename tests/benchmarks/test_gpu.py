@@ -3,10 +3,12 @@
 import importlib
 import json
 import math
+import os
+import signal
 import sys
+import threading
 import time
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -15,6 +17,7 @@ import torch
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "benchmarks" / "results"
 EVERYTHING = {
+    "section",
     "first use",
     "rendering",
     "effort",
@@ -40,8 +43,13 @@ def test_a_dry_run_measures_everything_and_leaves_no_result(
 ) -> None:
     pytest.importorskip("cuda.core", reason="needs the extra cuda to compile kernels")
     before = {path: path.stat().st_mtime_ns for path in RESULTS.iterdir()}
-    gpu = benchmark("gpu")
-    monkeypatch.setattr(gpu, "SPARE", 900)  # a machine that does other things as well may be as slow as it likes
+    gpu, section = benchmark("gpu"), benchmark("gpu_sections").Section
+
+    def measure_here(name: str, dry: bool, folder: Path, ends: float, bench: Any) -> None:
+        gpu.measure(name, dry, folder, ends)  # without the seconds that each process would take to begin
+        bench.keep(section(name, "done", 0.0))
+
+    monkeypatch.setattr(gpu, "measure_apart", measure_here)
     monkeypatch.setattr(sys, "argv", ["gpu.py", "--dry-run", "--folder", str(tmp_path)])
     code, said = gpu.main(), capsys.readouterr().out
     assert code == 0, said
@@ -82,27 +90,152 @@ def test_without_a_gpu_it_says_so(
     assert "no CUDA device: nothing was measured" in capsys.readouterr().out
 
 
-def test_a_section_that_fails_or_hangs_leaves_the_others_alone(
-    benchmark: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_section_is_measured_in_a_process_of_its_own(tmp_path: Path, benchmark: Any) -> None:
+    gpu, bench = benchmark("gpu"), benchmark("gpu_bench").DryRun()
+    gpu.measure_apart("machine", True, tmp_path, time.monotonic() + 900, bench)
+    assert [(row.name, row.ending) for row in bench.results] == [("machine", "done")], bench.notes
+    bench.read(tmp_path / "machine")
+    assert gpu.machine_of(bench).name == "CPU" and gpu.machine_of(bench).flops > 0
+
+
+SECTIONS = """
+import os, pickle, sys, time
+
+def find(*results):
+    with open(os.path.join(folder, name), "wb") as file:
+        pickle.dump((list(results), ["a note"]), file)
+
+_, _, name, folder, ends = sys.argv
+if name == "machine":
+    raise RuntimeError("a kernel went wrong")
+elif name == "first use":
+    sys.path.insert(0, {benchmarks!r})
+    from gpu_sections import Section  # any result
+    find(Section("half", "done", 1.0))
+    time.sleep(60)
+elif name == "rendering":
+    print("illegal access", flush=True)
+    os.abort()
+else:
+    find()
+"""
+"""Stands in for gpu.py, as the program that runs a section."""
+
+
+@pytest.fixture
+def odd_sections(tmp_path: Path, benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """gpu.py, whose sections raise, hang and crash."""
+    gpu = benchmark("gpu")
+    (tmp_path / "sections.py").write_text(SECTIONS.replace("{benchmarks!r}", repr(str(ROOT / "benchmarks"))))
+    monkeypatch.setattr(gpu, "__file__", str(tmp_path / "sections.py"))
+    monkeypatch.setattr(gpu, "bench_of", lambda dry: benchmark("gpu_bench").Bench(torch.device("cpu")))
+    monkeypatch.setattr(gpu, "SECONDS", {"machine": 60, "first use": -55, "rendering": 60, "collision": 0})
+    monkeypatch.setattr(gpu, "SPARE", 0)
+    return gpu
+
+
+def test_a_section_that_raises_hangs_or_crashes_leaves_the_others_alone(tmp_path: Path, odd_sections: Any) -> None:
+    run = odd_sections.Run(False, tmp_path, "a commit")
+    run.go(["first use", "rendering", "collision"])
+    record = json.loads((tmp_path / f"{odd_sections.today()}-unknown-gpu-gpu.json").read_text())
+    found = {row["name"]: row["ending"] for row in record["results"] if row["what"] == "section"}
+    assert found.pop("half") == "done" and found.pop("first use").startswith("killed after ")
+    assert found == {"machine": "failed", "rendering": "ended by SIGABRT", "collision": "done"}
+    said = {note.partition(":")[0]: note for note in record["notes"]}
+    assert "RuntimeError: a kernel went wrong" in said["machine"] and "illegal access" in said["rendering"]
+    assert list(said) == ["machine", "first use", "a note", "rendering"]
+    run.finish()
+    (picture,) = tmp_path.glob("*.png")
+    assert picture.stat().st_size > 10_000
+
+
+def test_results_are_written_after_each_section_and_when_interrupted(
+    tmp_path: Path, odd_sections: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    gpu: ModuleType = benchmark("gpu")
-    bench, ran = benchmark("gpu_bench").DryRun(), []
+    section, seen = odd_sections.Section, []
 
-    def broken(_: object) -> None:
-        bench.results.append("half")
-        raise RuntimeError("a kernel went wrong")
+    def measure(name: str, dry: bool, folder: Path, ends: float, bench: Any) -> None:
+        seen.append([json.loads(path.read_text()) for path in tmp_path.glob("*.json")])
+        if name == "rendering":
+            raise KeyboardInterrupt
+        bench.keep(section(name, "done", 1.0))
 
-    def sleepy(_: object) -> None:
-        time.sleep(30)
+    monkeypatch.setattr(odd_sections, "measure_apart", measure)
+    odd_sections.Run(False, tmp_path, None).go(["first use", "rendering", "collision"])
+    endings = [[row["name"] for row in record["results"] if row["what"] == "section"] for (record,) in seen[1:]]
+    assert seen[0] == [] and endings == [["machine"], ["machine", "first use"]]
+    (path,) = tmp_path.glob("*.json")
+    assert json.loads(path.read_text())["notes"] == ["rendering: interrupted, and with it the run"]
 
-    for name, section in (("first_use", broken), ("collision", sleepy), ("training", ran.append)):
-        monkeypatch.setattr(gpu, name, section)
-    monkeypatch.setattr(gpu, "SECONDS", dict.fromkeys(gpu.SECONDS, 0.1))
-    monkeypatch.setattr(gpu, "SPARE", 0.2)
-    failed = gpu.run(bench, None, ["first use", "collision", "training"])
-    assert failed == ["first use", "collision"] and ran == [bench] and bench.results == ["half"]
-    assert "a kernel went wrong" in bench.notes[0] and "TimeoutError: took longer than" in bench.notes[1]
-    assert "a kernel went wrong" in capsys.readouterr().out
+
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_what_a_section_has_started_is_killed_with_it(tmp_path: Path, benchmark: Any, interrupted: bool) -> None:
+    run_section = benchmark("gpu_sections").run_section
+    script = f"sleep 60 & echo $! > {tmp_path}/started; {'wait' if interrupted else 'exit 3'}"
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    try:
+        if interrupted:
+            signal.setitimer(signal.ITIMER_REAL, 1.0)
+            with pytest.raises(KeyboardInterrupt):
+                run_section("a", ["sh", "-c", script], 60)
+        else:
+            assert run_section("a", ["sh", "-c", script], 60)[0].ending == "failed"
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    assert ended(int((tmp_path / "started").read_text()))
+
+
+def ended(process: int) -> bool:
+    """Whether a process comes to its end; a zombie counts, which its new parent may be slow to reap."""
+    for _ in range(200):
+        try:
+            if Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
+                return True
+        except OSError:
+            return True
+        time.sleep(0.05)
+    os.kill(process, signal.SIGKILL)
+    return False
+
+
+@pytest.mark.parametrize("step", ["load", "thread", "tiny", "frames", "twice", "launch"])
+def test_the_first_steps_can_be_made(
+    benchmark: Any, step: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["gpu_steps.py", step, "--dry-run"])
+    benchmark("gpu_steps").main()
+    assert capsys.readouterr().out
+
+
+def test_a_first_step_that_finds_a_fault_says_so(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps, bench = benchmark("gpu_steps"), benchmark("gpu_bench").DryRun()
+    pixels, drawn = steps.NativeRenderer.pixels, []
+    monkeypatch.setattr(steps.NativeRenderer, "pixels", lambda *all: 255 - pixels(*all))
+    with pytest.raises(SystemExit, match=r"expected at least 99.99% and 60 dB"):
+        steps.frames(bench, 0.5)
+    threads: list[str] = []
+    monkeypatch.setattr(steps, "first_query", lambda bench: threads.append(threading.current_thread().name) or 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        steps.thread(bench, 0.5)
+    assert threads != ["MainThread"]
+    renderer = type(bench.renderer(bench.fitted("").scene))
+    ours = renderer.pixels
+
+    def changing(*all: Any) -> torch.Tensor:
+        drawn.append(0)
+        return ours(*all) + len(drawn) // 2
+
+    monkeypatch.setattr(renderer, "pixels", changing)
+    with pytest.raises(SystemExit, match="expected the same bytes"):
+        steps.twice(bench, 0.5)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_without_a_gpu_no_step_is_made(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["gpu_steps.py", "load"])
+    with pytest.raises(SystemExit, match="no CUDA device: nothing was tried"):
+        benchmark("gpu_steps").main()
 
 
 @pytest.mark.parametrize(

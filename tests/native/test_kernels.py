@@ -1,6 +1,8 @@
 """How kernels are loaded and launched: by a fake driver, whose kernels the emulator runs."""
 
 import ctypes
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from enum import IntEnum
 from types import SimpleNamespace
@@ -24,8 +26,20 @@ class Attribute(IntEnum):
     CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES = 8
 
 
+PRIMARY, INVALID_CONTEXT = 11, 201
+
+
+class Context(threading.local):
+    """The context that is current in a thread; a new thread has none."""
+
+    number = 0
+
+
 class PretendedDriver:
-    """Does what it is told, in the types that the real one takes, and records it."""
+    """Does what it is told, in the types that the real one takes, and records it.
+
+    As the real one, it refuses to work in a thread without the context of the device.
+    """
 
     CUfunction_attribute = Attribute
     CUstream = staticmethod(int)
@@ -36,28 +50,48 @@ class PretendedDriver:
         self.allowed: dict[str, int] = {}
         self.launched: list[tuple[str, int, int, int, int]] = []
         self.error = 0
+        self.context = Context()
+
+    @property
+    def status(self) -> int:
+        """What a call that needs a context returns."""
+        return self.error if self.context.number == PRIMARY else INVALID_CONTEXT
+
+    def cuDeviceGet(self, ordinal: int | None) -> tuple[int, str]:
+        return self.error, "device"
+
+    def cuDevicePrimaryCtxRetain(self, device: str) -> tuple[int, int]:
+        assert device == "device"
+        return self.error, PRIMARY
+
+    def cuCtxGetCurrent(self) -> tuple[int, int]:
+        return self.error, self.context.number
+
+    def cuCtxSetCurrent(self, context: int) -> tuple[int]:
+        self.context.number = context
+        return (self.error,)
 
     def cuModuleLoadData(self, image: int) -> tuple[int, str]:
         self.images.append(ctypes.string_at(image, 4))
-        return self.error, "module"
+        return self.status, "module"
 
     def cuModuleGetFunction(self, module: str, name: bytes) -> tuple[int, str]:
         assert module == "module"
-        return self.error, name.decode()
+        return self.status, name.decode()
 
     def cuFuncSetAttribute(self, kernel: str, attribute: Attribute, value: int) -> tuple[int]:
         self.allowed[kernel] = value
-        return (self.error,)
+        return (self.status,)
 
     def cuOccupancyMaxActiveBlocksPerMultiprocessor(self, kernel: str, threads: int, shared: int) -> tuple[int, int]:
-        return self.error, 3
+        return self.status, 3
 
     def cuLaunchKernel(self, kernel: str, *shape: int) -> tuple[int]:
         x, y, z, threads, threads_y, threads_z, shared, stream, arguments, extra = shape
         assert (y, z, threads_y, threads_z, extra) == (1, 1, 1, 1, 0)
         self.launched.append((kernel, x, threads, shared, stream))
         assert self.emulated._library.launch(kernel.encode(), x, threads, arguments, 0)
-        return (self.error,)
+        return (self.status,)
 
 
 @pytest.fixture
@@ -93,6 +127,15 @@ def test_a_renderer_is_loaded_and_launched_as_the_driver_asks(driver: list[Prete
     assert (name, threads, stream) == ("draw_pixels", 256, 77)
     assert blocks == 6 and shared < FREELY_SHARED  # three per multiprocessor, for 18 tiles
     assert one.launched[1:] == []
+
+
+def test_any_thread_may_load_and_launch(driver: list[PretendedDriver]) -> None:
+    scene, cameras = random_gaussians(3, 30, 1), random_cameras(4, 2, 20, 30)
+    with ThreadPoolExecutor(1) as first, ThreadPoolExecutor(1) as second:
+        renderer = first.submit(CudaRenderer, scene, device="cpu").result()
+        pixels = second.submit(renderer.pixels, cameras).result()  # asks how many blocks are resident, and launches
+        again = first.submit(renderer.pixels, cameras).result()
+    assert torch.equal(pixels, again) and torch.equal(pixels, renderer.pixels(cameras))
 
 
 def test_a_kernel_is_allowed_the_shared_memory_that_it_needs(driver: list[PretendedDriver]) -> None:

@@ -14,7 +14,7 @@ from splatrl.envs import World
 from splatrl.training import PPO, actor_critic, load_checkpoint, save_checkpoint
 from splatrl.training.collectors import DeviceCollector
 from splatrl.training.cuda_graph import CudaGraph
-from tests.commands.test_train import SETTINGS, command, finish
+from tests.commands.test_train import UNFILMED, command, finish
 from tests.tiny import tiny_overrides
 from tests.training.test_ppo import LOSS, OPTIM, parameters
 
@@ -118,7 +118,7 @@ def test_the_loss_can_be_compiled(worlds: dict[str, World], tmp_path: Path) -> N
 
 def test_a_run_of_a_gpu_is_evaluated_there_and_on_a_cpu(cuda_device: torch.device, tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    said = finish(command("train", *overrides(tmp_path, "grid"), *SETTINGS, f"hydra.run.dir={folder}"))
+    said = finish(command("train", *overrides(tmp_path, "grid"), *UNFILMED, f"hydra.run.dir={folder}"))
     assert f"device: cuda ({torch.cuda.get_device_name()})" in said
     here = json.loads((folder / "evaluation.json").read_text())
     assert here["frames"] == 1280

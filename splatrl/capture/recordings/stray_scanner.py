@@ -10,8 +10,8 @@ import io
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import av
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -30,6 +30,9 @@ from splatrl.capture.recordings.base import (
     read_depth,
     read_text,
 )
+
+if TYPE_CHECKING:
+    from av import VideoFrame
 
 VIDEO, ODOMETRY, CAMERA = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
 MEDIUM = 1
@@ -82,7 +85,7 @@ class FramePicture:
         frame: as decoded.
     """
 
-    def __init__(self, frame: av.VideoFrame) -> None:
+    def __init__(self, frame: "VideoFrame") -> None:
         self.frame = frame
 
     def grey(self) -> NDArray[np.uint8]:

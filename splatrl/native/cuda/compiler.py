@@ -37,12 +37,11 @@ def compiled(source: str | Path, arch: str, defines: Mapping[str, int] | None = 
         ImportError: where cuda-core or NVRTC is not installed; says how to get them.
         RuntimeError: where the source does not compile; holds NVRTC's log.
     """
-    name = source_path(source).stem
-    path = cache_dir() / f"{name}-{arch}-{_digest(source, arch, defines or {})}.cubin"
+    path = kept_at(source, arch, defines or {})
     if path.is_file():
         return path.read_bytes()
     start = time.monotonic()
-    print(f"splatrl: compiling {name}.cu for {arch}, once ...", end="", file=sys.stderr, flush=True)
+    print(f"splatrl: compiling {source_path(source).name} for {arch}, once ...", end="", file=sys.stderr, flush=True)
     code, _ = translated(source, arch, defines or {})
     print(f" {time.monotonic() - start:.1f} s", file=sys.stderr)
     try:
@@ -52,6 +51,11 @@ def compiled(source: str | Path, arch: str, defines: Mapping[str, int] | None = 
     except OSError as error:
         print(f"splatrl: {path.parent}: cannot keep kernels here, set SPLATRL_CACHE: {error}", file=sys.stderr)
     return code
+
+
+def kept_at(source: str | Path, arch: str, defines: Mapping[str, int]) -> Path:
+    """The file in the cache that holds a source's machine code, if it is there. See ``compiled``."""
+    return cache_dir() / f"{source_path(source).stem}-{arch}-{_digest(source, arch, defines)}.cubin"
 
 
 def translated(source: str | Path, arch: str, defines: Mapping[str, int]) -> tuple[bytes, str]:

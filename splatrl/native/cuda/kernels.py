@@ -1,7 +1,8 @@
 """Kernels that are loaded on a GPU, and how they are launched."""
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -76,7 +77,7 @@ def uploaded(values: NDArray[Any], device: torch.device) -> Tensor:
 
 
 class CudaKernels:
-    """Kernels on a CUDA device, through the driver's own interface: see ``Kernels``.
+    """Kernels on a CUDA device, through the driver's own interface, from any thread: see ``Kernels``.
 
     Args:
         source: name of a file in ``splatrl/native/cuda``, or a path.
@@ -100,13 +101,15 @@ class CudaKernels:
 
         self._driver = driver
         self._kernels: dict[tuple[str, int], Any] = {}
+        number = self._answer(driver.cuDeviceGet(self.device.index))
+        self._context = self._answer(driver.cuDevicePrimaryCtxRetain(number))  # the one that PyTorch uses
         image = ctypes.create_string_buffer(code, len(code))
-        with torch.cuda.device(self.device):
+        with self._current():
             self._module = self._answer(driver.cuModuleLoadData(ctypes.addressof(image)))
 
     def resident(self, name: str, threads: int, shared: int = 0) -> int:
         """See ``Kernels.resident``."""
-        with torch.cuda.device(self.device):
+        with self._current():
             kernel = self._kernel(name, shared)
             blocks = self._answer(self._driver.cuOccupancyMaxActiveBlocksPerMultiprocessor(kernel, threads, shared))
         return max(1, int(blocks))
@@ -115,12 +118,24 @@ class CudaKernels:
         """See ``Kernels.launch``."""
         values = packed(arguments, self.device)
         addresses = (ctypes.c_void_p * len(values))(*(ctypes.addressof(value) for value in values))
-        with torch.cuda.device(self.device):
+        with self._current():
             stream = self._driver.CUstream(torch.cuda.current_stream(self.device).cuda_stream)
             kernel, where = self._kernel(name, shared), ctypes.addressof(addresses)
             self._answer(
                 self._driver.cuLaunchKernel(kernel, blocks, 1, 1, threads, 1, 1, shared, stream, where, 0)
             )  # this call copies the arguments before it returns
+
+    @contextmanager
+    def _current(self) -> Iterator[None]:
+        """Make the device's context this thread's.
+
+        PyTorch binds one when it first needs it, so a thread that it has not worked in has none, and every call of the
+        driver fails there.
+        """
+        with torch.cuda.device(self.device):
+            if int(self._answer(self._driver.cuCtxGetCurrent())) == 0:
+                self._answer(self._driver.cuCtxSetCurrent(self._context))
+            yield
 
     def _kernel(self, name: str, shared: int) -> Any:
         """The kernel, allowed to use this much shared memory."""

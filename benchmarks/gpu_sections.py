@@ -1,0 +1,91 @@
+"""A section of a benchmark in a process of its own, which ends in time whatever it does to itself or to the GPU."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import IO
+
+LAST_LINES = 40
+"""Number of lines of its output that are kept."""
+GRACE = 5.0
+"""Seconds that a killed process may take to disappear; one that waits for a broken driver may never do so."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """How a section ended: done, failed (a Python exception), ended by a signal, or killed because its time was over.
+
+    Attributes:
+        name: of the section.
+        ending: in words.
+        seconds: from its start to its end.
+    """
+
+    what = "section"
+    name: str
+    ending: str
+    seconds: float
+
+    @property
+    def done(self) -> bool:
+        """Whether it reached its end."""
+        return self.ending == "done"
+
+
+def run_section(name: str, command: Sequence[str], seconds: float) -> tuple[Section, str]:
+    """Run a command until it ends or its time is over, then kill whatever it has started.
+
+    Args:
+        name: of the section.
+        command: what to run; its output is printed as it comes.
+        seconds: until it is killed.
+
+    Returns:
+        How it ended, and the last lines of its output.
+    """
+    begun, last = time.monotonic(), deque[str](maxlen=LAST_LINES)
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="utf-8",
+        errors="replace",
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        start_new_session=True,  # a group of its own, to be killed as a whole
+    )
+    reader = threading.Thread(target=_pass_on, args=(process.stdout, last), daemon=True)
+    reader.start()
+    try:
+        ending = _ending(process.wait(max(0.0, seconds)))
+    except subprocess.TimeoutExpired:
+        ending = f"killed after {time.monotonic() - begun:.0f} s"
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(GRACE)
+        reader.join(GRACE)
+    return Section(name, ending, round(time.monotonic() - begun, 1)), "".join(last)
+
+
+def _ending(status: int) -> str:
+    """The ending in words, by the exit status of a process."""
+    if status == 0:
+        return "done"
+    return "failed" if status > 0 else f"ended by {signal.Signals(-status).name}"
+
+
+def _pass_on(stream: IO[str], last: deque[str]) -> None:
+    """Print lines as they come, and keep the last."""
+    for line in stream:
+        sys.stdout.write(line)
+        sys.stdout.flush()
+        last.append(line)

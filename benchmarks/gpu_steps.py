@@ -1,0 +1,126 @@
+"""The first things to try on a GPU, from the smallest to the largest, each in a process of its own.
+
+    python benchmarks/gpu_steps.py load      # kernels of the renderer are loaded and draw
+    python benchmarks/gpu_steps.py thread    # the same of the checker, in threads in which PyTorch has done nothing
+    python benchmarks/gpu_steps.py tiny      # one frame and one batch of queries, small enough for compute-sanitizer
+    python benchmarks/gpu_steps.py frames    # 64 frames of the backyard, as the CPU draws them
+    python benchmarks/gpu_steps.py twice     # 4,096 frames have the same bytes again, and in smaller batches
+    python benchmarks/gpu_steps.py launch    # 1,024 frames of a million Gaussians, three times, for a profiler
+
+A step that finds a fault ends with exit status 1. ``--dry-run`` emulates a GPU, at tiny sizes.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import torch
+from collision import BODIES, RESOLUTIONS, queries_in, yard
+from gpu_bench import Bench, DryRun, on
+from gpu_first_use import first_frame, first_query
+from gpu_render import likeness
+from scenes import Subject
+
+from splatrl.collision import NativeChecker
+from splatrl.renderers import NativeRenderer
+
+WITHIN_ONE, WORST_DB = 0.9999, 60.0
+"""The least share of bytes within one grey level of the CPU's, and the least PSNR of a frame, dB."""
+FRAMES, QUERIES = 64, 64
+ROUNDS = 3
+
+
+def load(bench: Bench, tolerance: float) -> None:
+    """Load kernels in the main thread."""
+    first_frame(bench)
+    print("a frame was drawn")
+
+
+def thread(bench: Bench, tolerance: float) -> None:
+    """Load kernels in threads in which PyTorch has done nothing: before it has begun anywhere, and after."""
+    for _ in range(2):
+        with ThreadPoolExecutor(1) as fresh:
+            fresh.submit(first_query, bench).result()
+        first_frame(bench)
+    print("queries were answered in new threads, and frames drawn in the main one")
+
+
+def tiny(bench: Bench, tolerance: float) -> None:
+    """Draw one frame, with and without levels of detail, and answer a few queries."""
+    first_frame(bench)
+    subject = bench.fitted("backyard")
+    for detail in (0.0, tolerance):
+        compare(bench, subject, detail, 1)
+    occupancy = yard(RESOLUTIONS["10k"])
+    queries = queries_in(occupancy, True, QUERIES)
+    for name, body in BODIES.items():
+        answers = bench.checker(occupancy, body).sweeps(queries.start.to(bench.device), queries.end.to(bench.device))
+        different = int((answers.cpu() != NativeChecker(occupancy, body).sweeps(queries.start, queries.end)).sum())
+        print(f"{name}: {different} of {QUERIES} answers differ from the CPU's")
+        if different:
+            sys.exit(f"{name}: expected the CPU's answers")
+
+
+def frames(bench: Bench, tolerance: float) -> None:
+    """Draw frames as the CPU does."""
+    for detail in (0.0, tolerance):
+        compare(bench, bench.fitted("backyard"), detail, FRAMES)
+
+
+def compare(bench: Bench, subject: Subject, tolerance: float, count: int) -> None:
+    """Compare frames with the CPU's."""
+    views = bench.views(subject, count)
+    ours, theirs = bench.renderer(subject.scene, tolerance), NativeRenderer(subject.scene, tolerance=tolerance)
+    there = on(views, torch.device("cpu"))
+    found = likeness(("CudaRenderer", subject.scene.name, tolerance, "NativeRenderer"), ours, theirs, views, there)
+    print(
+        f"{count} frames at {tolerance:g} px: {found.within_one:.4%} of bytes within 1, worst {found.worst_db:.1f} dB"
+    )
+    if not (found.within_one >= WITHIN_ONE and found.worst_db >= WORST_DB):
+        sys.exit(f"expected at least {WITHIN_ONE:.2%} and {WORST_DB:.0f} dB")
+
+
+def twice(bench: Bench, tolerance: float) -> None:
+    """Draw the same frames again, and in batches that no tile count divides."""
+    subject = bench.fitted("backyard")
+    views = bench.views(subject, max(bench.sizes.batches))
+    for detail in (0.0, tolerance):
+        renderer = bench.renderer(subject.scene, detail)
+        once, again = renderer.pixels(views), renderer.pixels(views)
+        parts = torch.cat([renderer.pixels(views[start : start + 999]) for start in range(0, len(views), 999)])
+        different = [int((once != other).flatten(1).any(1).sum()) for other in (again, parts)]
+        print(f"{len(views)} frames at {detail:g} px: {different[0]} differ again, {different[1]} in other batches")
+        if any(different):
+            sys.exit("expected the same bytes")
+
+
+def launch(bench: Bench, tolerance: float) -> None:
+    """Draw the frames of the benchmark, nothing compared."""
+    subject = next(iter(bench.subjects().values()))
+    renderer = bench.renderer(subject.scene, tolerance)
+    views = bench.views(subject, bench.sizes.batches[bench.sizes.base])
+    for _ in range(ROUNDS):
+        renderer.pixels(views)
+    print(f"{ROUNDS} times {len(views)} frames, {int(renderer.pixels(views).sum())} in all")
+
+
+STEPS: dict[str, Callable[[Bench, float], None]] = {
+    step.__name__: step for step in (load, thread, tiny, frames, twice, launch)
+}
+
+
+def main() -> None:
+    """Make a step."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("step", choices=list(STEPS))
+    parser.add_argument("--tolerance", type=float, default=0.5, help="of the level of detail, pixels; default 0.5")
+    parser.add_argument("--dry-run", action="store_true", help="on the CPU, by the tests' emulator, at tiny sizes")
+    options = parser.parse_args()
+    if not (options.dry_run or torch.cuda.is_available()):
+        sys.exit("no CUDA device: nothing was tried; --dry-run shows that everything runs")
+    STEPS[options.step](DryRun() if options.dry_run else Bench(torch.device("cuda", 0)), options.tolerance)
+
+
+if __name__ == "__main__":
+    main()

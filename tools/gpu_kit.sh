@@ -1,0 +1,131 @@
+#!/bin/bash
+# Packs what a GPU machine without internet lacks, into one folder that is copied there with the checkout.
+#
+#   tools/gpu_kit.sh [--python 3.12] [--arch sm_90] [--folder .gpu_kit] [--limit 64] [PART ...]
+#
+# --python  the Python of that machine: a version, or the path of such an interpreter on this one, which builds the wheel
+# --arch    the architecture of its GPU
+# --limit   MiB that folder and checkout may have together
+#
+# Parts, all by default: project (its wheel), packages (wheels that an image with PyTorch lacks), kernels (compiled for
+# the GPU), kitchen (the captured scene), check (sizes, and whether anything is missing). project, packages and kernels
+# need an index of packages; kernels need the extra cuda in the Python that is active here.
+set -euo pipefail
+
+# Beside PyTorch and what it needs, NumPy, SciPy, Matplotlib, Pillow and tqdm are taken to be there. PyAV is left out: it
+# is large, and only videos need it.
+PACKAGES=(
+    torchrl tensordict hoptorch lazy-importer pyvers orjson importlib_metadata zipp cloudpickle packaging
+    gymnasium farama-notifications hydra-core omegaconf antlr4-python3-runtime pyyaml plyfile python-fcl
+    cuda-core cuda-bindings cuda-pathfinder
+    pytest pluggy iniconfig pygments hypothesis sortedcontainers
+)
+PARTS=(project packages kernels kitchen check)
+
+die() {
+    echo "gpu_kit: $*" >&2
+    exit 1
+}
+
+usage() {
+    sed -n '2,/^set/{/^#/s/^# \{0,1\}//p}' "$0"
+}
+
+# The files that make the wheel's compiled part; Python and CUDA sources are taken from the checkout when it is installed.
+cpp_sources() {
+    find CMakeLists.txt splatrl/native -path splatrl/native/cuda -prune -o -type f \
+        \( -name '*.cpp' -o -name '*.h' -o -name CMakeLists.txt \) -print | LC_ALL=C sort
+}
+
+# Sets `interpreter` to the Python that builds the wheel.
+find_interpreter() {
+    interpreter=$python
+    [[ $python == */* ]] || interpreter=python$python
+    version=$("$interpreter" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null) ||
+        die "--python $python: found no interpreter that runs; give the path of one, such as \$(uv python find $python)"
+    [[ $python == */* || $version == "$python" ]] || die "--python $python: $interpreter is $version"
+}
+
+pack_project() {
+    local wheel=("$folder"/wheels/splatrl-*-"cp${version/./}"-*.whl)
+    if [[ -f ${wheel[0]} ]] && sha256sum --check --status "$folder/sources.sha256" 2>/dev/null; then
+        return # the same C++
+    fi
+    rm -f "$folder"/wheels/splatrl-*.whl
+    "$interpreter" -m pip wheel -q --no-deps -w "$folder/wheels" . || die "project: the wheel was not built, see above"
+    cpp_sources | xargs sha256sum >"$folder/sources.sha256"
+}
+
+pack_packages() {
+    find "$folder/wheels" -name '*.whl' -not -name 'splatrl-*' -delete
+    "$interpreter" -m pip wheel -q --no-deps -c constraints.txt -w "$folder/wheels" "${PACKAGES[@]}" ||
+        die "packages: a wheel was not found or not built, see above"
+}
+
+pack_kernels() {
+    python benchmarks/gpu_kernels.py --arch "$arch" --archive "$folder/kernels.tar.gz" ||
+        die "kernels: not compiled, see above; the active Python needs: pip install -e '.[cuda]'"
+}
+
+pack_kitchen() {
+    local scene=${SPLATRL_SCENES:-../shared/scenes}/kitchen/kitchen.spz
+    if [[ -f $scene ]]; then
+        install -D -m 644 "$scene" "$folder/scenes/kitchen/kitchen.spz"
+    else
+        echo "kitchen: left out, no $scene; SPLATRL_SCENES names the folder of scenes"
+    fi
+}
+
+mib() {
+    awk -v bytes="$1" 'BEGIN { printf "%6.1f MiB", bytes / 1048576 }'
+}
+
+pack_check() {
+    local name pattern found kit=0 checkout
+    for name in splatrl "${PACKAGES[@]}"; do
+        pattern=${name//[-_.]/[-_.]}
+        found=$(find "$folder/wheels" -iname "$pattern-*.whl" 2>/dev/null | wc -l)
+        ((found == 1)) || die "$name: expected one wheel in $folder/wheels, found $found"
+    done
+    [[ -f $folder/kernels.tar.gz ]] || die "kernels: expected $folder/kernels.tar.gz"
+    while read -r size file; do
+        kit=$((kit + size))
+        echo "$(mib "$size")  ${file##*/}"
+    done < <(find "$folder" -type f -printf '%s %p\n' | sort -rn)
+    checkout=$({ git ls-files -z | xargs -0r stat -c %s || true; } 2>/dev/null | awk '{ sum += $1 } END { print sum + 0 }')
+    echo "$(mib $kit)  in $folder, $(mib $((kit + checkout)) | xargs) with the checkout"
+    ((kit + checkout <= limit * 1048576)) ||
+        die "$folder: expected at most $limit MiB with the checkout, got $(mib $((kit + checkout)) | xargs)"
+}
+
+python=3.12 arch=sm_90 folder=.gpu_kit limit=64 parts=()
+while (($#)); do
+    case $1 in
+        --python | --arch | --folder | --limit)
+            (($# > 1)) || die "$1: expected a value"
+            declare "${1#--}=$2"
+            shift
+            ;;
+        -h | --help)
+            usage
+            exit
+            ;;
+        -*) die "$1: expected one of --python, --arch, --folder, --limit" ;;
+        *)
+            [[ " ${PARTS[*]} " == *" $1 "* ]] || die "$1: expected one of ${PARTS[*]}"
+            parts+=("$1")
+            ;;
+    esac
+    shift
+done
+[[ $arch =~ ^sm_[0-9]+$ ]] || die "--arch $arch: expected sm_90 or the like"
+[[ $limit =~ ^[0-9]+$ ]] || die "--limit $limit: expected a number of MiB"
+((${#parts[@]})) || parts=("${PARTS[@]}")
+[[ $folder == /* ]] || folder=$PWD/$folder
+cd "$(dirname "$0")/.."
+mkdir -p "$folder/wheels"
+git describe --always --abbrev=40 --dirty=-changed --exclude='*' >"$folder/commit" 2>/dev/null || echo unknown >"$folder/commit"
+[[ ! " ${parts[*]} " =~ " project "|" packages " ]] || find_interpreter
+for part in "${parts[@]}"; do
+    "pack_$part"
+done
