@@ -291,4 +291,4 @@ def test_the_bound_grows_with_every_count(benchmark: Any) -> None:
     for place in range(3):
         more = [count * (1 + (place == other)) for other, count in enumerate(counts)]
         assert bound_us(machine, *more, 3, 64 * 64)[0] > base[0]
-    assert bound_us(machine, 0, 0, 1, 0, 0) == (32 * 22 / 1e6, 0.0)  # a patch: 22 operations a pixel
+    assert bound_us(machine, 0, 0, 1, 0, 0) == (8 * 22 / 1e6, 0.0)  # a cell: 22 operations a pixel
