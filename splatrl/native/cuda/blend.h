@@ -193,8 +193,8 @@ struct Pixels {
 
     // Blend one splat over a cell. Its share of a pixel is 0 once the transmittance has fallen to `finished`, or in an
     // exact image once it would; the transmittance itself keeps falling.
-    INLINE_MEMBER void blend(const Record& splat, const float& far, int patch) {
-        const Record record = splat;
+    INLINE_MEMBER void blend(const Shared& shared, int splat, int patch) {
+        const Record record = shared.records[splat];
         const float before = transmittance[patch];
         const float share = before * alpha_at(x_of(patch) - record.x, y_of(patch) - record.y, record.l11, record.l12,
                                               record.l22, record.log2_opacity, low_half(record.peak_red),
@@ -205,7 +205,7 @@ struct Pixels {
         red[patch] += counted * high_half(record.peak_red);
         green[patch] += counted * low_half(record.green_blue);
         blue[patch] += counted * high_half(record.green_blue);
-        if (WITH_DEPTH) depth[patch] += counted * far, alpha[patch] += counted;
+        if (WITH_DEPTH) depth[patch] += counted * shared.depths[splat], alpha[patch] += counted;
     }
 
     // Blend a slab, nearest first. A quarter of a warp takes the chunks in which its cell has splats, and these by
@@ -225,7 +225,7 @@ struct Pixels {
                 }
                 PASS(pair);
                 const int next = __clz(splats);
-                blend(shared.records[begin + next], shared.depths[begin + next], i);
+                blend(shared, begin + next, i);
                 splats &= ~(FIRST >> next);
             }
             __syncwarp();  // or quarters drift apart

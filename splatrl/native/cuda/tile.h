@@ -111,8 +111,8 @@ struct Shared {
     uint32_t sums[WARPS];
     uint32_t ends[BUCKETS];           // where each bucket of the candidates ends
     Key sorted[SLAB];                 // the keys of a slab, in the end of those that show, nearest first
-    alignas(16) uint32_t cells[CHUNKS][CELLS];  // which splats of each chunk show on each cell, by bits
-    alignas(16) uint32_t chunks[CELLS];         // in which chunks there are any, by bits
+    uint32_t cells[CHUNKS][CELLS];    // which splats of each chunk show on each cell, by bits, the highest first
+    uint32_t chunks[CELLS];           // in which chunks there are any, likewise
     uint32_t bases[VIEWS];            // of the parts; not set without parts
     union {                           // never needed at the same time
         View views[VIEWS];            // of the parts
