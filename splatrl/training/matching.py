@@ -54,14 +54,14 @@ class Views(NamedTuple):
         planar: [N, 3] float32, x and y in metres and yaw in radians.
         around: [N] int64, rows of the views in the order of their scenes and, in each, of their headings.
         first: [N] int64, of each place in this order the one at which the same scene begins.
-        count: [N] int64, likewise how many views there are of that scene.
+        among: [N] int64, likewise how many views there are of that scene.
     """
 
     image: Tensor
     planar: Tensor
     around: Tensor
     first: Tensor
-    count: Tensor
+    among: Tensor
 
 
 def views(env: EnvBase, frames: int) -> Views:
@@ -138,7 +138,7 @@ class Matcher:
 def drawn(shown: Views, count: int) -> tuple[Tensor, Tensor]:
     """Rows of both views of pairs, [count] int64 each; the nearer two headings are, the more likely is the pair."""
     here = torch.randint(len(shown.around), (count,))
-    first, among = shown.first[here], shown.count[here]
+    first, among = shown.first[here], shown.among[here]
     away = 0.5 * among * (2.0 * torch.rand(count) - 1.0) ** 3
     there = first + (here - first + (away.sign() * away.abs().ceil()).long()) % among
     return shown.around[here], shown.around[there]
