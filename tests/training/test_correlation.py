@@ -33,8 +33,9 @@ def test_cells_of_an_image_are_like_themselves_alone() -> None:
 def test_light_that_falls_on_all_of_an_image_is_left_out_of_the_comparison() -> None:
     trunk, cells = counting()
     torch.nn.init.uniform_(trunk.convolutions[0].bias, 2.0, 3.0)  # so that no ReLU is met, and all is linear
-    image = 0.1 * torch.rand(1, 16, 24, 3)
+    image, other = 0.1 * torch.rand(2, 1, 16, 24, 3)
     assert trunk(torch.cat([image, image + 0.1], -1)).item() == pytest.approx(cells, rel=1e-3)
+    assert trunk(torch.cat([image, other], -1)).item() < 0.7 * cells
 
 
 def test_it_reads_batches_of_any_shape_and_both_images_besides() -> None:
