@@ -16,7 +16,7 @@ from splatrl.device import AUTO
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.rollouts import run_episodes, spread_starts
 from splatrl.made_with import made_with
-from splatrl.training import PPO, Actor, Cloner, Trainer, inputs_of, make_tracker
+from splatrl.training import PPO, Actor, Cloner, Matcher, Trainer, inputs_of, make_tracker, views
 from splatrl.values import require_number
 
 
@@ -79,15 +79,20 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], 
     Raises:
         ValueError: for ``demos`` that are no folder of demonstrations and no number.
     """
-    dagger, shown = instantiate(cfg.dagger), []
+    dagger, matching, shown = instantiate(cfg.dagger), instantiate(cfg.matching), []
     if isinstance(cfg.demos, str):
         shown = [read_demonstrations(Path(cfg.demos).expanduser())]
     elif cfg.demos is not None:
         require_number("demos", cfg.demos, 1, 10**6, whole=True)
-    elif not dagger.rounds:
+    elif not dagger.rounds and not matching.frames:
         return None
 
     def teach() -> Iterator[dict[str, float]]:
+        if matching.frames:
+            matcher = Matcher(ppo.model, matching)
+            shown_views = views(world.env(cfg.env.num_envs, seed=worker_seed(cfg.seed, 1)), matching.frames)
+            ppo.frames += matching.frames
+            yield {"loss_matching": matcher.fit(shown_views)}
         cloner = Cloner(ppo.model, instantiate(cfg.cloning))
         episodes = shown or _walked(world, cfg.demos or 0, cfg.seed)
         yield from imitate(ppo, cloner, world, episodes, dagger, worker_seed(cfg.seed, 0))

@@ -5,6 +5,7 @@ from splatrl.training.checkpoint import load_checkpoint, save_checkpoint
 from splatrl.training.cloning import Cloner, CloningSettings
 from splatrl.training.dagger import DaggerSettings, targets, visited
 from splatrl.training.inputs import Input, inputs_of
+from splatrl.training.matching import Matcher, MatchingSettings, views
 from splatrl.training.memory import memory_transforms
 from splatrl.training.networks import actor_critic
 from splatrl.training.ppo import PPO
@@ -20,6 +21,8 @@ __all__ = [
     "DaggerSettings",
     "Input",
     "LossSettings",
+    "Matcher",
+    "MatchingSettings",
     "OptimSettings",
     "Trainer",
     "actor_critic",
@@ -29,5 +32,6 @@ __all__ = [
     "memory_transforms",
     "save_checkpoint",
     "targets",
+    "views",
     "visited",
 ]

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 from torchrl.data import Composite
 
+from splatrl.training.correlation import CorrelationTrunk
 from splatrl.training.heads import orthogonal
 from splatrl.training.trunk import GAIN, PoolPixels, Trunk
 
@@ -102,11 +103,19 @@ class JoinedTrunk(nn.Module):
         vector: numbers of the vector; 0 reads images alone.
         channels: see ``Trunk``.
         features: size of each part and of the output.
+        trunk: class of the convolutions.
     """
 
-    def __init__(self, image_shape: tuple[int, int, int] | None, vector: int, channels: Sequence[int], features: int):
+    def __init__(
+        self,
+        image_shape: tuple[int, int, int] | None,
+        vector: int,
+        channels: Sequence[int],
+        features: int,
+        trunk: type[Trunk] | type[CorrelationTrunk] = Trunk,
+    ):
         super().__init__()
-        self.seen = None if image_shape is None else Trunk(*image_shape, channels, features)
+        self.seen = None if image_shape is None else trunk(*image_shape, channels, features)
         self.told = _dense(vector, features) if vector else None
         self.joined = _dense(((self.seen is not None) + (self.told is not None)) * features, features)
 

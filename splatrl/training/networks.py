@@ -8,11 +8,15 @@ from torchrl.data import TensorSpec
 from torchrl.modules import ActorValueOperator, ValueOperator
 
 from splatrl.training.beside import PreparedBeside, TrunkBeside
+from splatrl.training.correlation import CorrelationTrunk
 from splatrl.training.heads import FIRST_SCALE, orthogonal, policy_head
 from splatrl.training.inputs import Input, JoinedTrunk, Prepare
 from splatrl.training.memory import gru
 from splatrl.training.trunk import PoolPixels, Trunk
 from splatrl.values import require_number
+
+FUSIONS = {"early": Trunk, "correlation": CorrelationTrunk}
+"""What reads several images, by name."""
 
 
 def actor_critic(
@@ -25,6 +29,7 @@ def actor_critic(
     inputs: Mapping[str, Input] | None = None,
     critic_inputs: Mapping[str, Input] | None = None,
     spread: float = FIRST_SCALE,
+    fusion: str = "early",
 ) -> ActorValueOperator:
     """Actor and critic over one trunk: ``pixels`` -> ``image`` -> ``hidden`` -> ``action`` and ``state_value``.
 
@@ -43,13 +48,15 @@ def actor_critic(
         inputs: what is read in place of pixels, by key; see ``inputs_of``.
         critic_inputs: vectors that the critic alone reads besides, by key.
         spread: of continuous actions in the beginning, see ``policy_head``.
+        fusion: one of ``FUSIONS``: what becomes of several images, joined as channels (``early``) or, if there are two
+            alike, compared (``correlation``, see ``CorrelationTrunk``).
 
     Returns:
         Operator whose ``get_policy_operator()`` acts, and whose heads share the trunk's ``hidden``.
 
     Raises:
-        ValueError: for sizes that are no whole numbers in their ranges; for a critic that is told images, what the
-            actor reads, or anything in a network with memory.
+        ValueError: for sizes that are no whole numbers in their ranges; for another fusion, or one that the images do
+            not suit; for a critic that is told images, what the actor reads, or anything in a network with memory.
     """
     require_number("network.pool", pool, 1, whole=True)
     require_number("network.features", features, 1, whole=True)
@@ -57,7 +64,7 @@ def actor_critic(
     require_number("network.spread", spread, 0.02, 10.0)
     for count in channels:
         require_number("network.channels", count, 1, whole=True)
-    reads, prepared, prepare, trunk = _reader(image_shape, pool, channels, features, inputs)
+    reads, prepared, prepare, trunk = _reader(image_shape, pool, channels, features, inputs, fusion)
     known = wide = memory or features
     if critic_inputs:
         if memory:
@@ -84,14 +91,23 @@ def actor_critic(
 
 
 def _reader(
-    image_shape: Sequence[int], pool: int, channels: Sequence[int], features: int, inputs: Mapping[str, Input] | None
+    image_shape: Sequence[int],
+    pool: int,
+    channels: Sequence[int],
+    features: int,
+    inputs: Mapping[str, Input] | None,
+    fusion: str,
 ) -> tuple[list[str], list[str], nn.Module, nn.Module]:
     """Keys that are read and made by the part without weights, this part, and the trunk behind it."""
+    if fusion not in FUSIONS:
+        raise ValueError(f"network.fusion: expected one of {', '.join(FUSIONS)}, got {fusion}")
+    images = [one.shape for one in (inputs or {}).values() if one.encoding == "image"]
+    if fusion != "early" and (len(images) != 2 or images[0] != images[1]):
+        raise ValueError(f"network.fusion: expected early for any images but two alike, got {fusion} of {len(images)}")
     if not inputs:
         height, width, depth = image_shape
         return ["pixels"], ["image"], PoolPixels(pool), Trunk(height // pool, width // pool, depth, channels, features)
-    images = [one.shape for one in inputs.values() if one.encoding == "image"]
     vector = sum(one.size for one in inputs.values() if one.encoding != "image")
     pooled = (images[0][0] // pool, images[0][1] // pool, sum(shape[2] for shape in images)) if images else None
     prepared = (["image"] if images else []) + (["vector"] if vector else [])
-    return [*inputs], prepared, Prepare(inputs, pool), JoinedTrunk(pooled, vector, channels, features)
+    return [*inputs], prepared, Prepare(inputs, pool), JoinedTrunk(pooled, vector, channels, features, FUSIONS[fusion])

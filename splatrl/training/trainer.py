@@ -150,7 +150,8 @@ class Trainer:
         tested_at = 0
         for row in prepare():
             row |= {"frames": self.ppo.frames, "level": int(self.ppo.env.curriculum.level)}
-            told = f"imitated {self.ppo.frames:,} frames: loss {row['loss_cloning']:.4f}"
+            (lesson,) = (name for name in row if name.startswith("loss_"))
+            told = f"taught {self.ppo.frames:,} frames: {lesson} {row[lesson]:.4f}"
             if tested_at == 0 or _crossed(tested_at, self.ppo.frames, self.test_interval):
                 row |= self._tested()
                 told, tested_at = f"{told}, success {row['test_success']:.2f}", self.ppo.frames

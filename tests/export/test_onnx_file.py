@@ -30,10 +30,12 @@ KINDS: dict[str, list[str]] = {
     "drive": ["task=drive", "memory=stack", "task.motion.spacing=0.25"],
     "sensors": ["task=pointnav", "sensors=[rgb,depth,lidar,contact,pointgoal]", "memory=stack"],
     "blind": ["task=pointnav", "sensors=[pointgoal]"],
+    "compared": ["task=imagenav", "network.fusion=correlation"],
 }
 OBSERVED = {
     "sensors": ["pixels", "depth", "lidar", "contact", "pointgoal_with_gps_compass"],
     "blind": ["pointgoal_with_gps_compass"],
+    "compared": ["pixels", "imagegoal"],
 }
 
 
@@ -58,7 +60,7 @@ def test_onnxruntime_does_what_pytorch_does(kind: str, tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"policy.onnx", "run_policy.py"}
     session = onnxruntime.InferenceSession(tmp_path / "out" / "policy.onnx")
     remembered = {"gru": ["recurrent_state"], "both": ["frames", "recurrent_state"]}.get(kind, ["frames"])
-    remembered = [] if kind in ("plain", "blind") else remembered
+    remembered = [] if kind in ("plain", "blind", "compared") else remembered
     observed = OBSERVED.get(kind, ["pixels"])
     assert [each.name for each in session.get_inputs()] == [*observed, *(["begin"] if remembered else []), *remembered]
     about = ["loc", "scale"] if kind == "drive" else ["probabilities"]

@@ -18,6 +18,10 @@ from splatrl.motions.planar import StoppingMotion
 from splatrl.values import require_number
 
 TRIES = 50
+LOST = 16
+"""Steps after which what an image told of the goal's place is worth no more, for the teacher of ``ImageNav``."""
+ROUNDING = 1e-3
+"""Of headings, radians."""
 
 
 @dataclass(frozen=True)
@@ -203,10 +207,14 @@ class NavigationTask(TaskModule):
 
     def teach(self, state: Tensor, memory: Memory) -> Tensor:
         """What one does who knows the shortest way; see ``lead``."""
+        return self.motion.toward(*self._led(state, memory))
+
+    def _led(self, state: Tensor, memory: Memory) -> tuple[Tensor, Tensor]:
+        """Angle from the heading to the shortest way, radians, and whether the goal is near enough: [B] each."""
         row, motion = memory["goal_row"].squeeze(1), self.motion
         turn, arrived = lead(self.geodesics, motion.planar(state).float(), row, motion.reach, motion.angle_between)
         far = self.geodesics.distance(self._place(state), row)
-        return motion.toward(turn, (far < self.success_distance) & (arrived | (far < 0.5 * self.success_distance)))
+        return turn, (far < self.success_distance) & (arrived | (far < 0.5 * self.success_distance))
 
     def beeline(self, state: Tensor, memory: Memory) -> Tensor:
         """What one does who knows distance and direction of the goal and nothing else; see ``teach``."""
@@ -242,6 +250,7 @@ class ImageNav(NavigationTask):
 
     Observation: ``imagegoal`` [B, H, W, 3] uint8, ``pixels``, and what else ``sensors`` gives. A stop within 1 m is a
         success, as in Mezghani et al. 2022.
+    Memory: also ``unseen`` [B, 1] int64, steps since the robot last looked the way that the goal's camera looks.
     Everything else: see ``NavigationTask``.
 
     Example:
@@ -250,3 +259,42 @@ class ImageNav(NavigationTask):
         >>> env.reset()["imagegoal"].shape
         torch.Size([4, 64, 64, 3])
     """
+
+    @property
+    def memory_spec(self) -> Mapping[str, TensorSpec]:
+        """See the class."""
+        return {**super().memory_spec, "unseen": Unbounded(shape=(1,), dtype=torch.int64)}
+
+    def episode(self, state: Tensor, row: Tensor, yaw: Tensor) -> dict[str, Tensor]:
+        """What is remembered where episodes with given goals begin; see ``NavigationTask.episode``."""
+        begun = super().episode(state, row, yaw)
+        return begun | {"unseen": self._unseen(state, begun, torch.full_like(begun["goal_row"], LOST))}
+
+    def judge(self, step: Step, anywhere: Anywhere) -> Verdict:
+        """Judge a step; see ``Task.judge``."""
+        verdict = super().judge(step, anywhere)
+        unseen = self._unseen(step.move.state, step.memory, step.memory["unseen"])
+        return verdict._replace(memory={**verdict.memory, "unseen": unseen})
+
+    def teach(self, state: Tensor, memory: Memory) -> Tensor:
+        """What one does who has to see where the goal is: only what a policy can tell from images is worth imitating.
+
+        A robot that has not looked the way of the goal's image for ``LOST`` steps turns left until it does, as it can
+        then compare the two. From there it takes the shortest way, and before it stops it looks that way once more.
+        """
+        turn, near = self._led(state, memory)
+        aside, lost = self._aside(state, memory), memory["unseen"].squeeze(1) >= LOST
+        turn = torch.where(lost, self.motion.angle_between, torch.where(near, aside, turn))
+        return self.motion.toward(turn, near & ~lost & self._alike(aside))
+
+    def _unseen(self, state: Tensor, memory: Memory, before: Tensor) -> Tensor:
+        """Steps since robots looked the way of their goal's image, from those before: [B, 1] int64."""
+        return torch.where(self._alike(self._aside(state, memory)).unsqueeze(1), 0, before + 1)
+
+    def _aside(self, state: Tensor, memory: Memory) -> Tensor:
+        """Angle from robots' headings to those of their goals: [B] float32 radians in [-π, π]."""
+        return wrapped(memory["goal"][:, 2] - self.motion.planar(state)[:, 2].float())
+
+    def _alike(self, aside: Tensor) -> Tensor:
+        """Whether headings at an angle to the goal's are as close to it as turns allow: [B] -> [B] bool."""
+        return aside.abs() <= 0.5 * self.motion.angle_between + ROUNDING

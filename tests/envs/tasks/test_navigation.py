@@ -18,7 +18,9 @@ from splatrl.curriculum.geodesics import Geodesics
 from splatrl.envs import Robot, SplatEnv
 from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.sensors import Gps, ImageGoal, PointGoal
+from splatrl.envs.sensors.odometry import wrapped
 from splatrl.envs.tasks import ImageNav, NavigationRewards, NavigationTask, Outcome, PointNav
+from splatrl.envs.tasks.navigation import LOST
 from splatrl.evaluation.rollouts import Episodes, knowing, run_episodes
 from splatrl.motions import DriveMotion, ForwardMotion, NavigateMotion
 from tests.tiny import BLOCK, HEIGHT, tiny_overrides, tiny_renderer
@@ -261,6 +263,38 @@ def test_the_teacher_knows_the_way_around_and_the_straight_one_does_not(motion: 
     assert 0.2 < straight.success.double().mean() < 0.9
     stuck = straight.outcome == Outcome.TIMEOUT
     assert (straight.measures["collisions"][stuck] > 50).all()
+
+
+def test_a_robot_remembers_since_when_it_has_not_looked_as_the_image_does() -> None:
+    env = env_of(task_of(ImageNav, success_distance=1.0))
+    td = begin(env, [-0.75, 1.25, 0.0], [0.75, 1.25, math.pi - 0.7])  # 90° turns: as near as they come is 45°
+    assert td["unseen"].item() > LOST
+    assert [one["unseen"].item() for one in walk(env, td, [LEFT, LEFT, FORWARD, LEFT])] == [LOST + 2, 0, 0, 1]
+    assert begin(env, [-0.75, 1.25, math.pi], [0.75, 1.25, math.pi])["unseen"].item() == 0
+
+
+@pytest.mark.parametrize("motion", ["steps", "drive"])
+def test_the_teacher_of_image_goals_looks_before_it_goes_and_before_it_stops(motion: str) -> None:
+    task = task_of(ImageNav, success_distance=0.5, max_steps=200)
+    if motion == "drive":
+        task = ImageNav(DriveMotion(HEIGHT, **BOUNDS), REWARDS, **(FEW | {"success_distance": 0.5, "max_steps": 200}))
+        task.settle(checker())
+    seen: list[tuple[torch.Tensor, ...]] = []
+
+    def who(state: torch.Tensor, memory: Any) -> torch.Tensor:
+        action = task.teach(state, memory)
+        aside = wrapped(memory["goal"][:, 2] - state[:, 2]).abs()
+        seen.append((aside, memory["unseen"].squeeze(1), task.motion.stops(action), action))
+        return action
+
+    found = walked(task, who)
+    assert found.success.all() and found.navigation()["spl"] > 0.7
+    aside, unseen, stops, action = (torch.cat(column) for column in zip(*seen, strict=True))
+    lost = unseen >= LOST
+    assert lost.any() and (unseen[stops] == 0).all()
+    assert (aside[stops] <= 0.5 * task.motion.angle_between + 1e-3).all()
+    if motion == "steps":
+        assert (action[lost] == LEFT).all() and (action[~lost] == FORWARD).any()
 
 
 def test_the_teacher_of_several_scenes_keeps_to_the_goal_of_each() -> None:

@@ -1,0 +1,52 @@
+"""A trunk that compares two images place by place."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import normalize, relu
+
+from splatrl.training.heads import orthogonal
+from splatrl.training.trunk import GAIN
+
+
+class CorrelationTrunk(nn.Module):
+    """Convolutions shared by two images, and how alike each cell of the one is to each cell of the other.
+
+    The correlation volume of optical flow (Dosovitskiy et al. 2015, FlowNet; over all pairs as in Teed and Deng 2020,
+    RAFT), as cosines of features less their mean over the image. A dense layer reads it beside the features themselves.
+
+    Args:
+        height: height of the images, pixels.
+        width: width of the images, pixels.
+        depth: channels of both images together.
+        channels: output channels of the two convolutions.
+        features: size of the output.
+
+    Raises:
+        ValueError: for images that are too small for the convolutions, or other than two of them.
+    """
+
+    def __init__(self, height: int, width: int, depth: int, channels: Sequence[int], features: int):
+        super().__init__()
+        if min(height, width) < 8:
+            raise ValueError(f"image: expected sides of at least 8 · pool pixels, got {height} × {width} after pooling")
+        if len(channels) != 2:
+            raise ValueError(f"network.channels: expected two numbers, got {list(channels)}")
+        first, second = channels
+        self.convolutions = nn.Sequential(
+            orthogonal(nn.Conv2d(depth // 2, first, 4, stride=2), GAIN),
+            nn.ReLU(inplace=True),
+            orthogonal(nn.Conv2d(first, second, 3, stride=2), GAIN),
+        )
+        cells = self.convolutions(torch.zeros(1, depth // 2, height, width)).flatten(2).shape[2]
+        self.dense = orthogonal(nn.Linear(cells * (cells + 2 * second), features), GAIN)
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Encode two images joined as channels: [..., H, W, 2 · C] float32 -> [..., features] float32."""
+        images = image.reshape(-1, *image.shape[-3:])
+        found = [self.convolutions(each.permute(0, 3, 1, 2)).flatten(2) for each in images.chunk(2, -1)]
+        here, there = (normalize(each - each.mean(2, keepdim=True), dim=1) for each in found)
+        alike = here.transpose(1, 2) @ there  # [N, cells, cells]
+        read = torch.cat([each.flatten(1) for each in (alike, *found)], 1)
+        return relu(self.dense(relu(read))).reshape(*image.shape[:-3], -1)

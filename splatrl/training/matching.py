@@ -1,0 +1,152 @@
+"""Views of one place told apart: a trunk that reads the view and a goal's image learns from where the latter was seen.
+
+Pairs of views cost nothing but the views: any two of a scene are a pair, whose relative pose is known.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import smooth_l1_loss
+from torchrl.envs import EnvBase
+from torchrl.modules import ActorValueOperator
+
+from splatrl.envs.sensors import ImageGoal
+from splatrl.training.heads import orthogonal
+from splatrl.values import require_number
+
+READS = ("pixels", ImageGoal.KEY)
+
+
+@dataclass(frozen=True)
+class MatchingSettings:
+    """Settings of learning from pairs of views.
+
+    Attributes:
+        frames: episodes that are begun, and in which nobody acts; each shows the view and its goal's. 0 is off.
+        pairs: of two views of one scene, drawn among them.
+        mini_batch_size: pairs in a gradient step.
+        lr: learning rate of Adam, which falls linearly to zero.
+
+    Raises:
+        ValueError: names the value that is out of range.
+    """
+
+    frames: int
+    pairs: int
+    mini_batch_size: int
+    lr: float
+
+    def __post_init__(self) -> None:
+        require_number("matching.frames", self.frames, 0, whole=True)
+        for name in ("pairs", "mini_batch_size"):
+            require_number(f"matching.{name}", getattr(self, name), 1, whole=True)
+        require_number("matching.lr", self.lr, 0.0)
+
+
+class Views(NamedTuple):
+    """N views of some scenes.
+
+    Attributes:
+        image: [N, H, W, 3] uint8.
+        planar: [N, 3] float32, x and y in metres and yaw in radians.
+        around: [N] int64, rows of the views in the order of their scenes and, in each, of their headings.
+        first: [N] int64, of each place in this order the one at which the same scene begins.
+        among: [N] int64, likewise how many views there are of that scene.
+    """
+
+    image: Tensor
+    planar: Tensor
+    around: Tensor
+    first: Tensor
+    among: Tensor
+
+
+def views(env: EnvBase, frames: int) -> Views:
+    """Views and images of goals, as many of each, from where episodes begin.
+
+    Args:
+        env: batched env of B robots, in which robots observe ``READS``.
+        frames: a multiple of B.
+    """
+    image = torch.empty(2, frames, *env.observation_spec[ImageGoal.KEY].shape[1:], dtype=torch.uint8)
+    planar, scene = torch.empty(2, frames, 3), torch.zeros(2, frames, dtype=torch.int64)
+    for rows in torch.arange(frames).split(env.numel()):
+        begun = env.reset()
+        image[0, rows], image[1, rows] = begun["pixels"].cpu(), begun[ImageGoal.KEY].cpu()
+        planar[0, rows], planar[1, rows] = env.task.motion.planar(begun["state"]).float().cpu(), begun["goal"].cpu()
+        if "scene" in begun.keys():  # noqa: SIM118, a TensorDict is no dict
+            scene[:, rows] = begun["scene"].squeeze(1).cpu()
+    return views_of(image.flatten(0, 1), planar.flatten(0, 1), scene.flatten())
+
+
+def views_of(image: Tensor, planar: Tensor, scene: Tensor) -> Views:
+    """Views [N, ...] of scenes, [N] int64."""
+    around = (scene * math.tau + planar[:, 2] % math.tau).argsort(stable=True)
+    counts = scene.bincount()
+    first, own = counts.cumsum(0) - counts, scene[around]
+    return Views(image, planar, around, first[own], counts[own])
+
+
+class Matcher:
+    """Adam on how far off a trunk tells from where one of two views was seen, in the frame of the other's robot.
+
+    A linear layer reads place, in metres, and cosine and sine of the turn from the trunk's features; it is thrown away.
+
+    Args:
+        model: actor and critic over a shared trunk, which reads ``READS``.
+        settings: see ``MatchingSettings``.
+
+    Raises:
+        ValueError: for a model that reads anything else.
+    """
+
+    def __init__(self, model: ActorValueOperator, settings: MatchingSettings):
+        prepare, trunk, *_ = model.module[0].module
+        if tuple(prepare.in_keys) != READS:
+            raise ValueError(f"matching.frames: expected 0 for a policy that reads {', '.join(prepare.in_keys)}")
+        self.settings, self._prepare, self._trunk = settings, prepare.module, trunk.module
+        self._device = next(trunk.parameters()).device
+
+    def fit(self, shown: Views) -> float:
+        """Learn from pairs of views; returns the mean loss of the last tenth of them."""
+        size, losses = self.settings.mini_batch_size, list[Tensor]()
+        head = orthogonal(nn.Linear(len(self._features(shown, *drawn(shown, 1))[0]), 4), 1.0).to(self._device)
+        parameters = [*self._trunk.parameters(), *head.parameters()]
+        optimizer = torch.optim.Adam(parameters, lr=self.settings.lr)
+        steps = math.ceil(self.settings.pairs / size)
+        for step in range(steps):
+            for group in optimizer.param_groups:
+                group["lr"] = self.settings.lr * (1.0 - step / steps)
+            here, there = drawn(shown, size)
+            told = head(self._features(shown, here, there))
+            loss = smooth_l1_loss(told, seen_from(shown.planar[here], shown.planar[there]).to(self._device))
+            optimizer.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(parameters, 1.0)
+            optimizer.step()
+            losses.append(loss.detach())
+        return float(torch.stack(losses[-math.ceil(steps / 10) :]).mean())
+
+    def _features(self, shown: Views, here: Tensor, there: Tensor) -> Tensor:
+        prepared = self._prepare(shown.image[here].to(self._device), shown.image[there].to(self._device))
+        return self._trunk(*prepared)
+
+
+def drawn(shown: Views, count: int) -> tuple[Tensor, Tensor]:
+    """Rows of both views of pairs, [count] int64 each; the nearer two headings are, the more likely is the pair."""
+    here = torch.randint(len(shown.around), (count,))
+    first, among = shown.first[here], shown.among[here]
+    away = 0.5 * among * (2.0 * torch.rand(count) - 1.0) ** 3
+    there = first + (here - first + (away.sign() * away.abs().ceil()).long()) % among
+    return shown.around[here], shown.around[there]
+
+
+def seen_from(here: Tensor, there: Tensor) -> Tensor:
+    """Places and turns of some poses in the frames of others: [N, 3] each -> [N, 4], metres, cosine and sine."""
+    away, yaw, turn = there[:, :2] - here[:, :2], here[:, 2], there[:, 2] - here[:, 2]
+    ahead = away[:, 0] * yaw.cos() + away[:, 1] * yaw.sin()
+    left = away[:, 1] * yaw.cos() - away[:, 0] * yaw.sin()
+    return torch.stack([ahead, left, turn.cos(), turn.sin()], 1)

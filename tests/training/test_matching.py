@@ -1,0 +1,95 @@
+"""Pairs of views: what was seen from where, and a network that learns to tell it."""
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import DictConfig
+
+from splatrl.building import build_model, build_trainer, build_world
+from splatrl.configuration import load_config
+from splatrl.envs.world import World, Worlds
+from splatrl.training import Matcher, MatchingSettings, views
+from splatrl.training.matching import drawn, seen_from, views_of
+from tests.two_rooms import in_both
+
+FEW = ["task.nearest=0.3", "task.goals=6", "task.test_goals=3", "robot.body.radius=0.1"]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[DictConfig, World | Worlds]:
+    cfg = load_config([*in_both(tmp_path_factory.mktemp("rooms"), "imagenav"), *FEW])
+    return cfg, build_world(cfg)
+
+
+def test_a_pose_in_the_frame_of_another() -> None:
+    here = torch.tensor([[1.0, 1.0, math.pi / 2], [0.0, 0.0, 0.0]])
+    there = torch.tensor([[1.0, 3.0, math.pi], [-1.0, 2.0, 0.0]])
+    expected = torch.tensor([[2.0, 0.0, 0.0, 1.0], [-1.0, 2.0, 1.0, 0.0]])
+    torch.testing.assert_close(seen_from(here, there), expected, atol=1e-6, rtol=0.0)
+
+
+def test_both_views_of_a_pair_are_of_one_scene_and_most_look_nearly_the_same_way() -> None:
+    torch.manual_seed(0)
+    count = 4000
+    planar = torch.cat([torch.zeros(count, 2), math.tau * torch.rand(count, 1)], 1)
+    scene = (torch.rand(count) < 0.3).long() + 2  # one of another size, and two without views
+    shown = views_of(torch.zeros(count, 1, 1, 3, dtype=torch.uint8), planar, scene)
+    here, there = drawn(shown, 20_000)
+    assert torch.equal(scene[here], scene[there])
+    turn = planar[there, 2] - planar[here, 2]
+    turn = torch.atan2(turn.sin(), turn.cos())
+    for degrees in (15.0, 60.0, 120.0):
+        share = float((turn.abs() < math.radians(degrees)).float().mean())
+        assert share == pytest.approx((degrees / 180.0) ** (1 / 3), abs=0.02)
+    assert float((turn > 0).float().mean()) == pytest.approx(0.5, abs=0.02)
+
+
+def test_views_are_those_of_robots_and_of_their_goals(made: tuple[DictConfig, World | Worlds]) -> None:
+    _, world = made
+    shown = views(world.env(8, seed=3), 24)
+    begun = [env.reset() for env in [world.env(8, seed=3)] for _ in range(3)]
+    assert torch.equal(shown.image, torch.cat([one[key] for key in ("pixels", "imagegoal") for one in begun]))
+    assert torch.equal(shown.planar, torch.cat([one[key] for key in ("state", "goal") for one in begun]))
+    scene = torch.cat([one["scene"] for one in begun] * 2).squeeze(1)
+    assert 0 < scene.sum() < 48
+    here, there = drawn(shown, 500)
+    assert torch.equal(scene[here], scene[there]) and (here != there).any()
+
+
+def test_a_network_learns_to_tell_from_where_another_view_was_seen(made: tuple[DictConfig, World | Worlds]) -> None:
+    cfg, world = made
+    env = world.env(16, seed=3)
+    shown, losses = views(env, 512), []
+    for pairs in (64, 24_000):
+        torch.manual_seed(0)
+        losses.append(Matcher(build_model(cfg, env), MatchingSettings(512, pairs, 64, 2e-3)).fit(shown))
+    assert losses[1] < 0.5 * losses[0]
+
+
+def test_a_policy_that_reads_anything_else_is_refused(tmp_path: Path) -> None:
+    cfg = load_config([*in_both(tmp_path, "pointnav"), *FEW])
+    model = build_model(cfg, build_world(cfg).env(2))
+    with pytest.raises(ValueError, match=r"matching\.frames: expected 0 for a policy that reads depth, pointgoal"):
+        Matcher(model, MatchingSettings(1, 1, 1, 1e-3))
+
+
+def test_its_frames_count_and_come_before_all_others(made: tuple[DictConfig, World | Worlds], tmp_path: Path) -> None:
+    cfg = made[0].copy()
+    cfg.merge_with_dotlist(
+        ["matching.frames=64", "matching.pairs=256", "env.num_envs=16", "collector.total_frames=256"]
+    )
+    cfg.merge_with_dotlist(["dagger.rounds=1", "dagger.epochs=1", "dagger.frames_per_round=64"])
+    cfg.merge_with_dotlist(["collector.frames_per_batch=128", "logger.num_test_episodes=4"])
+    trainer = build_trainer(cfg, made[1], tmp_path)
+    trainer.fit()
+    first, second, third = trainer.history
+    assert [row["frames"] for row in trainer.history] == [64, 128, 256]
+    assert "loss_matching" in first and "loss_cloning" in second and "loss_objective" in third
+
+
+@pytest.mark.parametrize(("values", "name"), [((-1, 1, 1), "frames"), ((1, 0, 1), "pairs"), ((1, 1, 0), "mini_batch")])
+def test_settings_out_of_range_are_named(values: tuple[int, int, int], name: str) -> None:
+    with pytest.raises(ValueError, match=rf"matching\.{name}"):
+        MatchingSettings(*values, 1e-3)
