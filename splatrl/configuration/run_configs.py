@@ -34,7 +34,13 @@ def _run_dir(resume: str | None, fresh: str) -> str:
     return resume or (_new_folder(fresh) if HydraConfig.initialized() else fresh)
 
 
+def _typed_dir(resume: str | None) -> str:
+    """Where Hydra keeps what was typed, in the folder of a run: what it began with stays when it is resumed."""
+    return ".hydra/resumed" if resume else ".hydra"
+
+
 OmegaConf.register_new_resolver("splatrl.run_dir", _run_dir, replace=True)
+OmegaConf.register_new_resolver("splatrl.typed_dir", _typed_dir, replace=True)
 RUN_CONFIG = "config.yaml"
 """The config of a run, in its folder."""
 PATHS = ("scene.path", "collision.occupancy.cloud", "demos", "evaluation.episodes")

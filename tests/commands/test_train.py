@@ -19,6 +19,7 @@ from hydra.errors import HydraException
 from splatrl.building import build_world
 from splatrl.commands import evaluate, train
 from splatrl.configuration import config_elsewhere, resumed_config, run_config, run_configs, words_of_place
+from splatrl.configuration.elsewhere import TYPED
 from splatrl.files import alone_in
 from splatrl.made_with import check_made_with, made_with
 from splatrl.scenes import write_gaussians
@@ -89,7 +90,9 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(
     killed.wait()
     frames = load_checkpoint(last)["ppo"]["frames"]
     assert 0 < frames < 1280
+    typed = (tmp_path / TYPED).read_text()
     finish(command("train", f"resume={tmp_path}"))
+    assert (tmp_path / TYPED).read_text() == typed  # an evaluation elsewhere begins with it
     whole, resumed = (load_checkpoint(folder / "checkpoints" / "last.pt") for folder in (run[0], tmp_path))
     for key, value in whole["ppo"]["model"].items():
         assert torch.equal(value, resumed["ppo"]["model"][key]), key
