@@ -13,6 +13,7 @@ These are counts and no measurements: nothing in them waits, for memory, a barri
 
 import argparse
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from record import print_markdown
@@ -77,8 +78,8 @@ def counts(subject: Subject, tolerance: float, views: int) -> list[Count]:
     """What frames of a scene take."""
     loaded: list[EmulatedKernels] = []
 
-    def load(*source: object) -> EmulatedKernels:
-        loaded.append(counted(*source))  # type: ignore[arg-type]
+    def load(source: str, defines: Mapping[str, int]) -> EmulatedKernels:
+        loaded.append(counted(source, defines))
         return loaded[-1]
 
     renderer = CudaRenderer(subject.scene, tolerance=tolerance, load=load)

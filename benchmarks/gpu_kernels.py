@@ -9,7 +9,6 @@ The file of a kernel is found again wherever its sources, its macros and the ver
 import argparse
 import tarfile
 from collections.abc import Iterator
-from importlib.metadata import PackageNotFoundError, version
 from itertools import product
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from gpu_device import CHAINS, RATE, STEPS
 from splatrl.capture import fit_cuda
 from splatrl.collision import cuda as collide
 from splatrl.files import replacing
-from splatrl.native.cuda.compiler import compiled, kept_at
+from splatrl.native.cuda.compiler import compiled, kept_at, nvrtc_versions
 from splatrl.renderers import cuda as render
 
 DEGREES = range(4)
@@ -37,16 +36,6 @@ def kernels() -> Iterator[tuple[str | Path, dict[str, int]]]:
     yield RATE, {"CHAINS": CHAINS, "STEPS": STEPS}
 
 
-def compiler() -> str:
-    """The version of NVRTC that is installed."""
-    for name in ("nvidia-cuda-nvrtc", "nvidia-cuda-nvrtc-cu12"):
-        try:
-            return f"NVRTC {version(name)}"
-        except PackageNotFoundError:
-            pass
-    return "no NVRTC"
-
-
 def main() -> None:
     """Compile, pack and count."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -59,12 +48,13 @@ def main() -> None:
         if not options.count:
             compiled(source, options.arch, defines)
         paths.append(kept_at(source, options.arch, defines))
+    nvrtc = "".join(nvrtc_versions())
     found = [path for path in paths if path.is_file()]
     if options.archive:
         with replacing(options.archive) as stream, tarfile.open(fileobj=stream, mode="w:gz") as archive:
             for path in found:
                 archive.add(path, path.name)
-    print(f"kernels: {len(found)} of {len(paths)} for {options.arch} are in the cache; {compiler()}")
+    print(f"kernels: {len(found)} of {len(paths)} for {options.arch} are in the cache; NVRTC {nvrtc or 'none'}")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn.functional import normalize, relu
 
 from splatrl.training.heads import orthogonal
-from splatrl.training.trunk import GAIN
+from splatrl.training.trunk import GAIN, two_convolutions
 
 
 class CorrelationTrunk(nn.Module):
@@ -29,18 +29,9 @@ class CorrelationTrunk(nn.Module):
 
     def __init__(self, height: int, width: int, depth: int, channels: Sequence[int], features: int):
         super().__init__()
-        if min(height, width) < 8:
-            raise ValueError(f"image: expected sides of at least 8 · pool pixels, got {height} × {width} after pooling")
-        if len(channels) != 2:
-            raise ValueError(f"network.channels: expected two numbers, got {list(channels)}")
-        first, second = channels
-        self.convolutions = nn.Sequential(
-            orthogonal(nn.Conv2d(depth // 2, first, 4, stride=2), GAIN),
-            nn.ReLU(inplace=True),
-            orthogonal(nn.Conv2d(first, second, 3, stride=2), GAIN),
-        )
+        self.convolutions = two_convolutions(height, width, depth // 2, channels)
         cells = self.convolutions(torch.zeros(1, depth // 2, height, width)).flatten(2).shape[2]
-        self.dense = orthogonal(nn.Linear(cells * (cells + 2 * second), features), GAIN)
+        self.dense = orthogonal(nn.Linear(cells * (cells + 2 * channels[1]), features), GAIN)
 
     def forward(self, image: Tensor) -> Tensor:
         """Encode two images joined as channels: [..., H, W, 2 · C] float32 -> [..., features] float32."""

@@ -77,8 +77,8 @@ def views(env: EnvBase, frames: int) -> Views:
         begun = env.reset()
         image[0, rows], image[1, rows] = begun["pixels"].cpu(), begun[ImageGoal.KEY].cpu()
         planar[0, rows], planar[1, rows] = env.task.motion.planar(begun["state"]).float().cpu(), begun["goal"].cpu()
-        if "scene" in begun.keys():  # noqa: SIM118, a TensorDict is no dict
-            scene[:, rows] = begun["scene"].squeeze(1).cpu()
+        if (own := begun.get("scene", None)) is not None:
+            scene[:, rows] = own.squeeze(1).cpu()
     return views_of(image.flatten(0, 1), planar.flatten(0, 1), scene.flatten())
 
 

@@ -48,6 +48,30 @@ def _by_core(images: Tensor) -> bool:
     return images.dtype == torch.uint8 and images.device.type == "cpu" and not traced
 
 
+def two_convolutions(height: int, width: int, depth: int, channels: Sequence[int]) -> nn.Sequential:
+    """Two convolutions with a rectifier between them.
+
+    Args:
+        height: height of the image, pixels.
+        width: width of the image, pixels.
+        depth: channels of the image.
+        channels: output channels of each.
+
+    Raises:
+        ValueError: for an image that is too small for them, or other than two of them.
+    """
+    if min(height, width) < 8:
+        raise ValueError(f"image: expected sides of at least 8 · pool pixels, got {height} × {width} after pooling")
+    if len(channels) != 2:
+        raise ValueError(f"network.channels: expected two numbers, got {list(channels)}")
+    first, second = channels
+    return nn.Sequential(
+        orthogonal(nn.Conv2d(depth, first, 4, stride=2), GAIN),
+        nn.ReLU(inplace=True),
+        orthogonal(nn.Conv2d(first, second, 3, stride=2), GAIN),
+    )
+
+
 class Trunk(nn.Module):
     """A small convolutional network over images, batched or not.
 
@@ -69,17 +93,7 @@ class Trunk(nn.Module):
         self, height: int, width: int, depth: int = 3, channels: Sequence[int] = (16, 32), features: int = 128
     ):
         super().__init__()
-        if min(height, width) < 8:
-            raise ValueError(f"image: expected sides of at least 8 · pool pixels, got {height} × {width} after pooling")
-        if len(channels) != 2:
-            raise ValueError(f"network.channels: expected two numbers, got {list(channels)}")
-        first, second = channels
-        self.convolutions = nn.Sequential(
-            orthogonal(nn.Conv2d(depth, first, 4, stride=2), GAIN),
-            nn.ReLU(inplace=True),
-            orthogonal(nn.Conv2d(first, second, 3, stride=2), GAIN),
-            nn.ReLU(inplace=True),
-        )
+        self.convolutions = two_convolutions(height, width, depth, channels).append(nn.ReLU(inplace=True))
         flat = self.convolutions(torch.zeros(1, depth, height, width)).numel()
         self.dense = nn.Sequential(orthogonal(nn.Linear(flat, features), GAIN), nn.ReLU(inplace=True))
 

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.renderers import NativeRenderer, Parts, RenderOutput
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
 
@@ -104,3 +105,18 @@ def psnr(image: Tensor, reference: Tensor) -> float:
     """Peak signal to noise ratio of images in [0, 1], decibels, of the worst image of the batch: [B, H, W, C]."""
     errors = (image.double() - reference.double()).square().flatten(1).mean(1)
     return float(-10 * errors.clamp_min(1e-20).log10().max())
+
+
+class CountingRenderer:
+    """Two models in a renderer that counts the rows it is asked to draw."""
+
+    def __init__(self) -> None:
+        self.renderer = NativeRenderer([random_gaussians(0, 100), random_gaussians(1, 30)], threads=1)
+        self.frames = 0
+
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
+        return self.renderer.render(cameras, parts, only)
+
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
+        self.frames += len(cameras) if only is None else int(only.sum())
+        return self.renderer.pixels(cameras, parts, only)

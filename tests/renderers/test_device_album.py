@@ -2,39 +2,23 @@
 
 import pytest
 import torch
-from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.faults import Faulty
-from splatrl.renderers import LatticeRenderer, NativeRenderer, Parts, RenderOutput
+from splatrl.renderers import LatticeRenderer
 from splatrl.renderers.device_album import WAYS, DeviceAlbum
 from splatrl.renderers.one_scene import OneScene
 from tests.envs.devices import NoHostReads, Painter
-from tests.renderers.cases import random_cameras, random_gaussians
+from tests.renderers.cases import CountingRenderer, random_cameras
 from tests.renderers.parts_cases import at, placed, random_parts
 
 
-class Counting:
-    """A renderer that counts the rows it is asked to draw."""
-
-    def __init__(self) -> None:
-        self.renderer = NativeRenderer([random_gaussians(0, 100), random_gaussians(1, 30)], threads=1)
-        self.frames = 0
-
-    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        return self.renderer.render(cameras, parts, only)
-
-    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        self.frames += len(cameras) if only is None else int(only.sum())
-        return self.renderer.pixels(cameras, parts, only)
-
-
-def lattice_around(inner: Counting, max_bytes: int = 2**22) -> LatticeRenderer:
+def lattice_around(inner: CountingRenderer, max_bytes: int = 2**22) -> LatticeRenderer:
     return LatticeRenderer(inner, max_bytes, on_device=True)
 
 
 def test_pixels_are_those_of_the_renderer_and_each_view_is_drawn_once() -> None:
-    inner, cameras = Counting(), random_cameras(1, 20)
+    inner, cameras = CountingRenderer(), random_cameras(1, 20)
     lattice, expected = lattice_around(inner), inner.renderer.pixels(cameras)
     g = torch.Generator().manual_seed(2)
     for _ in range(30):
@@ -45,7 +29,7 @@ def test_pixels_are_those_of_the_renderer_and_each_view_is_drawn_once() -> None:
 
 
 def test_of_several_rows_with_one_view_one_is_remembered() -> None:
-    inner, cameras = Counting(), random_cameras(1, 3)
+    inner, cameras = CountingRenderer(), random_cameras(1, 3)
     lattice, rows = lattice_around(inner), torch.tensor([2, 0, 2, 2, 1, 0])
     for frames in (6, 6):
         assert torch.equal(lattice.pixels(cameras[rows]), inner.renderer.pixels(cameras[rows]))
@@ -54,7 +38,7 @@ def test_of_several_rows_with_one_view_one_is_remembered() -> None:
 
 
 def test_views_for_one_place_are_remembered_one_after_another_until_their_set_is_full() -> None:
-    inner, cameras = Counting(), random_cameras(1, WAYS + 4)
+    inner, cameras = CountingRenderer(), random_cameras(1, WAYS + 4)
     lattice, expected = lattice_around(inner, WAYS * (37 * 22 * 3 + 4 * 25)), inner.renderer.pixels(cameras)
     for turn in range(WAYS + 6):  # one set, so one view a turn
         assert torch.equal(lattice.pixels(cameras), expected)
@@ -66,7 +50,7 @@ def test_views_for_one_place_are_remembered_one_after_another_until_their_set_is
 
 
 def test_rows_that_are_not_asked_for_are_zero_and_not_remembered() -> None:
-    inner, cameras = Counting(), random_cameras(1, 4)
+    inner, cameras = CountingRenderer(), random_cameras(1, 4)
     lattice, expected = lattice_around(inner), inner.renderer.pixels(cameras)
     only = torch.tensor([True, False, True, False])
     for _ in range(2):
@@ -80,7 +64,7 @@ def test_rows_that_are_not_asked_for_are_zero_and_not_remembered() -> None:
 
 
 def test_another_lens_size_or_place_of_a_part_is_another_view() -> None:
-    inner, cameras = Counting(), random_cameras(1, 2, 16, 12)
+    inner, cameras = CountingRenderer(), random_cameras(1, 2, 16, 12)
     lattice = lattice_around(inner)
     wider = Cameras(cameras.camera_to_world, cameras.K, 17, 12)
     longer = Cameras(cameras.camera_to_world, cameras.K * torch.tensor([[1.1], [1.1], [1.0]]), 16, 12)
@@ -93,7 +77,7 @@ def test_another_lens_size_or_place_of_a_part_is_another_view() -> None:
 
 
 def test_where_an_absent_part_would_stand_makes_no_other_view() -> None:
-    inner, cameras = Counting(), random_cameras(1, 3)
+    inner, cameras = CountingRenderer(), random_cameras(1, 3)
     lattice, parts = lattice_around(inner), placed(3, (1, at(0.1)), (-1, at(0.0)))
     expected = lattice.pixels(cameras, parts)
     parts.model_to_world[:, 1] = torch.nan
@@ -103,7 +87,7 @@ def test_where_an_absent_part_would_stand_makes_no_other_view() -> None:
 
 
 def test_without_memory_or_rows_it_is_the_renderer() -> None:
-    inner, cameras = Counting(), random_cameras(1, 3)
+    inner, cameras = CountingRenderer(), random_cameras(1, 3)
     for max_bytes in (0, 2**22):
         lattice = lattice_around(inner, max_bytes)
         assert lattice.pixels(cameras[:0]).shape == (0, 22, 37, 3)

@@ -3,25 +3,17 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
-from splatrl.renderers import LatticeRenderer, NativeRenderer, Parts, RenderOutput
-from tests.renderers.cases import random_cameras, random_gaussians
+from splatrl.renderers import LatticeRenderer, Parts
+from tests.renderers.cases import CountingRenderer, random_cameras
 from tests.renderers.parts_cases import at, placed, random_parts
 
 
-class Counting:
-    """A renderer that counts the frames that it draws."""
-
-    def __init__(self) -> None:
-        self.renderer = NativeRenderer([random_gaussians(0, 100), random_gaussians(1, 30)], threads=1)
-        self.frames = 0
-
-    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        return self.renderer.render(cameras, parts, only)
+class Counting(CountingRenderer):
+    """Counts the frames that it draws, of which there are no others in a batch."""
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         assert only is None, "the cache asks only for what it lacks"
-        self.frames += len(cameras)
-        return self.renderer.pixels(cameras, parts)
+        return super().pixels(cameras, parts)
 
 
 def test_pixels_are_those_of_the_renderer_and_each_view_is_rendered_once() -> None:

@@ -105,9 +105,13 @@ def _digest(source: str | Path, arch: str, defines: Mapping[str, int]) -> str:
     for path in (*files, source_path(source)):
         if path.is_file():
             digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    versions = [_version(name) for name in ("nvidia-cuda-nvrtc", "nvidia-cuda-nvrtc-cu12")]
-    digest.update(repr((source_path(source).name, arch, sorted(defines.items()), versions)).encode())
+    digest.update(repr((source_path(source).name, arch, sorted(defines.items()), nvrtc_versions())).encode())
     return digest.hexdigest()[:24]
+
+
+def nvrtc_versions() -> list[str]:
+    """The versions of NVRTC's packages, for CUDA 13 and 12; empty where one is not installed."""
+    return [_version(name) for name in ("nvidia-cuda-nvrtc", "nvidia-cuda-nvrtc-cu12")]
 
 
 def _version(package: str) -> str:
