@@ -22,7 +22,7 @@ from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.formats.limits import MAX_INFLATION
 from splatrl.scenes.frame import similarity
 from splatrl.scenes.gaussians import Gaussians
-from splatrl.scenes.proposals import PROPOSALS, check_proposals
+from splatrl.scenes.proposals import PROPOSALS, check_proposals, warn_of_scale
 from splatrl.scenes.scene import Bounds, Scene, checked_bounds
 
 BLOCKS_FILE = "blocks.yaml"
@@ -167,6 +167,7 @@ def read_blocks(
         ValueError: for a ``blocks.yaml`` that is not as it should be; names the block and the key.
     """
     path, stated = folder / BLOCKS_FILE, read_blocks_description(folder)
+    warn_of_scale(folder, stated)
     blocks = [_block(folder, number, entry, max_inflation) for number, entry in enumerate(stated["blocks"])]
     if bounds is None and "bounds" in stated:
         bounds = _bounds(str(path), stated["bounds"])

@@ -1,6 +1,7 @@
 """What a ``scene.yaml`` proposes for training in its scene: which keys there are, and what their values must be."""
 
 import math
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,12 @@ def check_proposals(source: object, stated: Mapping[str, Any]) -> None:
     for key, (expected, fits) in PROPOSALS.items():
         if key in stated and not fits(stated[key]):
             raise ValueError(f"{source}: {key}: expected {expected}, got {stated[key]!r}")
+
+
+def warn_of_scale(place: Path, stated: Mapping[str, Any]) -> None:
+    """Warn of a place that says ``metric: false``."""
+    if stated.get("metric") is False:
+        warnings.warn(f"{place}: not metric: nothing told its scale, so its lengths are not metres", stacklevel=3)
 
 
 def _number(value: object) -> bool:

@@ -15,6 +15,7 @@ from splatrl.scenes.formats.limits import MAX_INFLATION
 from splatrl.scenes.formats.reading import META
 from splatrl.scenes.frame import checked_similarity, similarity
 from splatrl.scenes.nerfstudio import DATAPARSER, stands, transform_beside
+from splatrl.scenes.proposals import warn_of_scale
 from splatrl.scenes.scene import Bounds, FreeSpace, Scene, checked_bounds, robust_bounds
 from splatrl.scenes.yard import backyard_gaussians
 from splatrl.scenes.yard.layout import HALF_WIDTH
@@ -90,8 +91,7 @@ def read_scene(
         splat, fallback = splat / META, splat.resolve().name
     elif splat.is_dir():
         stated, fallback = read_description(splat), splat.resolve().name
-        if stated.get("metric") is False:
-            warnings.warn(f"{splat}: not metric: nothing told its scale, so its lengths are not metres", stacklevel=2)
+        warn_of_scale(splat, stated)
         free = None if _says_something(world_from_splat) else _free_space(splat, stated)
         splat = splat / stated["splat"]
     gaussians = read_gaussians(splat, max_inflation)

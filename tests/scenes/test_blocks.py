@@ -70,6 +70,12 @@ def test_what_is_said_of_the_whole_is_read_and_can_be_replaced(tmp_path: Path) -
         read_scene(folder, world_from_splat={"scale": 2.0})
 
 
+def test_blocks_of_unknown_scale_are_warned_of(tmp_path: Path) -> None:
+    folder = folder_with(tmp_path, f"metric: false\n{LINE}")
+    with pytest.warns(UserWarning, match="not metric: nothing told its scale"):
+        read_scene(folder)
+
+
 MALFORMED = {
     "no blocks": ("name: town", r"blocks: expected a list of 1 to 1,024 blocks, got None"),
     "an empty list": ("blocks: []", r"blocks: expected a list of 1 to 1,024 blocks, got 0"),
