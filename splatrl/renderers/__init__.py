@@ -3,6 +3,7 @@
 from splatrl.renderers.base import Renderer, RenderOutput
 from splatrl.renderers.blocks import BlockRenderer
 from splatrl.renderers.cuda import CudaRenderer
+from splatrl.renderers.device_cache import DeviceLatticeRenderer
 from splatrl.renderers.gsplat import GsplatRenderer
 from splatrl.renderers.native import Effort, NativeRenderer
 from splatrl.renderers.nothing import NoRenderer
@@ -14,6 +15,7 @@ __all__ = [
     "ABSENT",
     "BlockRenderer",
     "CudaRenderer",
+    "DeviceLatticeRenderer",
     "Effort",
     "GsplatRenderer",
     "LatticeRenderer",

@@ -1,6 +1,8 @@
 """Remembers the views of a finite lattice of poses, so that each is rendered once."""
 
-from typing import Any
+from abc import ABC, abstractmethod
+from collections.abc import Collection
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -8,12 +10,71 @@ from torch import Tensor
 from splatrl.cameras import Cameras
 from splatrl.faults import Faulty
 from splatrl.native import _core
-from splatrl.renderers.base import Renderer, RenderOutput, checked_only, draw_only
-from splatrl.renderers.device_album import DeviceAlbum
-from splatrl.renderers.parts import ABSENT, Parts, require_parts_of
+from splatrl.renderers.base import Renderer, RenderOutput, draw_only
+from splatrl.renderers.parts import ABSENT, Parts
 
 Column = tuple[int, int, int]
 """Address of values, bytes of a row, and bytes from one row to the next."""
+
+
+class Album(Protocol):
+    """Remembered images of one size."""
+
+    def __len__(self) -> int:
+        """How many there are."""
+        ...
+
+    def bytes_held(self) -> int:
+        """Memory that they take."""
+        ...
+
+
+class ViewCache(ABC):
+    """Returns the bytes of another renderer, remembered by the exact bytes of the camera and its parts.
+
+    Worth it where robots stand on a finite lattice of poses: in time every view is a copy. Where poses are continuous
+    or noisy nothing repeats; use the renderer itself. When the memory is full, new views are rendered and not
+    remembered. Pickles remember nothing.
+
+    Args:
+        renderer: what renders the views that are not remembered.
+        max_bytes: bound on the remembered images.
+
+    Raises:
+        ValueError: for a negative bound.
+    """
+
+    def __init__(self, renderer: Renderer, max_bytes: int = 256 * 2**20) -> None:
+        if max_bytes < 0:
+            raise ValueError(f"max_bytes: expected at least 0, got {max_bytes}")
+        self.renderer = renderer
+        self.max_bytes = max_bytes
+        if isinstance(renderer, Faulty):
+            self.raise_faults = renderer.raise_faults
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.renderer, self.max_bytes)
+
+    @property
+    @abstractmethod
+    def albums(self) -> Collection[Album]:
+        """What is remembered."""
+
+    def __len__(self) -> int:
+        """How many views are remembered."""
+        return sum(map(len, self.albums))
+
+    def bytes_held(self) -> int:
+        """Memory that the remembered images take."""
+        return sum(album.bytes_held() for album in self.albums)
+
+    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
+        """Colour, depth and alpha of each camera; nothing is remembered."""
+        return self.renderer.render(cameras, parts, only)
+
+    @abstractmethod
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
+        """[B, H, W, 3] uint8: remembered views are copied, others rendered; rows not in ``only`` are zero."""
 
 
 class _Album:
@@ -22,6 +83,9 @@ class _Album:
     def __init__(self) -> None:
         self.index = _core.RowIndex()
         self.images: Tensor | None = None  # [capacity, H, W, 3] uint8
+
+    def __len__(self) -> int:
+        return len(self.index)
 
     def bytes_held(self) -> int:
         return 0 if self.images is None else self.images.nbytes
@@ -35,7 +99,7 @@ class _Album:
             images: [len(rows), H, W, 3] uint8.
             max_bytes: the most that ``images`` may take.
         """
-        used, most = len(self.index), max_bytes // images[0].nbytes
+        used, most = len(self), max_bytes // images[0].nbytes
         count = max(0, min(len(rows), most - used))
         if count == 0:
             return
@@ -49,83 +113,31 @@ class _Album:
         self.index.add(columns, rows[:count])
 
 
-class LatticeRenderer:
-    """Returns the bytes of another renderer, remembered by the exact bytes of the camera and its parts.
+class LatticeRenderer(ViewCache):
+    """A ``ViewCache`` in main memory that grows as it fills: while it does, the old and the new images exist together.
 
-    Worth it where robots stand on a finite lattice of poses: in time every view is a copy. Where poses are continuous
-    or noisy nothing repeats; use the renderer itself. When the memory is full, new views are rendered and not
-    remembered. Duplicates within a batch are rendered once, on a device until one of them is remembered. Pickles
-    remember nothing.
-
-    Args:
-        renderer: what renders the views that are not remembered.
-        max_bytes: bound on the remembered images; while they are copied to a larger tensor, the old one exists too. On
-            a device this much is taken at once for each size of images, keys included.
-        on_device: whether views are looked up where the cameras are, without the host reading anything, so that a step
-            can be captured in a CUDA graph: for a GPU. The renderer must take ``only`` the same way.
-
-    Raises:
-        ValueError: for a negative bound.
+    Duplicates within a batch are rendered once.
     """
 
-    def __init__(self, renderer: Renderer, max_bytes: int = 256 * 2**20, on_device: bool = False) -> None:
-        if max_bytes < 0:
-            raise ValueError(f"max_bytes: expected at least 0, got {max_bytes}")
-        self.renderer = renderer
-        self.max_bytes = max_bytes
-        self.on_device = on_device
-        if isinstance(renderer, Faulty):
-            self.raise_faults = renderer.raise_faults
+    def __init__(self, renderer: Renderer, max_bytes: int = 256 * 2**20) -> None:
+        super().__init__(renderer, max_bytes)
         self._albums: dict[tuple[int, int, bool], _Album] = {}
-        self._on_device: dict[tuple[int, int, int], DeviceAlbum] = {}
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.renderer, self.max_bytes, self.on_device)
-
-    def __len__(self) -> int:
-        """How many views are remembered."""
-        on_device = sum(len(album) for album in self._on_device.values())
-        return on_device + sum(len(album.index) for album in self._albums.values())
-
-    def bytes_held(self) -> int:
-        """Memory that the remembered images take."""
-        on_device = sum(album.images.nbytes for album in self._on_device.values())
-        return on_device + sum(album.bytes_held() for album in self._albums.values())
-
-    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        """Colour, depth and alpha of each camera; nothing is remembered."""
-        return self.renderer.render(cameras, parts, only)
+    @property
+    def albums(self) -> Collection[Album]:
+        """Images by their size, with parts and without."""
+        return self._albums.values()
 
     @torch.compiler.disable
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
         """[B, H, W, 3] uint8: remembered views are copied, others rendered; rows not in ``only`` are zero."""
-        if self.on_device:
-            return self._found(cameras, parts, only)
         return draw_only(self._recalled, cameras, parts, only)
-
-    def _found(self, cameras: Cameras, parts: Parts | None, only: Tensor | None) -> Tensor:
-        """What ``pixels`` gives, from the album of a device: the renderer draws what is not in it, and only that."""
-        if parts is not None:
-            require_parts_of(parts, cameras)
-        wanted = None if only is None else checked_only(only, cameras)
-        keys = _words(cameras, parts)
-        kind = cameras.width, cameras.height, keys.shape[1]
-        if kind not in self._on_device:
-            one = keys.new_empty(cameras.height, cameras.width, 3, dtype=torch.uint8)
-            self._on_device[kind] = DeviceAlbum(keys.shape[1], one, self.max_bytes)
-        album = self._on_device[kind]
-        if album.sets == 0 or len(cameras) == 0:
-            return self.renderer.pixels(cameras, parts, only)
-        places, known = album.find(keys)
-        fresh = ~known if wanted is None else wanted & ~known
-        drawn = self.renderer.pixels(cameras, parts, fresh)
-        album.add(keys, places, drawn, fresh)
-        recalled = known if wanted is None else wanted & known
-        return torch.where(recalled[:, None, None, None], album.images[places], drawn)
 
     def _recalled(self, cameras: Cameras, parts: Parts | None) -> Tensor:
         kind = cameras.width, cameras.height, parts is None  # a row without parts is not the scene where it stands
-        album = self._albums.get(kind) or self._albums.setdefault(kind, _Album())
+        if kind not in self._albums:
+            self._albums[kind] = _Album()
+        album = self._albums[kind]
         values = _values(cameras, parts)
         columns = [(one.data_ptr(), size, step) for one, size, step in values]
         numbers = torch.empty(len(cameras), dtype=torch.int64)
@@ -148,17 +160,6 @@ class LatticeRenderer:
 def _take(images: Tensor, rows: Tensor) -> Tensor:
     """A copy of some images; ``index_select`` copies a whole image at a time, indexing goes pixel by pixel."""
     return images.index_select(0, rows.to(images.device))
-
-
-def _words(cameras: Cameras, parts: Parts | None) -> Tensor:
-    """What tells views apart, where the cameras are: [B, words] int32."""
-    count = len(cameras)
-    values = [cameras.camera_to_world.float(), cameras.K.float().expand(count, 3, 3)]
-    if parts is not None:
-        absent = (parts.model == ABSENT)[..., None, None]
-        values += [parts.model_to_world.float().masked_fill(absent, 0.0)]
-    words = [value.contiguous().view(torch.int32).flatten(1) for value in values]
-    return torch.cat(words if parts is None else [*words, parts.model.int()], 1)
 
 
 def _values(cameras: Cameras, parts: Parts | None) -> list[tuple[Tensor, int, int]]:

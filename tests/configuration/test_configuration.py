@@ -28,7 +28,14 @@ from splatrl.configuration import (
 from splatrl.envs.tasks.base import Anywhere, Outcome, Step, TaskModule, Verdict
 from splatrl.envs.transforms import FrameStack, PoseNoise
 from splatrl.motions import LatticeMotion
-from splatrl.renderers import CudaRenderer, GsplatRenderer, LatticeRenderer, NativeRenderer, ReferenceRenderer
+from splatrl.renderers import (
+    CudaRenderer,
+    DeviceLatticeRenderer,
+    GsplatRenderer,
+    LatticeRenderer,
+    NativeRenderer,
+    ReferenceRenderer,
+)
 from tests.envs.devices import pretend_device
 from tests.tiny import tiny_gaussians, tiny_overrides
 
@@ -134,8 +141,12 @@ def test_what_is_said_of_a_renderer_holds_on_every_device() -> None:
                 assert {key: keywords[key] for key in values} == values, (name, kind)
 
 
-def test_views_are_remembered_on_a_cpu_unless_that_is_left_out(tmp_path: Path) -> None:
+def test_views_are_remembered_where_the_device_can_unless_that_is_left_out(tmp_path: Path) -> None:
     overrides = tiny_overrides(tmp_path)
+    cache = load_config([*overrides, "renderer.cache.max_bytes=5"]).renderer
+    for kind, expected in (("cpu", LatticeRenderer), ("cuda", DeviceLatticeRenderer)):
+        made = constructor(cache, "cache", torch.device(kind))(None)
+        assert type(made) is expected and made.max_bytes == 5
     kept = build_world(load_config(overrides)).drawing.renderer
     assert isinstance(kept, LatticeRenderer) and isinstance(kept.renderer, NativeRenderer)
     plain = build_world(load_config([*overrides, "renderer.cache=null"])).drawing.renderer

@@ -16,7 +16,7 @@ from splatrl.envs.drawing import SceneDrawing
 from splatrl.envs.restart import restart
 from splatrl.envs.tasks import Fps, Grid, Task
 from splatrl.motions import ForwardMotion
-from splatrl.renderers import LatticeRenderer, NativeRenderer
+from splatrl.renderers import DeviceLatticeRenderer, NativeRenderer
 from splatrl.renderers.cuda import CudaRenderer
 from tests.emulator import emulated
 from tests.envs.devices import NoHostReads
@@ -64,7 +64,7 @@ def make(request: pytest.FixtureRequest) -> Make:
     else:
         device, renderer = "cpu", CudaRenderer(tiny_gaussians(), load=emulated)
         checker = CudaChecker(occupancy(), body, load=emulated)
-    album = LatticeRenderer(renderer, 2**20, on_device=True)  # where views repeat
+    album = DeviceLatticeRenderer(renderer, 2**20)  # where views repeat
     return lambda name: env_of(name, device, album if name == "grid" else renderer, checker)
 
 

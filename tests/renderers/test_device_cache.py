@@ -5,16 +5,16 @@ import torch
 
 from splatrl.cameras import Cameras
 from splatrl.faults import Faulty
-from splatrl.renderers import LatticeRenderer
-from splatrl.renderers.device_album import WAYS, DeviceAlbum
+from splatrl.renderers import DeviceLatticeRenderer, LatticeRenderer
+from splatrl.renderers.device_cache import WAYS, DeviceAlbum
 from splatrl.renderers.one_scene import OneScene
 from tests.envs.devices import NoHostReads, Painter
 from tests.renderers.cases import CountingRenderer, random_cameras
 from tests.renderers.parts_cases import at, placed, random_parts
 
 
-def lattice_around(inner: CountingRenderer, max_bytes: int = 2**22) -> LatticeRenderer:
-    return LatticeRenderer(inner, max_bytes, on_device=True)
+def lattice_around(inner: CountingRenderer, max_bytes: int = 2**22) -> DeviceLatticeRenderer:
+    return DeviceLatticeRenderer(inner, max_bytes)
 
 
 def test_pixels_are_those_of_the_renderer_and_each_view_is_drawn_once() -> None:
@@ -96,7 +96,7 @@ def test_without_memory_or_rows_it_is_the_renderer() -> None:
 
 
 def test_the_host_reads_nothing() -> None:
-    lattice, cameras = LatticeRenderer(Painter(), 2**22, on_device=True), random_cameras(1, 9)
+    lattice, cameras = DeviceLatticeRenderer(Painter(), 2**22), random_cameras(1, 9)
     expected = Painter().pixels(cameras)
     with NoHostReads():
         seen = [lattice.pixels(cameras), lattice.pixels(cameras, only=cameras.camera_to_world[:, 0, 3] > 0)]
@@ -120,7 +120,7 @@ def test_faults_are_those_of_the_renderer_if_it_records_any() -> None:
         def raise_faults(self) -> None:
             raise ValueError("cameras[3]")
 
-    for around in (LatticeRenderer, lambda renderer: OneScene(renderer, 0)):
+    for around in (LatticeRenderer, DeviceLatticeRenderer, lambda renderer: OneScene(renderer, 0)):
         assert not isinstance(around(Painter()), Faulty)  # an env that asks for none is not captured in a graph
         with pytest.raises(ValueError, match="3"):
             around(Recording()).raise_faults()

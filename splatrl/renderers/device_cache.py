@@ -1,7 +1,14 @@
 """Images that a device remembers and finds again by itself: nothing here waits for the host."""
 
+from collections.abc import Collection
+
 import torch
 from torch import Tensor
+
+from splatrl.cameras import Cameras
+from splatrl.renderers.base import Renderer, checked_only
+from splatrl.renderers.parts import ABSENT, Parts, require_parts_of
+from splatrl.renderers.view_cache import Album, ViewCache
 
 WAYS = 16
 """Places in which an image may be. With half of all taken one image in 1,200 finds none: Poisson(8) beyond 16."""
@@ -33,6 +40,10 @@ class DeviceAlbum:
     def __len__(self) -> int:
         """How many images are remembered; the host waits for the device."""
         return int(self.taken[:-1].sum())
+
+    def bytes_held(self) -> int:
+        """Memory that the images take."""
+        return self.images.nbytes
 
     def find(self, keys: Tensor) -> tuple[Tensor, Tensor]:
         """Look for keys.
@@ -72,3 +83,52 @@ class DeviceAlbum:
         self.keys[kept], self.images[kept] = keys, images
         self.taken[kept] = True
         self.taken[-1] = False
+
+
+class DeviceLatticeRenderer(ViewCache):
+    """A ``ViewCache`` on the cameras' device: the host reads nothing, so a step can be captured in a CUDA graph.
+
+    ``max_bytes`` are taken at once for each size of images, keys included. Duplicates within a batch are rendered until
+    one of them is remembered. The renderer must take ``only`` without the host as well.
+    """
+
+    def __init__(self, renderer: Renderer, max_bytes: int = 256 * 2**20) -> None:
+        super().__init__(renderer, max_bytes)
+        self._albums: dict[tuple[int, int, int], DeviceAlbum] = {}
+
+    @property
+    def albums(self) -> Collection[Album]:
+        """Images by their size and that of their keys."""
+        return self._albums.values()
+
+    @torch.compiler.disable
+    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
+        """[B, H, W, 3] uint8: remembered views are copied, others rendered; rows not in ``only`` are zero."""
+        if parts is not None:
+            require_parts_of(parts, cameras)
+        wanted = None if only is None else checked_only(only, cameras)
+        keys = _words(cameras, parts)
+        kind = cameras.width, cameras.height, keys.shape[1]
+        if kind not in self._albums:
+            one = keys.new_empty(cameras.height, cameras.width, 3, dtype=torch.uint8)
+            self._albums[kind] = DeviceAlbum(keys.shape[1], one, self.max_bytes)
+        album = self._albums[kind]
+        if album.sets == 0 or len(cameras) == 0:
+            return self.renderer.pixels(cameras, parts, only)
+        places, known = album.find(keys)
+        fresh = ~known if wanted is None else wanted & ~known
+        drawn = self.renderer.pixels(cameras, parts, fresh)
+        album.add(keys, places, drawn, fresh)
+        recalled = known if wanted is None else wanted & known
+        return torch.where(recalled[:, None, None, None], album.images[places], drawn)
+
+
+def _words(cameras: Cameras, parts: Parts | None) -> Tensor:
+    """What tells views apart, where the cameras are: [B, words] int32."""
+    count = len(cameras)
+    values = [cameras.camera_to_world.float(), cameras.K.float().expand(count, 3, 3)]
+    if parts is not None:
+        absent = (parts.model == ABSENT)[..., None, None]
+        values += [parts.model_to_world.float().masked_fill(absent, 0.0)]
+    words = [value.contiguous().view(torch.int32).flatten(1) for value in values]
+    return torch.cat(words if parts is None else [*words, parts.model.int()], 1)
