@@ -10,6 +10,7 @@ from torch.distributions import Distribution
 from torch.nn.functional import smooth_l1_loss
 from torch.nn.utils.rnn import pad_sequence
 from torchrl.modules import ActorValueOperator, set_recurrent_mode
+from tqdm import tqdm
 
 from splatrl.training.distributions import Choice
 from splatrl.training.heads import distribution
@@ -83,11 +84,16 @@ class Cloner:
             anneal: whether the learning rate falls linearly to zero over these passes.
         """
         loss, passes = 0.0, self.settings.epochs if epochs is None else epochs
-        for number in range(passes):
-            for group in self.optimizer.param_groups:
-                group["lr"] = self.settings.lr * (1.0 - number / passes if anneal else 1.0)
-            losses = [self._step(frames) * len(frames["target"]) for frames in self._minibatches(shown)]
-            loss = float(torch.stack(losses).sum()) / len(shown["target"])
+        total = passes * len(shown["target"])
+        with tqdm(total=total, desc="imitate", unit="frame", leave=False, dynamic_ncols=True) as bar:
+            for number in range(passes):
+                for group in self.optimizer.param_groups:
+                    group["lr"] = self.settings.lr * (1.0 - number / passes if anneal else 1.0)
+                losses = list[Tensor]()
+                for frames in self._minibatches(shown):
+                    losses.append(self._step(frames) * len(frames["target"]))
+                    bar.update(len(frames["target"]))
+                loss = float(torch.stack(losses).sum()) / len(shown["target"])
         return loss
 
     def _minibatches(self, shown: Mapping[str, Tensor]) -> Iterator[dict[str, Tensor]]:

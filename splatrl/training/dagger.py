@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.nn.functional import one_hot
 from torchrl.data import Categorical, TensorSpec
 from torchrl.envs import EnvBase
+from tqdm import tqdm
 
 from splatrl.curriculum import Plan
 from splatrl.training.actor import Actor
@@ -80,8 +81,14 @@ def visited(
         Frames as ``Cloner.fit`` takes them, one robot after the other.
     """
     drives = torch.rand(env.numel()) < guided if guided else torch.zeros(env.numel(), dtype=torch.bool)
-    actor = partial(_taught_actor, Actor(learner.model), env, plans, drives.to(env.device))
-    batch = HostCollector(env, actor, frames // env.numel()).collect()
+    acts = partial(_taught_actor, Actor(learner.model), env, plans, drives.to(env.device))
+    with tqdm(total=frames, desc="act and be taught", unit="frame", leave=False, dynamic_ncols=True) as bar:
+
+        def actor(td: TensorDictBase) -> TensorDictBase:
+            bar.update(env.numel())
+            return acts(td)
+
+        batch = HostCollector(env, actor, frames // env.numel()).collect()
     with torch.no_grad():
         _, value = learner.advantages(batch)
     rows = batch.flatten(0, 1)

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
+from tqdm import tqdm
 
 from splatrl.envs.sensors import ImageGoal
 from splatrl.training.heads import orthogonal
@@ -73,7 +74,8 @@ def views(env: EnvBase, frames: int) -> Views:
     """
     image = torch.empty(2, frames, *env.observation_spec[ImageGoal.KEY].shape[1:], dtype=torch.uint8)
     planar, scene = torch.empty(2, frames, 3), torch.zeros(2, frames, dtype=torch.int64)
-    for rows in torch.arange(frames).split(env.numel()):
+    batches = torch.arange(frames).split(env.numel())
+    for rows in tqdm(batches, desc="views to tell apart", unit="batch", leave=False, dynamic_ncols=True):
         begun = env.reset()
         image[0, rows], image[1, rows] = begun["pixels"].cpu(), begun[ImageGoal.KEY].cpu()
         planar[0, rows], planar[1, rows] = env.task.motion.planar(begun["state"]).float().cpu(), begun["goal"].cpu()
@@ -117,7 +119,8 @@ class Matcher:
         parameters = [*self._trunk.parameters(), *head.parameters()]
         optimizer = torch.optim.Adam(parameters, lr=self.settings.lr)
         steps = math.ceil(self.settings.pairs / size)
-        for step in range(steps):
+        bar = tqdm(range(steps), desc="pairs of views", unit="batch", leave=False, dynamic_ncols=True)
+        for step in bar:
             for group in optimizer.param_groups:
                 group["lr"] = self.settings.lr * (1.0 - step / steps)
             here, there = drawn(shown, size)
