@@ -347,6 +347,23 @@ def pool_images(
         ValueError: for a side that is not from 1 to 4096.
     """
 
+def put_into_weather(
+    pixels: Tensor,  # [B, H, W, 3] uint8
+    tint: Tensor,  # [B, 3] float32, gains of the light
+    veil: Tensor,  # [B, 3] float32, colour of the fog
+    left: Tensor | None,  # [B, H, W] float32, share of the light that the fog leaves; None where there is none
+    far: Tensor | None,  # [B, H, W] float32, metres; None where it is not known
+    falling: tuple[Tensor, ...] | None,  # of ``Falling`` in weather_images.py
+    lens: tuple[Tensor, ...] | None,  # of ``Wet``
+    out: Tensor,  # [B, H, W, 3] uint8, written
+    threads: int,
+) -> None:
+    """Put images into weather.
+
+    Raises:
+        ValueError: for tensors whose sizes do not belong together.
+    """
+
 def trunk_forward(
     shape: tuple[int, ...],  # height, width and channels of images; channels of two convolutions; features
     images: int,  # address of [count, height, width, channels]

@@ -38,4 +38,5 @@ NB_MODULE(_core, m) {
     splatrl::bind_rows(m);
     splatrl::bind_stereo(m);
     splatrl::bind_trunk(m);
+    splatrl::bind_weather(m);
 }

@@ -16,7 +16,7 @@ from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs.drawing import billboard
 from splatrl.envs.restart import restart
-from splatrl.envs.transforms import appearance
+from splatrl.envs.transforms import episode_look, weather_images
 from splatrl.envs.world import World
 from splatrl.faults import FaultFlag
 from splatrl.training import trunk
@@ -43,6 +43,7 @@ WORLDS = {
     "snake": ["snake"],
     "poster": ["poster"],
     "shaken sim2real": ["sim2real", *SHAKEN],
+    "rainy fps": ["fps", "transforms/appearance=weather"],
     "remembering fps": ["fps", "memory=gru"],
     "stacking grid": ["grid", "memory=stack"],
     "skipping grid": ["grid", "transforms/pose_noise=unsteady", "transforms/skip=four"],
@@ -69,9 +70,10 @@ def made(name: str, batch: int = 5, device: str = "cpu") -> EnvBase:
 
 @pytest.fixture
 def whole_overlay(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make sprites, appearances and networks on a CPU work as on a GPU: on all pixels and rows, and by PyTorch."""
+    """Make what works otherwise on a CPU work as on a GPU: on all pixels and rows, and by PyTorch."""
     monkeypatch.setattr(billboard, "_points", lambda inside: torch.arange(len(inside), device=inside.device))
-    monkeypatch.setattr(appearance, "_wanted", lambda mask: None)
+    monkeypatch.setattr(episode_look, "_wanted", lambda mask: None)
+    monkeypatch.setattr(weather_images, "_in_core", lambda images: False)
     monkeypatch.setattr(trunk, "_by_core", lambda images: False)
 
 

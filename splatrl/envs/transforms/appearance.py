@@ -3,17 +3,15 @@
 import math
 
 import torch
-from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import Composite, Unbounded
 
-from splatrl.envs.transforms.randomness import RandomTransform
+from splatrl.envs.transforms.episode_look import EpisodeLook
 
 NEUTRAL = (0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
 """The appearance that changes nothing."""
 
 
-class Appearance(RandomTransform):
+class Appearance(EpisodeLook):
     """Varies how ``pixels`` look: one appearance per episode, and fresh sensor noise in every step.
 
     The observation holds what was drawn: ``appearance`` [B, 7] float32 is brightness, contrast, the gains of red, green
@@ -35,6 +33,8 @@ class Appearance(RandomTransform):
         ValueError: for values outside these ranges.
     """
 
+    KEY = "appearance"
+    SIZE = 7
     ranges: Tensor  # [7] float32, in the order of appearance
     neutral: Tensor  # [7] float32
 
@@ -47,7 +47,7 @@ class Appearance(RandomTransform):
         noise: float = 0.02,
         seed: int = 0,
     ):
-        super().__init__(seed, in_keys=["pixels"], out_keys=["pixels", "appearance"])
+        super().__init__(seed)
         limits = {
             "brightness": (brightness, 1),
             "contrast": (contrast, 1),
@@ -64,65 +64,24 @@ class Appearance(RandomTransform):
         self.register_buffer("ranges", torch.tensor(ranges, dtype=torch.float32), persistent=False)
         self.register_buffer("neutral", torch.tensor(NEUTRAL), persistent=False)
 
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        drawn = self._draw(tensordict_reset.batch_size)  # always drawn, so that later draws do not depend on it
-        given = tensordict.get("appearance", None)
-        tensordict_reset.set("appearance", drawn if given is None else given.clone())
-        rows = _wanted(tensordict.get("_reset", None))
-        if rows is None:
-            return self._change(tensordict_reset)
-        pixels = tensordict_reset["pixels"].clone()  # TorchRL keeps the old pixels of rows that are not reset
-        pixels[rows] = self._change(tensordict_reset.select("pixels", "appearance")[rows])["pixels"]
-        return tensordict_reset.set("pixels", pixels)
-
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return self._change(next_tensordict.set("appearance", tensordict["appearance"].clone()))
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Change images that do not come from an env."""
-        if "appearance" not in tensordict.keys():  # noqa: SIM118, a TensorDict is no dict
-            tensordict.set("appearance", self._draw(tensordict["pixels"].shape[:-3]))
-        return self._change(tensordict)
-
-    def _draw(self, batch: torch.Size) -> Tensor:
+    def _draw(self, batch: torch.Size, level: Tensor | None = None) -> Tensor:
         """Random appearances: [*batch, 7]; all but blur and noise vary to both sides of neutral."""
         drawn = torch.rand(*batch, 7, generator=self.generator, device=self.ranges.device)
         drawn = torch.cat([2 * drawn[..., :5] - 1, drawn[..., 5:]], -1)
         return self.neutral + drawn * self.ranges
 
-    def _change(self, tensordict: TensorDictBase) -> TensorDictBase:
-        pixels, appearance = tensordict["pixels"], tensordict["appearance"]
-        height, width = pixels.shape[-3:-1]
-        colors = pixels.reshape(math.prod(pixels.shape[:-3]), height, width * 3).float()
-        look = appearance.reshape(len(colors), 7, 1, 1)
+    def _changed(self, images: Tensor, look: Tensor, depth: Tensor | None) -> Tensor:
+        count, height, width, _ = images.shape
+        colors, own = images.reshape(count, height, width * 3).float(), look.reshape(count, 7, 1, 1)
         if self.reach:
-            colors = _blurred(_blurred(colors, look[:, 5], self.reach, 1, 1), look[:, 5], self.reach, 2, 3)
-        gain = look[:, 2:5, 0, 0].repeat(1, width).unsqueeze(1)  # [B, 1, 3 W]
-        contrast, brightness = look[:, 1], look[:, 0]
+            colors = _blurred(_blurred(colors, own[:, 5], self.reach, 1, 1), own[:, 5], self.reach, 2, 3)
+        gain = own[:, 2:5, 0, 0].repeat(1, width).unsqueeze(1)  # [B, 1, 3 W]
+        contrast, brightness = own[:, 1], own[:, 0]
         colors = colors * (gain * contrast) + 255 * (gain * 0.5 * (1 - contrast) + brightness)
         if self.noisy:
             noise = torch.randn(colors.shape, generator=self.generator, device=colors.device)
-            colors = colors + noise * (255 * look[:, 6])
-        changed = (colors + 0.5).floor().clamp(0, 255).to(torch.uint8)
-        return tensordict.set("pixels", changed.view(pixels.shape))
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add ``appearance`` to the observation."""
-        return self._with_appearance(observation_spec)
-
-    def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Read ``appearance`` from the input of a step or a reset."""
-        return self._with_appearance(state_spec)
-
-    def _with_appearance(self, spec: Composite) -> Composite:
-        spec = spec.clone()
-        spec["appearance"] = Unbounded(shape=(*spec.shape, 7), dtype=torch.float32, device=spec.device)
-        return spec
-
-
-def _wanted(mask: Tensor | None) -> Tensor | None:
-    """Which rows to change in a reset, [B] bool; None changes all, since selecting rows would synchronise a GPU."""
-    return None if mask is None or mask.device.type != "cpu" else mask.squeeze(-1)
+            colors = colors + noise * (255 * own[:, 6])
+        return (colors + 0.5).floor().clamp(0, 255).to(torch.uint8).view(images.shape)
 
 
 def _blurred(colors: Tensor, sigma: Tensor, reach: int, dim: int, stride: int) -> Tensor:

@@ -16,9 +16,11 @@ from splatrl.curriculum import Curriculum
 from splatrl.envs import SplatEnv
 from splatrl.envs.drawing import DepthDrawing, SceneDrawing
 from splatrl.envs.drawing.depth_drawing import VIEW_DEPTH
-from splatrl.envs.transforms import Weather
-from splatrl.envs.transforms.weather import CLEAR, FIELDS, SKY
+from splatrl.envs.transforms import Weather, weather_images
+from splatrl.envs.transforms.weather import CLEAR, FIELDS
+from splatrl.envs.transforms.weather_images import SKY
 from splatrl.envs.transforms.weather_patterns import RAIN, SNOW, lens, pattern
+from splatrl.native import _core
 from tests.envs.contract import seeded_rollout
 from tests.envs.transforms.test_contract import TransformedContract
 from tests.envs.transforms.views import plain_drawing, renderer, seeing_env
@@ -248,3 +250,49 @@ def test_the_config_brings_its_drawing_and_works_with_a_sprite(tmp_path: Path) -
         env = make_env([*tiny_overrides(tmp_path, task), "transforms/appearance=weather"], batch_size=[2])
         assert VIEW_DEPTH not in env.rollout(2)
     assert "around_drawing" not in load_config()
+
+
+def test_the_core_puts_images_into_the_weather_that_pytorch_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    count = 40
+    g = torch.Generator().manual_seed(1)
+    images = torch.randint(0, 256, (count, HEIGHT, WIDTH, 3), dtype=torch.uint8, generator=g)
+    depth = 6 * torch.rand(count, HEIGHT, WIDTH, generator=g)
+    depth[:, :4] = math.inf
+    made = Weather(often=0.7)
+    drawn = made._draw(torch.Size([count]))
+    drawn[0, 5:9], drawn[0, 9:] = torch.tensor([1.0, 0.0, 1.0, -0.35]), 0.999999
+    drawn[1, 9:] = torch.tensor([-3.7, 8.2])  # given to a reset by somebody
+
+    def put(far: Tensor | None) -> Tensor:
+        torch.manual_seed(0)
+        weather = Weather(often=0.7)
+        return weather._changed(images, drawn, far)
+
+    for far in (depth, None):
+        by_core = put(far)
+        with monkeypatch.context() as patched:
+            patched.setattr(weather_images, "_in_core", lambda images: False)
+            by_torch = put(far)
+        apart = (by_core.int() - by_torch.int()).abs()
+        assert apart.max() <= 1 and (apart > 0).float().mean() < 1e-3
+        assert (by_core != images).any()
+
+
+def test_the_core_refuses_sizes_that_do_not_belong_together() -> None:
+    images, tint = pictures(), torch.ones(2, 3)
+    for wrong in (tint[:1], torch.ones(3, 3)):
+        with pytest.raises(ValueError, match="as many of each"):
+            _core.put_into_weather(images, wrong, tint, None, None, None, None, images.clone(), 1)
+
+
+def test_a_reset_of_some_rows_changes_no_others() -> None:
+    env = weather_env((4,), often=1.0)
+    before = env.reset()
+    mask = torch.tensor([[True], [False], [False], [True]])
+    calls: list[int] = []
+    weather = env.transform[-1] if hasattr(env.transform, "__getitem__") else env.transform
+    changed = weather._changed
+    weather._changed = lambda images, look, depth: (calls.append(len(images)), changed(images, look, depth))[1]
+    after = env.reset(before.clone().set("_reset", mask))
+    assert calls == [2]
+    assert torch.equal(after["pixels"][1:3], before["pixels"][1:3])
