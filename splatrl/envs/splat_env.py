@@ -15,6 +15,7 @@ from splatrl.collision.nothing import NoChecker
 from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.starts import Curriculum
 from splatrl.envs.drawing.base import Drawing, View
+from splatrl.envs.given import given_scene, given_state
 from splatrl.envs.lattice_steps import LatticeSteps, Taken, suits
 from splatrl.envs.restart import maybe_reset, with_rows
 from splatrl.envs.robot import Robot
@@ -210,7 +211,8 @@ class SplatEnv(EnvBase):
         mask = given.get("_reset", None)
         only = None if mask is None else mask.flatten()
         if set_state:
-            scene, state = self._given_scene(given, only), self._checked_state(given["state"], only)
+            scene = None if self.scenes == 1 else given_scene(given, self.scenes, only)
+            state = given_state(given, self.task.motion.state_spec, only)
             level = torch.full((self.numel(), 1), -1, device=self.device)  # given states belong to no level
             memory = {**self._at(scene)[0].begin(state, self._chance(scene))}
         else:
@@ -324,33 +326,6 @@ class SplatEnv(EnvBase):
     def _start(self, count: int, generator: torch.Generator) -> tuple[Tensor | None, Tensor]:
         scene = self.curriculum.scenes(count, generator)
         return scene, self.curriculum.sample(count, generator, scene)
-
-    def _given_scene(self, given: TensorDictBase, only: Tensor | None) -> Tensor | None:
-        """The given scene of each row, if there are several: a wrong one would ask for what is not there."""
-        if self.scenes == 1:
-            return None
-        scene = given.get("scene", None)
-        if scene is None or scene.dtype != torch.int64:
-            raise ValueError(
-                f"scene: expected torch.int64 [B, 1] beside the state, got {None if scene is None else scene.dtype}"
-            )
-        asked = scene if only is None else scene[only]
-        if len(wrong := asked[(asked < 0) | (asked >= self.scenes)]):
-            raise ValueError(f"scene: expected from 0 to {self.scenes - 1}, got {int(wrong[0])}")
-        return scene.squeeze(1).clamp(0, self.scenes - 1)  # rows that are not asked for may hold anything
-
-    def _checked_state(self, state: Tensor, only: Tensor | None) -> Tensor:
-        """Given states, if they are inside the spec: a wrong one would otherwise wrap around or end up far away."""
-        spec = self.task.motion.state_spec.to(state.device)
-        asked = state if only is None else state[only]
-        if not spec.expand(len(asked), *spec.shape).is_in(asked):
-            wrong = [row for row, one in enumerate(asked) if not spec.is_in(one)]
-            row = wrong[0] if only is None else int(only.nonzero()[wrong[0]])
-            limits = f" from {spec.low.tolist()} to {spec.high.tolist()}" if isinstance(spec, Bounded) else ""
-            raise ValueError(
-                f"state: expected {spec.dtype}{limits}, got {state.dtype} {state[row].tolist()} in row {row}"
-            )
-        return state.clone()
 
     @torch.compiler.disable
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
