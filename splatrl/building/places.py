@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import torch
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 from torchrl.envs import Transform
 from tqdm import tqdm
@@ -144,9 +144,12 @@ def constructor(cfg: DictConfig, group: str, device: torch.device) -> Callable[.
     Raises:
         ValueError: if the group has none for it.
     """
-    node = cfg[group].get(device.type)
+    choice = OmegaConf.select(cfg, group)
+    node = choice.get(device.type)
     if node is None:
-        others = [kind for kind in KINDS if cfg[group].get(kind) is not None]
+        others = [kind for kind in KINDS if choice.get(kind) is not None]
+        if not others:
+            raise ValueError(f"{group}: expected {' or '.join(KINDS)} in it, got {', '.join(map(str, choice))}")
         raise ValueError(f"{group}: expected device={' or '.join(others)} for this choice, got device={device}")
     return instantiate(node)
 

@@ -39,7 +39,7 @@ def build_world(cfg: DictConfig) -> World | Worlds:
     drawn = [*scenes, *places[0].task.models]
     renderer = constructor(configs[0], "renderer", device)(drawn[0] if len(drawn) == 1 else drawn)
     if cfg.renderer.cache is not None:
-        renderer = constructor(cfg.renderer, "cache", device)(renderer)
+        renderer = constructor(cfg, "renderer.cache", device)(renderer)
     transforms = partial(_make_transforms, cfg.transforms, cfg.network.get("memory", 0))
     drawing, robot = instantiate(configs[0].drawing)(renderer), places[0].robot
     sensors = {str(key): instantiate(node) for key, node in (cfg.get("sensors") or {}).items()}

@@ -74,22 +74,26 @@ class LatticeSteps:
         read = (like["state"], actions[:1].expand(count), *(like[key] for key in COUNTED))
         self._read = [_kind(values) for values in read]
 
-    def step(self, given: TensorDictBase) -> Taken | None:
+    def step(self, given: Mapping[str, Tensor] | TensorDictBase) -> Taken | None:
         """Carry out a step.
 
         Args:
-            given: [B], what a step of the env is given.
+            given: [N] with N of at most B, what a step of the env is given.
 
         Returns:
             What came of it; None, and nothing has happened, for states and actions that are not those of the lattice.
         """
         held = dict(given.items())
-        read = [held["state"], held["action"], *(held[key] for key in COUNTED)]
-        if [_kind(values) for values in read] != self._read:
+        read, count = [held["state"], held["action"], *(held[key] for key in COUNTED)], len(held["state"])
+        like, poses_like, kinds = self._like, self._poses, self._read
+        if count < len(poses_like):
+            like, poses_like = {key: one[:count] for key, one in like.items()}, poses_like[:count]
+            kinds = [(dtype, size // len(self._poses) * count, here) for dtype, size, here in kinds]
+        if [_kind(values) for values in read] != kinds:
             return None
         read = [each.contiguous() for each in read]  # kept, since a copy is gone with its tensor
-        values = {key: torch.empty_like(one) for key, one in self._like.items()}
-        poses, schedule = torch.empty_like(self._poses), self.curriculum.schedule
+        values = {key: torch.empty_like(one) for key, one in like.items()}
+        poses, schedule = torch.empty_like(poses_like), self.curriculum.schedule
         known = self._table.step(
             [each.data_ptr() for each in read],
             [each.data_ptr() for each in (*values.values(), poses)],

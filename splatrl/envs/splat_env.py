@@ -70,6 +70,8 @@ class SplatEnv(EnvBase):
     Reset: start states from the curriculum, or with ``reset(td, set_state=True)`` those in ``td["state"]``, with the
         memory that ``td`` holds. ``reset(seeds=[...])``, a number or None for each robot, draws the start of a robot
         with a number from a generator of its own.
+    Steps of some robots: with ``_step`` [B, 1] bool, as TorchRL passes it on, only these robots step and are drawn. Of
+        the others the result holds what they were given, and 0 where that is nothing.
     Input: ``camera_offset`` [B, 6] float32, if present, moves the camera and not the robot (``Robot.cameras``).
     Parts: are to be replaced before the first step, if at all, since steps on a lattice may be looked up from then on
         (``lattice_steps``).
@@ -329,8 +331,28 @@ class SplatEnv(EnvBase):
 
     @torch.compiler.disable
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        taken = None if self.lattice_steps is None else self.lattice_steps.step(tensordict)
-        return self._made(self._stepped(tensordict) if taken is None else self._shown(taken, tensordict))
+        stepping = tensordict.get("_step", None)
+        return self._made(self._after(tensordict) if stepping is None else self._some_after(tensordict, stepping))
+
+    def _after(self, given: TensorDictBase | Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """What the env returns of the steps of N robots: [N, ...] by key."""
+        taken = None if self.lattice_steps is None else self.lattice_steps.step(given)
+        return self._stepped(given) if taken is None else self._shown(taken, given)
+
+    def _some_after(self, given: TensorDictBase, stepping: Tensor) -> dict[str, Tensor]:
+        """The same where only some step, [B, 1] bool: of others what they were given, and 0 where that is nothing."""
+        rows = stepping.flatten().nonzero().squeeze(1)
+        held = {key: value for key, value in given.items() if isinstance(value, Tensor)}
+        fresh = self._after({key: held[key].index_select(0, rows) for key in self._reads if key in held})
+        old = {key: value.new_zeros(self.numel(), *value.shape[1:]) for key, value in fresh.items()}
+        old |= {key: held[key] for key, zeros in old.items() if key in held and _alike(held[key], zeros)}
+        return dict(zip(fresh, with_rows(list(old.values()), rows, list(fresh.values())), strict=True))
+
+    @property
+    def _reads(self) -> tuple[str, ...]:
+        """Keys that a step reads, some of which may be absent."""
+        counted = ("step_count", "episode_return", "level", "goals")
+        return ("state", "action", *counted, "scene", "camera_offset", *self._task_keys, *self._sensor_keys)
 
     def _made(self, values: dict[str, Tensor]) -> TensorDict:
         """Entries of its own as a TensorDict, which would otherwise look at the shape and the device of each."""
@@ -348,13 +370,13 @@ class SplatEnv(EnvBase):
         task, checker = self._at(None)
         return LatticeSteps(task, checker, self.curriculum, self.numel(), self._chance(None))
 
-    def _shown(self, taken: Taken, given: TensorDictBase) -> dict[str, Tensor]:
+    def _shown(self, taken: Taken, given: TensorDictBase | Mapping[str, Tensor]) -> dict[str, Tensor]:
         """What the env returns of steps that were looked up."""
         after, poses = taken
         view = self._view(self.task, None, after["state"], poses, NOTHING, given.get("camera_offset", None))
         return {"pixels": view.pixels, **view.shown, **after}
 
-    def _stepped(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
+    def _stepped(self, tensordict: TensorDictBase | Mapping[str, Tensor]) -> dict[str, Tensor]:
         """What the env returns of steps that motion and task carry out and judge."""
         before, action = tensordict["state"], tensordict["action"]
         scene = tensordict["scene"].squeeze(1) if self.scenes > 1 else None
@@ -363,7 +385,7 @@ class SplatEnv(EnvBase):
         move = task.motion.move(before, action, checker)
         view = self._view(task, scene, move.state, move.body_to_world, memory, tensordict.get("camera_offset", None))
         reward, terminated, outcome, remembered = task.judge(
-            Step(before, action, move, memory, view.pixels), self._chance(scene)
+            Step(before, action, move, memory, view.pixels), self._chance(scene, len(before))
         )
         kept = {key: tensordict[key] for key in self._sensor_keys}
         sensed: dict[str, Tensor] = {}
@@ -444,12 +466,20 @@ class SplatEnv(EnvBase):
         """Keys that an episode must begin anew with: those of sensors, and of a task that chooses its own episodes."""
         return [*self._sensor_keys, *(self._task_keys if self.task.chooses_episodes else ())]
 
-    def _chance(self, scene: Tensor | None) -> Anywhere:
-        return Anywhere(partial(self.anywhere, scene), self.generator)
+    def _chance(self, scene: Tensor | None, count: int | None = None) -> Anywhere:
+        return Anywhere(partial(self.anywhere, scene, count), self.generator)
 
-    def anywhere(self, scene: Tensor | None = None) -> Tensor:
-        """Draw a state for each robot, [B, ...], from the whole start set of its scene [B], whatever the level."""
-        return self.curriculum.anywhere(self.numel(), self.generator, scene)
+    def anywhere(self, scene: Tensor | None = None, count: int | None = None) -> Tensor:
+        """Draw a state for each robot, or for some, from the whole start set of its scene, whatever the level.
+
+        Args:
+            scene: [N] int64; None for the only one.
+            count: N; None for all robots.
+
+        Returns:
+            [N, ...].
+        """
+        return self.curriculum.anywhere(self.numel() if count is None else count, self.generator, scene)
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is None:
@@ -471,6 +501,10 @@ class SplatEnv(EnvBase):
     def set_extra_state(self, state: Tensor) -> None:
         """Restore the random generator, from ``load_state_dict()``."""
         self.generator.set_state(state.cpu())
+
+
+def _alike(one: Tensor, other: Tensor) -> bool:
+    return one.dtype == other.dtype and one.shape == other.shape
 
 
 def _restored(make: Callable[..., SplatEnv], parts: tuple[Any, ...], device: torch.device, state: Tensor) -> SplatEnv:

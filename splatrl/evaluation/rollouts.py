@@ -217,7 +217,8 @@ def run_episodes(
 ) -> Episodes:
     """Run one episode from each start; PyTorch's global generator is left as it was.
 
-    A robot whose episode ends takes the next waiting start, so the batch stays full.
+    A robot whose episode ends takes the next waiting start, so the batch stays full; when none waits, it stands still,
+    and the others go on without it.
 
     Args:
         env: takes ``reset(set_state=True)``; these episodes do not advance its curriculum.
@@ -250,22 +251,25 @@ def run_episodes(
         given |= _begun(env, given, count)
         first = {key: value[episode.clamp_max(count - 1)] for key, value in given.items()}
         td = env.reset(TensorDict(first, batch_size=[rows], device=env.device), set_state=True)
-        while (episode < count).any():
-            td = env.step(policy(td))
+        while (acts := episode < count).any():
+            td = policy(td)
+            if not acts.all():
+                td["_step"] = acts.unsqueeze(1).to(env.device)
+            td = env.step(td)
             after = td["next"]
-            ended = (after["done"].squeeze(1).cpu() & (episode < count)).nonzero().squeeze(1)
+            ended = (after["done"].squeeze(1).cpu() & acts).nonzero().squeeze(1)
             for key, column in columns.items():
                 column[episode[ended]] = after[key].squeeze(1)[ended].cpu()
             progress(len(ended))
-            done = after["done"].squeeze(1).cpu().nonzero().squeeze(1)
-            episode[done] = torch.arange(waiting, waiting + len(done))
-            waiting += len(done)
+            episode[ended] = torch.arange(waiting, waiting + len(ended))
+            waiting += len(ended)
+            begins = ended[episode[ended] < count]
             td = env.step_mdp(td)
-            if len(done):
+            if len(begins):
                 for key, value in given.items():
-                    fresh = value[episode[done].clamp_max(count - 1)].to(env.device)
-                    td[key] = td[key].index_put((done.to(env.device),), fresh)
-                td["_reset"] = after["done"].clone()
+                    td[key] = td[key].index_put((begins.to(env.device),), value[episode[begins]].to(env.device))
+                anew = torch.zeros(rows, 1, dtype=torch.bool).index_fill_(0, begins, True)
+                td["_reset"] = anew.to(env.device)
                 td = env.reset(td, set_state=True)
     measures = {key: columns.pop(key) for key in measured}
     outcome, length, episode_return, goals, success = columns.values()

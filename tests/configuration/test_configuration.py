@@ -141,11 +141,18 @@ def test_what_is_said_of_a_renderer_holds_on_every_device() -> None:
                 assert {key: keywords[key] for key in values} == values, (name, kind)
 
 
+def test_a_choice_for_no_device_at_all_is_refused_by_its_key(tmp_path: Path) -> None:
+    cfg = load_config(tiny_overrides(tmp_path))
+    cfg.renderer.cache = {"max_bytes": 5}
+    with pytest.raises(ValueError, match=r"renderer\.cache: expected cpu or cuda in it, got max_bytes"):
+        constructor(cfg, "renderer.cache", torch.device("cpu"))
+
+
 def test_views_are_remembered_where_the_device_can_unless_that_is_left_out(tmp_path: Path) -> None:
     overrides = tiny_overrides(tmp_path)
-    cache = load_config([*overrides, "renderer.cache.max_bytes=5"]).renderer
+    cfg = load_config([*overrides, "renderer.cache.max_bytes=5"])
     for kind, expected in (("cpu", LatticeRenderer), ("cuda", DeviceLatticeRenderer)):
-        made = constructor(cache, "cache", torch.device(kind))(None)
+        made = constructor(cfg, "renderer.cache", torch.device(kind))(None)
         assert type(made) is expected and made.max_bytes == 5
     kept = build_world(load_config(overrides)).drawing.renderer
     assert isinstance(kept, LatticeRenderer) and isinstance(kept.renderer, NativeRenderer)

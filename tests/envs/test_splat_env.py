@@ -24,6 +24,7 @@ from tests.curriculum.graph import successors
 from tests.envs.contract import EnvContract
 from tests.tiny import (
     BlockChecker,
+    CountingRenderer,
     RememberingRenderer,
     tiny_env,
     tiny_motion,
@@ -129,6 +130,34 @@ def test_the_curriculum_hears_of_each_end_once_and_of_no_episode_placed_by_hand(
     env.step(td.set("action", torch.tensor([FORWARD_X, FORWARD_X])))
     assert env.curriculum.progress.tolist() == [1, 0, 0]
     assert (env.reset()["level"] == 1).all()
+
+
+WHAT_STEPS = {
+    "looked up": ["grid"],
+    "of many heights and turns": ["drive"],
+    "with sensors and goals": ["pointnav", "sensors=[rgb,depth,gps,compass,lidar,pointgoal]"],
+}
+
+
+@pytest.mark.parametrize("name", WHAT_STEPS)
+def test_where_some_robots_step_the_others_stay_as_they_are_and_are_not_drawn(name: str, tmp_path: Path) -> None:
+    task, *more = WHAT_STEPS[name]
+    env = make_env([*tiny_overrides(tmp_path, task), *more, "renderer.cache=null"], batch_size=[6], seed=1)
+    torch.manual_seed(0)
+    given = env.rand_action(env.rollout(3)[:, -1].exclude("next"))
+    whole = env.step(given.clone())["next"]
+    stepping = torch.tensor([[True], [False], [True], [False], [False], [True]])
+    env.drawing.renderer = counting = CountingRenderer(env.drawing.renderer)
+    partly = env.step(given.clone().set("_step", stepping))["next"]
+    assert counting.rendered == 3
+    rows, others = stepping.flatten(), ~stepping.flatten()
+    for key, expected in whole.items():
+        assert torch.equal(partly[key][rows], expected[rows]), key
+        if key != "reward":
+            assert torch.equal(partly[key][others], given[key][others]), key
+    assert not partly["reward"][others].any() and not torch.equal(whole["state"][others], given["state"][others])
+    nobody = env.step(given.clone().set("_step", torch.zeros_like(stepping)))["next"]
+    assert torch.equal(nobody["state"], given["state"])
 
 
 class CameraRecorder(RememberingRenderer):

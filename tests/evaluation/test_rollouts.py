@@ -6,7 +6,7 @@ from tensordict import TensorDictBase
 
 from splatrl.envs.tasks import Outcome
 from splatrl.evaluation.rollouts import Episodes, run_episodes
-from tests.tiny import tiny_env, tiny_plan
+from tests.tiny import CountingRenderer, tiny_env, tiny_plan
 
 
 class Planner:
@@ -39,6 +39,17 @@ def test_the_planner_reaches_the_goal_from_every_start_in_the_fewest_steps(robot
     assert episodes.step_spl(shortest) == 1.0
     torch.testing.assert_close(episodes.episode_return, 50 - 0.2 * (shortest - 1).float())
     assert sum(finished) == len(some)
+
+
+def test_robots_without_a_start_stand_still() -> None:
+    plan, env = tiny_plan(), tiny_env([8], max_steps=50)
+    order = plan.distance[plan.start_rows].argsort()
+    some = starts()[torch.cat([order[:3], order[-1:]])]  # three are soon there, and fewer than there are robots
+    shortest = torch.cat([plan.distance[plan.start_rows][order[:3]], plan.distance[plan.start_rows][order[-1:]]])
+    env.drawing.renderer = counting = CountingRenderer(env.drawing.renderer)
+    episodes = run_episodes(env, Planner(), some)
+    assert torch.equal(episodes.length, shortest)
+    assert counting.rendered == 8 + int(shortest.sum())
 
 
 def test_every_outcome_is_counted_for_the_start_that_it_belongs_to() -> None:
