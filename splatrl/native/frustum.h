@@ -89,12 +89,18 @@ SPLAT_INLINE bool misses(const Frustum& frustum, const float* position, const fl
     return missed > 0.0f;
 }
 
-// Whether what a node shows is displaced by at most `tolerance` pixels at its nearest depth; never where that depth is
-// behind the near plane.
-SPLAT_INLINE bool within_tolerance(const Frustum& frustum, const Camera& camera, const Cluster& node, float tolerance) {
+// The nearest depth of a mean below a node.
+SPLAT_INLINE float nearest_depth(const Frustum& frustum, const Camera& camera, const Cluster& node) {
     float depth = -node.bounds.radius;
     for (int axis = 0; axis < 3; ++axis)
         depth += (node.bounds.center[axis] - camera.position[axis]) * frustum.forward[axis];
+    return depth;
+}
+
+// Whether what a node shows is displaced by at most `tolerance` pixels at its nearest depth; never where that depth is
+// behind the near plane.
+SPLAT_INLINE bool within_tolerance(const Frustum& frustum, const Camera& camera, const Cluster& node, float tolerance) {
+    const float depth = nearest_depth(frustum, camera, node);
     const float focal = max(camera.fx, camera.fy);
     return depth > NEAR_DEPTH && node.error * focal / depth <= tolerance;
 }

@@ -28,6 +28,7 @@ struct SceneView {
     const uint32_t* original_index;   // [groups · GROUP]
     const Cluster* clusters;          // in preorder
     const GroupBounds* group_bounds;  // of each cluster
+    const Box* boxes;                 // likewise
     uint32_t cluster_count;
     uint32_t first_merged;            // groups from here on hold merged Gaussians
     int degree;
@@ -68,6 +69,7 @@ struct Row {
     const float* background;
     float finished;        // the transmittance at which a pixel is finished
     float log2_invisible;  // the opacity below which a splat does not show
+    bool ranked;           // the order of nearly equal depths is that of the numbers, and ties are broken
 };
 
 // Accumulated per block: [CHANNELS][BLOCK · BLOCK] floats.
@@ -76,8 +78,15 @@ enum Channel { RED, GREEN, BLUE, TRANSMITTANCE, DEPTH, ALPHA, CHANNELS };
 constexpr uint32_t SPARE = 64;  // extra items at the end of an array that may be read or overwritten
 constexpr uint32_t LIST = SLAB + 32;  // not a power of two, so that lists do not share cache sets
 
+// A node of a part's tree, of which nothing has been drawn yet: its nearest depth, and about how many groups it shows.
+struct Branch {
+    uint32_t part, cluster;
+    float nearest, groups;
+};
+
 // Memory that a worker keeps from frame to frame. The arrays of splats hold [groups · GROUP + SPARE], of all parts.
 struct Scratch {
+    Branch *branches, *later;  // [groups + SPARE]
     uint32_t* groups;        // [groups + SPARE] in view, of one part at a time
     Splat* splats;
     float* peaks;            // of the splats, where some can be merged
@@ -101,8 +110,10 @@ struct Effort {
     }
 };
 
-// Renders a tile of a frame into scratch.pixels.
-using RenderTile = Effort (*)(const Row&, const Tile&, bool antialiased, bool with_depth, const Scratch&);
+// Renders a piece of a tile of a frame into scratch.pixels. What is drawn in steps is not divided: its first piece
+// becomes the whole tile, and others become empty.
+using RenderTile = Effort (*)(const Row&, const Tile& whole, Tile& piece, bool antialiased, bool with_depth,
+                              const Scratch&);
 
 namespace portable { extern const RenderTile render_tile; }
 namespace baseline { extern const RenderTile render_tile; }

@@ -172,6 +172,7 @@ struct Record {
     IntLanes rest, original_index;  // decide between equal depths
     Lanes peak;
     bool merging;  // peaks are kept
+    bool ranked;   // what decides between equal depths is
 };
 
 // Write the lanes of the mask, in their order, at `count` and beyond, and return the new count. Up to SPARE places
@@ -205,8 +206,9 @@ LANE_INLINE uint32_t append(const Record& record, uint32_t mask, const Scratch& 
     const __m512 depth = kept(record.depth, kept_lanes);
     append_words(scratch.keys + count, _mm512_add_epi32(ordinals, _mm512_set1_epi32(int32_t(count))),
                  _mm512_castps_si512(depth));
-    append_words(scratch.ties + count, _mm512_castps_si512(kept(from_bits(record.original_index), kept_lanes)),
-                 _mm512_castps_si512(kept(from_bits(record.rest), kept_lanes)));
+    if (record.ranked)
+        append_words(scratch.ties + count, _mm512_castps_si512(kept(from_bits(record.original_index), kept_lanes)),
+                     _mm512_castps_si512(kept(from_bits(record.rest), kept_lanes)));
     return count + uint32_t(__builtin_popcount(mask));
 #else
     alignas(64) float rows[LANES][8], depths[LANES], peaks[LANES];
@@ -219,7 +221,7 @@ LANE_INLINE uint32_t append(const Record& record, uint32_t mask, const Scratch& 
     for (uint32_t lane = 0; lane < uint32_t(LANES); ++lane) {  // write each, then overwrite it unless it is kept
         std::memcpy(&scratch.splats[count], rows[lane], sizeof(Splat));
         if (record.merging) scratch.peaks[count] = peaks[lane];
-        scratch.ties[count] = uint64_t(rests[lane]) << 32 | indices[lane];
+        if (record.ranked) scratch.ties[count] = uint64_t(rests[lane]) << 32 | indices[lane];
         uint32_t depth_bits;
         std::memcpy(&depth_bits, &depths[lane], sizeof(depth_bits));
         scratch.keys[count] = uint64_t(depth_bits) << 32 | count;

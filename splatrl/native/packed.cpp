@@ -92,11 +92,17 @@ Scene from_arrays(const nb::dict& arrays, std::array<float, 3> background) {
     }
     if (!right || !is_sound(clusters, groups))
         throw std::invalid_argument("packed model: expected the arrays of pack_model, got others");
-    const SceneView view{geometry.data(),  merging.data(),   colors.data(),
-                         indices.data(),   clusters.data(),  of_groups.data(),
-                         uint32_t(count),  uint32_t(groups - merging.shape(0)),
-                         degree,           {background[0], background[1], background[2]},
-                         0.0f};
+    SceneView view{};
+    view.geometry = geometry.data();
+    view.merging = merging.data();
+    view.colors = colors.data();
+    view.original_index = indices.data();
+    view.clusters = clusters.data();
+    view.group_bounds = of_groups.data();
+    view.cluster_count = uint32_t(count);
+    view.first_merged = uint32_t(groups - merging.shape(0));
+    view.degree = degree;
+    std::copy_n(background.data(), 3, view.background);
     return Scene(view, groups);
 }
 

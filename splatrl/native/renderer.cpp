@@ -24,18 +24,30 @@ RenderTile kernel_of(Isa isa) {
     }
 }
 
-// Frames are cut into independent tiles: large frames so that a tile's memory stays small, and small ones where there
-// are fewer of them than threads.
-std::vector<Tile> tiles_of(size_t batch, int width, int height, size_t threads) {
-    const int rows = (height + BLOCK - 1) / BLOCK;
+// A tile, or one of several pieces of it, one below the other.
+struct Piece {
+    Tile whole, tile;
+};
+
+// Frames are cut into independent tiles so that a tile's memory stays small; and tiles into pieces where there are fewer
+// frames than threads.
+std::vector<Piece> pieces_of(size_t batch, int width, int height, size_t threads) {
+    const int rows = (height + BLOCK - 1) / BLOCK, down = (height + TILE - 1) / TILE;
     const size_t least = batch == 0 || batch >= threads ? 1 : (threads + batch - 1) / batch;
-    const int down = std::max((height + TILE - 1) / TILE, int(std::min(least, size_t(rows))));
-    std::vector<Tile> tiles;
-    for (int row = 0; row < down; ++row)
-        for (int left = 0; left < width; left += TILE)
-            tiles.push_back({left, int(int64_t(rows) * row / down) * BLOCK, std::min(left + TILE, width),
-                             std::min(int(int64_t(rows) * (row + 1) / down) * BLOCK, height)});
-    return tiles;
+    std::vector<Piece> pieces;
+    for (int row = 0; row < down; ++row) {
+        const int top = int(int64_t(rows) * row / down), bottom = int(int64_t(rows) * (row + 1) / down);
+        const int cuts = int(std::min((least + down - 1) / down, size_t(bottom - top)));
+        const auto pixel = [height](int block) { return std::min(block * BLOCK, height); };
+        for (int cut = 0; cut < cuts; ++cut)
+            for (int left = 0; left < width; left += TILE) {
+                const int right = std::min(left + TILE, width);
+                pieces.push_back({{left, pixel(top), right, pixel(bottom)},
+                                  {left, pixel(top + (bottom - top) * cut / cuts), right,
+                                   pixel(top + (bottom - top) * (cut + 1) / cuts)}});
+            }
+    }
+    return pieces;
 }
 
 // Rows that see the same models in the same direction one after another, so that what they read is still in the cache.
@@ -64,6 +76,7 @@ T* offset(T* images, size_t items) {
 }  // namespace
 
 struct Renderer::Workspace {
+    Buffer<Branch> branches, later;
     Buffer<uint32_t> groups, tied;
     Buffer<Splat> splats;
     Buffer<float> peaks;
@@ -75,7 +88,9 @@ struct Renderer::Workspace {
     size_t capacity;  // Gaussians per row
 
     explicit Workspace(size_t capacity)
-        : groups(make_buffer<uint32_t>(capacity / GROUP + SPARE)),
+        : branches(make_buffer<Branch>(capacity / GROUP + SPARE)),
+          later(make_buffer<Branch>(capacity / GROUP + SPARE)),
+          groups(make_buffer<uint32_t>(capacity / GROUP + SPARE)),
           tied(make_buffer<uint32_t>(capacity + SPARE)),
           splats(make_buffer<Splat>(capacity + SPARE)),
           peaks(make_buffer<float>(capacity + SPARE)),
@@ -85,8 +100,8 @@ struct Renderer::Workspace {
           capacity(capacity) {}
 
     Scratch scratch() const {
-        return {groups.get(), splats.get(), peaks.get(), ties.get(),  keys.get(),
-                sorted.get(), tied.get(),   slab.get(),  lists.get(), pixels.get()};
+        return {branches.get(), later.get(), groups.get(), splats.get(), peaks.get(), ties.get(),
+                keys.get(),     sorted.get(), tied.get(),  slab.get(),   lists.get(), pixels.get()};
     }
 };
 
@@ -190,29 +205,30 @@ void Renderer::place(const Batch& batch, size_t row, const SceneView* views, std
 
 void Renderer::render(const Batch& batch, size_t threads, const Images& images, Effort* efforts) {
     const size_t area = size_t(batch.width) * size_t(batch.height), capacity = capacity_of(batch);
-    const std::vector<Tile> tiles = tiles_of(batch.rows, batch.width, batch.height, threads);
-    const size_t workers = std::max<size_t>(1, std::min(threads, batch.rows * tiles.size()));
+    const std::vector<Piece> pieces = pieces_of(batch.rows, batch.width, batch.height, threads);
+    const size_t workers = std::max<size_t>(1, std::min(threads, batch.rows * pieces.size()));
     std::vector<std::unique_ptr<Loan>> loans;
     for (size_t worker = 0; worker < workers; ++worker) loans.push_back(std::make_unique<Loan>(*this, capacity));
     std::vector<SceneView> views;
     for (const std::optional<Scene>& scene : scenes_) views.push_back(scene ? scene->view(tolerance_) : SceneView{});
-    std::vector<Effort> taken(batch.rows * tiles.size());
+    std::vector<Effort> taken(batch.rows * pieces.size());
     const std::vector<size_t> order = by_likeness(batch);
     parallel_for(taken.size(), workers, [&](size_t worker, size_t item) {
-        const size_t row = order[item / tiles.size()], number = item % tiles.size();
-        const Tile& tile = tiles[number];
+        const size_t row = order[item / pieces.size()], number = item % pieces.size();
+        Tile tile = pieces[number].tile;
         Workspace& workspace = **loans[worker];
         const Scratch scratch = workspace.scratch();
         place(batch, row, views.data(), workspace.parts);
         const Row drawn{workspace.parts.data(), workspace.parts.size(), background_.data(), finished_at(tolerance_),
-                        log2_invisible_at(tolerance_, antialiased_)};
-        taken[row * tiles.size() + number] = render_tile_(drawn, tile, antialiased_, images.depth != nullptr, scratch);
+                        log2_invisible_at(tolerance_, antialiased_), ranked_at(tolerance_)};
+        taken[row * pieces.size() + number] = render_tile_(drawn, pieces[number].whole, tile, antialiased_,
+                                                             images.depth != nullptr, scratch);
         const Images own{offset(images.rgb, 3 * area * row), offset(images.depth, area * row),
                          offset(images.alpha, area * row), offset(images.pixels, 3 * area * row)};
         write_images(scratch.pixels, batch.width, tile, own);
     });
     std::fill(efforts, efforts + batch.rows, Effort{});
-    for (size_t item = 0; item < taken.size(); ++item) efforts[item / tiles.size()] += taken[item];
+    for (size_t item = 0; item < taken.size(); ++item) efforts[item / pieces.size()] += taken[item];
 }
 
 }  // namespace splatrl

@@ -157,6 +157,7 @@ Scene::Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<f
         }
     }
     enclose(levels.nodes);
+    enclose_means();
 }
 
 Scene::Scene(const SceneView& view, size_t groups)
@@ -169,7 +170,9 @@ Scene::Scene(const SceneView& view, size_t groups)
       colors_(copied(view.colors, groups * 3 * size_t((view.degree + 1) * (view.degree + 1)) * GROUP)),
       original_index_(copied(view.original_index, groups * GROUP)),
       clusters_(view.clusters, view.clusters + view.cluster_count),
-      group_bounds_(view.group_bounds, view.group_bounds + view.cluster_count) {}
+      group_bounds_(view.group_bounds, view.group_bounds + view.cluster_count) {
+    enclose_means();
+}
 
 // Append the Gaussians of a node, in whole groups.
 void Scene::pack(const GaussianArrays& gaussians, const float* opacities, const uint32_t* order, const Node& node,
@@ -218,6 +221,30 @@ void Scene::enclose(const std::vector<Node>& nodes) {
     }
 }
 
+// The boxes around what each node shows.
+void Scene::enclose_means() {
+    boxes_.resize(clusters_.size());
+    for (size_t i = 0; i < clusters_.size(); ++i) {
+        float low[3], high[3];
+        std::fill_n(low, 3, std::numeric_limits<float>::max());
+        std::fill_n(high, 3, std::numeric_limits<float>::lowest());
+        for (uint32_t group = 0; group < clusters_[i].groups; ++group) {
+            const float* geometry = geometry_.get() + size_t(clusters_[i].first_group + group) * GEOMETRY * GROUP;
+            for (int lane = 0; lane < GROUP; ++lane) {
+                if (geometry[LOG2_OPACITY * GROUP + lane] == std::numeric_limits<float>::lowest()) continue;
+                for (int axis = 0; axis < 3; ++axis) {
+                    low[axis] = std::min(low[axis], geometry[axis * GROUP + lane]);
+                    high[axis] = std::max(high[axis], geometry[axis * GROUP + lane]);
+                }
+            }
+        }
+        for (int axis = 0; axis < 3; ++axis) {
+            boxes_[i].center[axis] = 0.5f * (low[axis] + high[axis]);
+            boxes_[i].half[axis] = 0.5f * (high[axis] - low[axis]);
+        }
+    }
+}
+
 SceneView Scene::view(float tolerance) const {
     return {geometry_.get(),
             merging_.get(),
@@ -225,6 +252,7 @@ SceneView Scene::view(float tolerance) const {
             original_index_.get(),
             clusters_.data(),
             group_bounds_.data(),
+            boxes_.data(),
             uint32_t(clusters_.size()),
             uint32_t(first_merged_),
             degree_,

@@ -40,6 +40,7 @@ private:
     void pack(const GaussianArrays& gaussians, const float* opacities, const uint32_t* order, const Node& node,
               size_t index);
     void enclose(const std::vector<Node>& nodes);
+    void enclose_means();
 
     std::array<float, 3> background_;
     int degree_;
@@ -49,6 +50,7 @@ private:
     Buffer<uint32_t> original_index_;
     std::vector<Cluster> clusters_;
     std::vector<GroupBounds> group_bounds_;
+    std::vector<Box> boxes_;
 };
 
 }  // namespace splatrl

@@ -50,6 +50,13 @@ SPLAT_INLINE float log2_invisible_at(float tolerance, bool antialiased) {
     return levels > LEAST_LEVELS ? LOG2_GREY_LEVEL + log2(levels) : LOG2_INVISIBLE_ANTIALIASED;
 }
 
+// Whether the order of Gaussians is that of their depths in double precision, and ties are broken. What may be displaced
+// by pixels may be drawn in the order in which it lies in the tree, if its depths hardly differ.
+SPLAT_INLINE bool ranked_at(float tolerance) {
+    constexpr float LEAST = 1.0f / 64.0f;
+    return tolerance < LEAST;
+}
+
 template <class F>
 struct Vector {
     F x, y, z;

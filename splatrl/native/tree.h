@@ -23,6 +23,11 @@ struct Cluster {
     uint32_t skip;   // the cluster after all those below this one
 };
 
+// The box around the means of a cluster's own Gaussians: its middle and half its edges, metres.
+struct Box {
+    float center[3], half[3];
+};
+
 // Bounds of the groups of a cluster: the members of Bounds, one after another.
 struct alignas(64) GroupBounds {
     float members[6][GROUP];

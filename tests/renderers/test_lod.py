@@ -165,6 +165,58 @@ def test_with_a_tolerance_the_splat_that_finishes_a_pixel_is_blended_and_none_be
     assert alpha(1.0, 3) == alpha(1.0, 2)
 
 
+def deep_cloud(opacity: float) -> Gaussians:
+    """Sixty thousand small Gaussians from 3 to 9 m ahead, behind two sheets of this opacity at 1 m."""
+    g = torch.Generator().manual_seed(0)
+    cloud = gaussians([[1.0, 0.0, 0.0], [1.1, 0.0, 0.0]] + [[6.0, 0.0, 0.0]] * 60_000, scale=0.01, opacity=0.5).float()
+    cloud.means[2:] += (torch.rand(60_000, 3, generator=g) - 0.5) * torch.tensor([6.0, 5.0, 5.0])
+    cloud.sh[2:] += torch.randn(60_000, 1, 3, generator=g)
+    cloud.scales[:2], cloud.opacities[:2] = 50.0, opacity
+    return cloud
+
+
+def test_what_is_behind_a_veil_is_drawn_with_fewer_gaussians_and_looks_as_it_did() -> None:
+    def effort(opacity: float) -> int:
+        return int(NativeRenderer(deep_cloud(opacity), tolerance=0.5).efforts(ahead(64, 64)).projected)
+
+    assert effort(0.2) == pytest.approx(effort(0.1), rel=0.01)  # half of the light and more comes through
+    assert effort(0.9) < 0.6 * effort(0.1)
+    assert psnrs(deep_cloud(0.9), ahead(64, 64), 0.5).min() >= 50.0
+
+
+def test_a_frame_that_is_drawn_in_steps_has_the_same_bytes_with_any_threads_and_in_any_batch() -> None:
+    cloud, turns = deep_cloud(0.9), torch.tensor([-0.3, 0.0, 0.4])
+    forward = torch.stack([turns.cos(), turns.sin(), torch.zeros(3)], 1)
+    cameras = Cameras(look_at(torch.zeros(3, 3), forward), intrinsics(1.2, 96, 60), 96, 60)
+    renderer = NativeRenderer(cloud, threads=1, tolerance=0.5)
+    together, depth = renderer.pixels(cameras), renderer.render(cameras).depth
+    for row in range(3):
+        for threads in (1, 2, 3, 8):
+            alone = NativeRenderer(cloud, threads=1, tolerance=0.5)
+            alone.threads = threads
+            assert torch.equal(alone.pixels(cameras[row : row + 1]), together[row : row + 1])
+            assert torch.equal(alone.render(cameras[row : row + 1]).depth, depth[row : row + 1])
+
+
+@pytest.mark.parametrize("isa", _core.supported_isas())
+def test_every_instruction_set_draws_the_same_behind_a_veil(isa: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    cloud = deep_cloud(0.9)
+    fastest = NativeRenderer(cloud, tolerance=0.5).render(ahead(64, 64)).rgb
+    monkeypatch.setenv("SPLATRL_ISA", isa)
+    assert psnr(NativeRenderer(cloud, tolerance=0.5).render(ahead(64, 64)).rgb, fastest) >= 60.0
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 0.5])
+def test_depths_a_tenth_of_a_millimetre_apart_are_told_apart(tolerance: float) -> None:
+    means = [[3.03, 0.0, 0.0], [3.0301, 0.0, 0.0]]
+    sheets = gaussians(means, [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], scale=[0.01, 2.0, 2.0], opacity=0.9)
+    renderer = NativeRenderer(sheets, tolerance=tolerance)
+    for eye, nearer in ((0.0, 0), (6.0, 2)):
+        cameras = Cameras(look_at([eye, 0.0, 0.0], [3.0, 0.0, 0.0])[None], intrinsics(1.0, 9, 9), 9, 9)
+        pixel = renderer.render(cameras).rgb[0, 4, 4]
+        assert pixel[nearer] > 0.8 > pixel[2 - nearer]
+
+
 @pytest.mark.parametrize(
     ("tolerance", "antialiased", "levels"), [(0, True, 0.25), (0.5, True, 1), (9, True, 1), (1, False, 1)]
 )

@@ -40,7 +40,11 @@ struct Blocks {
 
 // Start with nothing drawn; pixels outside the tile are finished from the start.
 template <bool WITH_DEPTH>
-LANE_INLINE void start_tile(float* pixels, Blocks& blocks, const Tile& tile, const float* background) {
+LANE_INLINE void start_tile(const Scratch& scratch, Blocks& blocks, const Tile& tile, const float* background) {
+    float* pixels = scratch.pixels;
+    scratch.slab[NOWHERE] = {};
+    scratch.slab[NOWHERE].splat.log2_opacity = -1e30f;
+    blocks.lists = scratch.lists;
     const Lanes start[CHANNELS] = {lanes(background[RED]), lanes(background[GREEN]), lanes(background[BLUE]),
                                    lanes(1.0f),            lanes(0.0f),              lanes(0.0f)};
     blocks.empty();
@@ -177,16 +181,11 @@ static OUT_OF_LINE bool blend_blocks(const Scratch& scratch, const Tile& tile, c
     return all_finished;
 }
 
-// Returns how often a splat was blended over a block.
+// Blend splats in their order. Returns how often one was blended over a block.
 template <bool WITH_DEPTH, bool FIRM, bool PEAKED>
-static uint32_t blend_tile(const Tile& tile, const Row& row, const uint64_t* keys, uint32_t count,
-                           const Scratch& scratch) {
-    Blocks blocks;
-    blocks.lists = scratch.lists;
-    scratch.slab[NOWHERE] = {};
-    scratch.slab[NOWHERE].splat.log2_opacity = -1e30f;
+static uint32_t blend_splats(const Tile& tile, const Row& row, const uint64_t* keys, uint32_t count,
+                             const Scratch& scratch, Blocks& blocks) {
     const float* peaks = row.count > 0 && row.parts->scene->tolerance > 0.0f ? scratch.peaks : nullptr;
-    start_tile<WITH_DEPTH>(scratch.pixels, blocks, tile, row.background);
     uint32_t blended = 0;
     for (uint32_t next = 0; next < count; next += SLAB) {
         deal<WITH_DEPTH, PEAKED>(scratch, peaks, keys + next, count - next < SLAB ? count - next : SLAB, blocks);

@@ -69,13 +69,14 @@ LANE_INLINE IntLanes patches_of(const Tile& tile, const Lanes& left, const Lanes
     return out;
 }
 
+template <bool RANKED>
 LANE_INLINE void fetch_group(const SceneView& scene, uint32_t group) {
     const char* geometry = reinterpret_cast<const char*>(scene.geometry + size_t(group) * GEOMETRY * GROUP);
     for (int line = 0; line < GEOMETRY; ++line) __builtin_prefetch(geometry + 64 * line);
     const size_t bytes = size_t(3 * (scene.degree + 1) * (scene.degree + 1)) * GROUP * sizeof(uint16_t);
     const char* colors = reinterpret_cast<const char*>(scene.colors) + group * bytes;
     for (size_t line = 0; line < bytes; line += 64) __builtin_prefetch(colors + line, 0, 1);
-    __builtin_prefetch(scene.original_index + size_t(group) * GROUP);
+    if (RANKED) __builtin_prefetch(scene.original_index + size_t(group) * GROUP);
     if (group < scene.first_merged) return;
     const float* merging = scene.merging + size_t(group - scene.first_merged) * MERGING * GROUP;
     for (int line = 0; line < MERGING; ++line) __builtin_prefetch(merging + GROUP * line);
@@ -88,7 +89,7 @@ static_assert(GROUPS_AHEAD + AT_ONCE <= SPARE, "the array has room to read ahead
 
 // Append what a tile shows of some groups, at most AT_ONCE, after the first `count` splats. Returns the new number of
 // splats. However many there are, the same code computes them, so that they are rounded alike.
-template <bool ANTIALIASED, bool MERGED>
+template <bool ANTIALIASED, bool MERGED, bool RANKED>
 static uint32_t project_some(const Part& part, const Tile& tile, float log2_invisible,
                              const uint32_t* groups, uint32_t some, const Scratch& scratch, uint32_t count,
                              bool& peaked) {
@@ -102,7 +103,7 @@ static uint32_t project_some(const Part& part, const Tile& tile, float log2_invi
     Merging<Lanes> merging[AT_ONCE];
 #pragma GCC unroll 1
     for (uint32_t i = 0; i < AT_ONCE; ++i) {
-        fetch_group(scene, groups[GROUPS_AHEAD + i]);
+        fetch_group<RANKED>(scene, groups[GROUPS_AHEAD + i]);
         const uint32_t group = groups[i < some ? i : 0];
         geometry[i] = scene.geometry + size_t(group) * GEOMETRY * GROUP;
         offsets[i] = {load(geometry[i]) - camera.position[0], load(geometry[i] + GROUP) - camera.position[1],
@@ -134,18 +135,19 @@ static uint32_t project_some(const Part& part, const Tile& tile, float log2_invi
         const uint32_t visible = bits_above(opacity, lanes(log2_invisible)) & ~hidden;
         if (visible == 0) continue;
         peaked |= MERGED || (bits_above(opacity, lanes(LOG2_BELOW_PEAK)) & visible) != 0;
-        IntLanes rgb[3], rests;
+        IntLanes rgb[3], rests{}, indices{};
         shade(scene, groups[i], offsets[i], rgb);
-        Lanes depths;
-        exact_depths(geometry[i], camera, depths, rests);
+        Lanes depths = lanes_of(prints.depth, i);
+        if (RANKED) {
+            exact_depths(geometry[i], camera, depths, rests);
+            indices = plus(load_ints(scene.original_index + groups[i] * GROUP), part.first_index);
+        }
         const IntLanes patches = patches_of(tile, left, right, top, bottom);
         const Lanes l11 = lanes_of(prints.l11, i), l12 = lanes_of(prints.l12, i), l22 = lanes_of(prints.l22, i);
         const Lanes x = lanes_of(prints.x, i), y = lanes_of(prints.y, i);
         const Record record{{-(l11 * x + l12 * y), -(l22 * y), l11, l12, l22, opacity,
                              from_bits(join_halves(rgb[0], rgb[1])), from_bits(join_halves(rgb[2], patches))},
-                            depths, rests,
-                            plus(load_ints(scene.original_index + groups[i] * GROUP), part.first_index),
-                            lanes_of(prints.peak, i), scene.tolerance > 0.0f};
+                            depths, rests, indices, lanes_of(prints.peak, i), scene.tolerance > 0.0f, RANKED};
         count = append(record, visible, scratch, count);
     }
     return count;
@@ -153,7 +155,7 @@ static uint32_t project_some(const Part& part, const Tile& tile, float log2_invi
 
 // Project the groups of a part that scratch names, after the first `count` splats. Returns the new number of splats;
 // `peaked` becomes true where one of them could exceed its peak.
-template <bool ANTIALIASED>
+template <bool ANTIALIASED, bool RANKED>
 static uint32_t project_groups(const Part& part, const Tile& tile, float log2_invisible, uint32_t groups,
                                const Scratch& scratch, uint32_t count, bool& peaked) {
     const SceneView& scene = *part.scene;
@@ -162,7 +164,7 @@ static uint32_t project_groups(const Part& part, const Tile& tile, float log2_in
         const bool merged = group[0] >= scene.first_merged;
         uint32_t some = 1;
         while (some < AT_ONCE && i + some < groups && (group[some] >= scene.first_merged) == merged) ++some;
-        const auto project = merged ? project_some<ANTIALIASED, true> : project_some<ANTIALIASED, false>;
+        const auto project = merged ? project_some<ANTIALIASED, true, RANKED> : project_some<ANTIALIASED, false, RANKED>;
         count = project(part, tile, log2_invisible, group, some, scratch, count, peaked);
         i += some;
     }

@@ -78,40 +78,61 @@ static void order_ties(const uint64_t* ties, uint64_t* keys, uint32_t count, uin
     }
 }
 
-// Radix sort by the leading bits in which the depths differ, least significant digit first; then the ties are ordered.
-// Returns the sorted keys, in `scratch.keys`.
-static const uint64_t* sort_by_depth(const Scratch& scratch, uint32_t count) {
-    constexpr int DIGIT = 11, VALUES = 1 << DIGIT;
-    uint64_t *keys = scratch.keys, *sorted = scratch.sorted;
+// Bring keys nearer than a border in front of the others, each in the order in which they are. Returns how many.
+static uint32_t bring_near(const Scratch& scratch, uint64_t* keys, uint32_t count, float border) {
+    uint32_t bits;
+    std::memcpy(&bits, &border, sizeof(bits));
+    const uint64_t bound = uint64_t(bits) << 32;
+    uint32_t near = 0, far = 0;
+    for (uint32_t i = 0; i < count; ++i) {
+        const uint64_t key = keys[i];
+        keys[near] = scratch.sorted[far] = key;
+        near += key < bound;
+        far += key >= bound;
+    }
+    std::memcpy(keys + near, scratch.sorted, far * sizeof(uint64_t));
+    return near;
+}
+
+// Radix sort by the leading bits in which the depths differ, least significant digit first: where they are RANKED, by 22,
+// and then the ties are ordered. Else they are told apart to their 130,000th, in the same way on every tile, and those
+// that agree stay in the order in which they come.
+template <bool RANKED>
+static void sort_by_depth(const Scratch& scratch, uint64_t* keys, uint32_t count) {
+    constexpr int MOST = 11, VALUES = 1 << MOST, ALIKE = 6;
+    uint64_t* sorted = scratch.sorted;
     uint32_t low = ~0u, high = 0;
     for (uint32_t i = 0; i < count; ++i) {
         const uint32_t depth = uint32_t(keys[i] >> 32);
         low = depth < low ? depth : low;
         high = depth > high ? depth : high;
     }
+    if (!RANKED) low &= ~0u << ALIKE;
     const int bits = count > 1 && high > low ? 32 - __builtin_clz(high - low) : 0;
-    const int unsorted = bits > 2 * DIGIT ? bits - 2 * DIGIT : 0;
+    const int alike = RANKED ? 0 : ALIKE, wanted = bits > alike ? bits - alike : 0;
+    const int digit = RANKED || wanted > 2 * MOST ? MOST : (wanted + 1) / 2;
+    const int unsorted = wanted > 2 * digit ? bits - 2 * digit : alike;
+    const uint32_t values = 1u << digit, mask = values - 1;
     uint32_t starts[2][VALUES] = {};
     for (uint32_t i = 0; i < count; ++i) {
         const uint32_t value = (uint32_t(keys[i] >> 32) - low) >> unsorted;
-        ++starts[0][value % VALUES];
-        ++starts[1][value / VALUES];
+        ++starts[0][value & mask];
+        ++starts[1][value >> digit];
     }
     constexpr uint32_t LINE = 64 / sizeof(uint64_t);
     for (uint32_t i = 0; i < count; i += LINE) __builtin_prefetch(&sorted[i], 1);
     uint32_t sums[2] = {};
-    for (int value = 0; value < VALUES; ++value)
+    for (uint32_t value = 0; value < values; ++value)
         for (int pass = 0; pass < 2; ++pass) {
             const uint32_t here = starts[pass][value];
             starts[pass][value] = sums[pass];
             sums[pass] += here;
         }
     for (uint32_t i = 0; i < count; ++i)
-        sorted[starts[0][((uint32_t(keys[i] >> 32) - low) >> unsorted) % VALUES]++] = keys[i];
+        sorted[starts[0][((uint32_t(keys[i] >> 32) - low) >> unsorted) & mask]++] = keys[i];
     for (uint32_t i = 0; i < count; ++i)
-        keys[starts[1][((uint32_t(sorted[i] >> 32) - low) >> unsorted) / VALUES]++] = sorted[i];
-    order_ties(scratch.ties, keys, count, low, unsorted, scratch.tied);
-    return keys;
+        keys[starts[1][((uint32_t(sorted[i] >> 32) - low) >> unsorted) >> digit]++] = sorted[i];
+    if (RANKED) order_ties(scratch.ties, keys, count, low, unsorted, scratch.tied);
 }
 
 }  // namespace SPLATRL_ISA

@@ -1,0 +1,72 @@
+// How much of what lies behind shows through what has been blended over a tile.
+#pragma once
+
+#include "kernel.h"
+#include "lanes.h"
+
+namespace splatrl {
+namespace SPLATRL_ISA {
+
+// The mean squared transmittance of blocks, summed over all that are above and to the left.
+struct Veil {
+    float sums[ACROSS + 1][ACROSS + 1];
+};
+
+LANE_INLINE float mean_square(const Lanes& a) {
+    alignas(64) float values[LANES];
+    store(values, a * a);
+    for (int half = LANES / 2; half > 0; half /= 2)
+        for (int i = 0; i < half; ++i) values[i] += values[i + half];
+    return values[0] * (1.0f / LANES);
+}
+
+// The veil of what has been blended into these pixels.
+LANE_INLINE void draw_veil(const float* pixels, const bool* finished, Veil& veil) {
+    for (int i = 0; i <= ACROSS; ++i) veil.sums[0][i] = veil.sums[i][0] = 0.0f;
+    for (int y = 0; y < ACROSS; ++y) {
+        float sum = 0.0f;
+        for (int x = 0; x < ACROSS; ++x) {
+            const int block = y * ACROSS + x;
+            if (!finished[block]) sum += mean_square(load(pixels + (block * CHANNELS + TRANSMITTANCE) * LANES));
+            veil.sums[y + 1][x + 1] = veil.sums[y][x + 1] + sum;
+        }
+    }
+}
+
+// The first and the last block of a tile, in a row or a column of so many pixels, that a range behind the near plane is
+// seen on: its middle and half its length, metres, and the inverse depths of its nearest and its farthest end.
+LANE_INLINE void blocks_between(float middle, float half, float nearest, float farthest, float focal, float origin,
+                                int pixels, int& first, int& last) {
+    const float low = middle - half, high = middle + half;
+    const float from = low * (low < 0.0f ? nearest : farthest) * focal + origin;
+    const float to = high * (high > 0.0f ? nearest : farthest) * focal + origin;
+    const float end = float(pixels - 1);
+    first = int(splatrl::min(splatrl::max(from, 0.0f), end)) / BLOCK;
+    last = int(splatrl::min(splatrl::max(to, 0.0f), end)) / BLOCK;
+}
+
+// The mean squared transmittance over the blocks that a box behind the near plane is seen on.
+LANE_INLINE float seen_through(const Veil& veil, const Camera& camera, const Tile& tile, const Box& box) {
+    float middle[3], half[3];
+    for (int row = 0; row < 3; ++row) {
+        middle[row] = half[row] = 0.0f;
+        for (int axis = 0; axis < 3; ++axis) {
+            const float along = camera.rotation[3 * row + axis];
+            middle[row] += along * (box.center[axis] - camera.position[axis]);
+            half[row] += splatrl::max(along, -along) * box.half[axis];
+        }
+    }
+    const float nearest = 1.0f / splatrl::max(middle[2] - half[2], NEAR_DEPTH);
+    const float farthest = 1.0f / splatrl::max(middle[2] + half[2], NEAR_DEPTH);
+    int left, right, top, bottom;
+    blocks_between(middle[0], half[0], nearest, farthest, camera.fx, camera.cx - float(tile.left),
+                   tile.right - tile.left, left, right);
+    blocks_between(middle[1], half[1], nearest, farthest, camera.fy, camera.cy - float(tile.top),
+                   tile.bottom - tile.top, top, bottom);
+    const float *above = veil.sums[top], *below = veil.sums[bottom + 1];
+    const float sum = below[right + 1] - below[left] - above[right + 1] + above[left];
+    return sum / float((right + 1 - left) * (bottom + 1 - top));
+}
+
+}  // namespace SPLATRL_ISA
+}  // namespace splatrl
