@@ -50,6 +50,17 @@ def kitchen(shared_scenes: Path) -> Gaussians:
     return read_gaussians(shared_scenes / "kitchen" / "kitchen.spz").transformed(similarity(["x", "-z", "y"]))
 
 
+@pytest.fixture
+def bare_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Captures leave out of their report what takes half their time, where a test looks at none of it: the pictures,
+    and the number of solid voxels that cameras saw through."""
+    import numpy as np
+
+    for name in ("check.draw_comparison", "check.draw_map", "folder.draw_cameras", "folder.draw_goals"):
+        monkeypatch.setattr(f"splatrl.capture.{name}", lambda *_: None)
+    monkeypatch.setattr("splatrl.capture.check.seen_through", lambda occupancy, _: np.zeros(1, bool))
+
+
 def no_gpu() -> str:
     """The reason why nothing can run on a GPU here; empty if it can."""
     import torch
@@ -69,10 +80,13 @@ def cuda_device() -> torch.device:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what is imported by now out of every later search for garbage, search less often, and parse YAML once."""
+    """Leave what is imported by now out of every later search for garbage, search less often, and do twice nothing
+    that gives the same again and again: parse YAML, and spread Gaussians over robots."""
+    from tests.discs_once import spread_once
     from tests.yaml_once import parse_once
 
     parse_once()
+    spread_once()
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)

@@ -421,6 +421,7 @@ def test_depth_outside_the_recording_is_refused(tmp_path: Path, images: list[Tak
         read_recording(source, tmp_path / "out")
 
 
+@pytest.mark.usefixtures("bare_report")
 @pytest.mark.parametrize("kind", ["polycam", "stray", "r3d"])
 def test_a_recording_becomes_a_scene_that_stands_upright_in_metres(
     tmp_path: Path, images: list[Taken], kind: str
