@@ -6,10 +6,13 @@ PyTorch and the package are imported where they are used, because the process th
 from __future__ import annotations
 
 import gc
+import importlib
 import itertools
 import os
+import sys
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -77,6 +80,18 @@ def cuda_device() -> torch.device:
         pytest.skip(no_gpu())
     pytest.importorskip("cuda.bindings", reason="needs the extra cuda")
     return torch.device("cuda", torch.cuda.current_device())
+
+
+def pytest_collection(session: pytest.Session) -> None:
+    """Let each worker import another part of all test files first: what one has compiled, the others only read."""
+    folder, worker = Path(__file__).parent, getattr(session.config, "workerinput", None)
+    if worker is None or sys.dont_write_bytecode or session.config.args != ["tests"]:
+        return
+    files = sorted(folder.rglob("test_*.py"))
+    first = len(files) * int(worker["workerid"].removeprefix("gw")) // worker["workercount"]
+    for path in files[first:] + files[:first]:
+        with suppress(Exception, pytest.skip.Exception):  # raised again when it is collected
+            importlib.import_module(".".join(path.relative_to(folder.parent).with_suffix("").parts))
 
 
 def pytest_collection_finish() -> None:
