@@ -6,10 +6,13 @@ PyTorch and the package are imported where they are used, because the process th
 from __future__ import annotations
 
 import gc
+import importlib
 import itertools
 import os
+import sys
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,6 +53,17 @@ def kitchen(shared_scenes: Path) -> Gaussians:
     return read_gaussians(shared_scenes / "kitchen" / "kitchen.spz").transformed(similarity(["x", "-z", "y"]))
 
 
+@pytest.fixture
+def bare_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Captures leave out of their report what takes half their time, where a test looks at none of it: the pictures,
+    and the number of solid voxels that cameras saw through."""
+    import numpy as np
+
+    for name in ("check.draw_comparison", "check.draw_map", "folder.draw_cameras", "folder.draw_goals"):
+        monkeypatch.setattr(f"splatrl.capture.{name}", lambda *_: None)
+    monkeypatch.setattr("splatrl.capture.check.seen_through", lambda occupancy, _: np.zeros(1, bool))
+
+
 def no_gpu() -> str:
     """The reason why nothing can run on a GPU here; empty if it can."""
     import torch
@@ -68,11 +82,26 @@ def cuda_device() -> torch.device:
     return torch.device("cuda", torch.cuda.current_device())
 
 
+def pytest_collection(session: pytest.Session) -> None:
+    """Let each worker import another part of all test files first: what one has compiled, the others only read."""
+    folder, worker = Path(__file__).parent, getattr(session.config, "workerinput", None)
+    if worker is None or sys.dont_write_bytecode or session.config.args != ["tests"]:
+        return
+    files = sorted(folder.rglob("test_*.py"))
+    first = len(files) * int(worker["workerid"].removeprefix("gw")) // worker["workercount"]
+    for path in files[first:] + files[:first]:
+        with suppress(Exception, pytest.skip.Exception):  # raised again when it is collected
+            importlib.import_module(".".join(path.relative_to(folder.parent).with_suffix("").parts))
+
+
 def pytest_collection_finish() -> None:
-    """Leave what is imported by now out of every later search for garbage, search less often, and parse YAML once."""
+    """Leave what is imported by now out of every later search for garbage, search less often, and do twice nothing
+    that gives the same again and again: parse YAML, and spread Gaussians over robots."""
+    from tests.discs_once import spread_once
     from tests.yaml_once import parse_once
 
     parse_once()
+    spread_once()
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)

@@ -174,6 +174,7 @@ if __name__ == "__main__":
     for name in IMPORTED:
         importlib.import_module(name)
     parse_once()
-    importlib.import_module("splatrl.configuration").load_config()  # Hydra looks for its plugins, and reads, once
+    config = importlib.import_module("splatrl.configuration").load_config()  # Hydra looks for its plugins once
+    importlib.import_module("splatrl.configuration.checking").check_config(config)  # reads all of conf/, once
     if words := _requested(socket.socket(fileno=int(sys.argv[1]))):
         _run(*words)

@@ -29,17 +29,18 @@ DARK = replace(GOOD, brightness=4.0)
 
 @pytest.fixture(scope="module")
 def photographed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Photos, Reconstruction]:
-    """Photos of the made-up walk, and what structure from motion would make of them."""
+    """Photos of the made-up walk, a quarter as wide and high, and what structure from motion would make of them."""
     folder = tmp_path_factory.mktemp("photos")
     found, _ = strewn(3)
     true = walk()
-    cameras = Cameras(true.camera_to_world.float(), K.float(), WIDTH, HEIGHT)
+    small = K * torch.tensor([[0.25], [0.25], [1.0]])
+    cameras = Cameras(true.camera_to_world.float(), small.float(), WIDTH // 4, HEIGHT // 4)
     views = NativeRenderer(splatrl.backyard().gaussians, tolerance=1.0).pixels(cameras).numpy()
     paths = [folder / path.name for path in true.paths]
     for path, view in zip(paths, views, strict=True):
         Image.fromarray(view).save(path)
-    photos = Photos(paths, WIDTH, HEIGHT, torch.arange(len(paths), dtype=torch.float64))
-    return photos, replace(found, paths=paths)
+    photos = Photos(paths, WIDTH // 4, HEIGHT // 4, torch.arange(len(paths), dtype=torch.float64))
+    return photos, replace(found, paths=paths, K=small, width=WIDTH // 4, height=HEIGHT // 4)
 
 
 @pytest.fixture(scope="module")
@@ -84,18 +85,11 @@ def stages(
     return called
 
 
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leaves the pictures out, which take a third of the time, where a test looks at none."""
-    for name in ("check.draw_comparison", "check.draw_map", "folder.draw_cameras", "folder.draw_goals"):
-        monkeypatch.setattr(f"splatrl.capture.{name}", lambda *_: None)
-
-
 QUICK = ["--camera-height", "1.4", "--width", "80", "--gaussians", "3000", "--views", "200", "--device", "cpu"]
 
 
 def test_photos_become_a_folder_that_is_all_a_training_needs(
-    tmp_path: Path, stages: list[str], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, stages: list[str], capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
 ) -> None:
     folder = tmp_path / "garden"
     capture.main(["garden.mp4", "--out", str(folder), *QUICK])
@@ -107,6 +101,7 @@ def test_photos_become_a_folder_that_is_all_a_training_needs(
     assert env.robot.height == pytest.approx(1.4, abs=0.15) and env.rollout(3)["pixels"].float().std() > 5
     with pytest.raises(SystemExit, match=r"scene\.yaml: already exists; name another folder by --out, or give --force"):
         capture.main(["garden.mp4", "--out", str(folder), *QUICK])
+    request.getfixturevalue("bare_report")
     capture.main(["garden.mp4", "--out", str(folder), *QUICK, "--force"])
     assert stages.count("fit") == 1  # what was fitted is kept
 
@@ -121,13 +116,13 @@ def test_what_is_fitted_follows_the_robots_unless_it_is_said(
         raise CaptureError("far enough")
 
     monkeypatch.setattr(pipeline, "fit", fit)
-    for options in ([], ["--robot-width", "999"], ["--width", "100", "--gaussians", "9"]):
+    for options in ([], ["--robot-width", "999"], ["--width", "50", "--gaussians", "9"]):
         with pytest.raises(SystemExit, match="far enough"):
             capture.main(["a.mp4", "--out", str(tmp_path / "a"), "--camera-height", "1.4", "--views", "7", *options])
-    assert fitted == [(320, 60_000, 7), (320, 60_000, 7), (100, 9, 7)], "the photos are 320 pixels wide"
+    assert fitted == [(80, 60_000, 7), (80, 60_000, 7), (50, 9, 7)], "the photos are 80 pixels wide"
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("bare_report")
 def test_an_out_that_ends_in_spz_keeps_the_splat_small(
     tmp_path: Path, stages: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -141,7 +136,7 @@ def test_an_out_that_ends_in_spz_keeps_the_splat_small(
     assert env.rollout(3)["pixels"].float().std() > 5
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("bare_report")
 def test_a_fit_that_was_stopped_goes_on_with_the_same_bytes(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -169,7 +164,7 @@ def test_a_fit_that_was_stopped_goes_on_with_the_same_bytes(
     assert not list(tmp_path.rglob("fit.npz")) and not list(tmp_path.rglob("*.tmp"))
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("bare_report")
 def test_stages_that_were_damaged_are_done_again(
     tmp_path: Path, stages: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -187,7 +182,7 @@ def test_stages_that_were_damaged_are_done_again(
     assert not list(tmp_path.rglob("*.tmp"))
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("bare_report")
 @pytest.mark.parametrize("name", ["depths.npz", "fit.npz", "splat.ply"])
 def test_a_disk_that_is_full_is_one_line_that_names_the_file(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, name: str

@@ -74,6 +74,7 @@ def test_a_capture_becomes_a_scene_folder_with_pictures_without_a_word_said(
         assert len(np.unique(np.asarray(Image.open(picture)).reshape(-1, 3 if "view" in picture.name else 1))) > 1
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_folder_is_looked_at_again_in_the_frame_that_its_yaml_states(
     splat: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -232,12 +233,13 @@ def test_the_kitchen_stands_in_metres_with_its_floor_at_zero(shared_scenes: Path
 
 
 def test_an_out_that_ends_in_spz_makes_a_folder_with_a_small_splat(
-    splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
 ) -> None:
     main([str(splat), "--scale", "2", "--out", str(tmp_path / "small.spz")])
     assert f"wrote       {tmp_path / 'small' / 'splat.spz'}, 0.0 MB" in capsys.readouterr().out
     assert {path.name for path in (tmp_path / "small").iterdir()} > {"splat.spz", "scene.yaml", "yard-view.png"}
     small = read_scene(tmp_path / "small")
+    request.getfixturevalue("undrawn")
     main([str(splat), "--scale", "2"])
     large = read_scene(splat.parent)
     torch.testing.assert_close(small.gaussians.means, large.gaussians.means, atol=2e-4, rtol=0)

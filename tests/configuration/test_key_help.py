@@ -1,7 +1,10 @@
 """``--help`` explains every key by the comments of conf/."""
 
+import functools
+
 import pytest
 
+from splatrl.configuration import key_help as key_help_module
 from splatrl.configuration import load_config, options
 from splatrl.configuration.command_line import MAIN_KEYS, command_line
 from splatrl.configuration.key_help import MOST_USED, WIDTH, comments_of, help_page, key_help
@@ -14,6 +17,14 @@ CHOICES = [
     ["ppo=many", "renderer=reference", "transforms/skip=four", "curriculum=none", "motion@task.motion=forward"],
     ["renderer=gsplat", "transforms/sprite=apple"],
 ]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def read_once():
+    """The same files explain every page."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(key_help_module, "comments_of", functools.cache(comments_of))
+        yield
 
 
 @pytest.mark.parametrize(

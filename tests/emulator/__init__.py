@@ -96,7 +96,7 @@ def counted(source: str | Path, defines: Mapping[str, int] | None = None) -> Emu
 
 @functools.cache
 def _library(path: Path, defines: tuple[tuple[str, int], ...]) -> Path:
-    """Compile a source again only when it or a header changes."""
+    """Compile a source again only when it or a header changes, not in another checkout."""
     text = path.read_text()
     names, at_once = _KERNEL.findall(text), 1 if "__shared__" in text else "emulator::MOST_AT_ONCE"
     cases = "\n".join(
@@ -112,11 +112,13 @@ extern "C" int launch(const char* name, unsigned blocks, unsigned threads, void*
 """
     folders = [HERE, NATIVE / "cuda", NATIVE, NATIVE / "kernels"]
     macros = [f"-D{name}={value}" for name, value in defines]
-    flags = [*_FLAGS, *macros, *(part for f in folders for part in ("-I", str(f)))]
-    digest = hashlib.sha256(program.encode() + repr(flags).encode())
-    for file in sorted({path, *(f for folder in folders for f in folder.glob("*.*")), *NATIVE.glob("cuda/*.cu")}):
+    flags = [*_FLAGS, *macros]
+    digest = hashlib.sha256(repr([program.replace(str(path), path.name), flags]).encode())
+    files = {path, *(f for folder in folders for f in folder.glob("*.*")), *NATIVE.glob("cuda/*.cu")}
+    for file in sorted(files, key=lambda file: (file.name, file.parent.name)):
         if file.is_file():
             digest.update(file.read_bytes())
+    flags += [part for folder in folders for part in ("-I", str(folder))]
     return built(f"{path.stem}-{digest.hexdigest()[:20]}.so", lambda made: _compile(program, flags, made))
 
 

@@ -1,8 +1,9 @@
 """A policy as an ONNX file: onnxruntime does what PyTorch does, and the file says what it is for."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -52,13 +53,30 @@ def trained(folder: Path, *overrides: str) -> tuple[World, ActorValueOperator]:
     return world, model
 
 
+Exported = tuple[World, ActorValueOperator, Path, float]
+"""A world, a policy, the folder where it was written, and what was found to differ."""
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Exported]:
+    """Exports the policy of a kind, once."""
+
+    @cache
+    def export(kind: str) -> Exported:
+        folder = tmp_path_factory.mktemp(kind)
+        world, model = trained(folder, *KINDS[kind])
+        found = export_policy(model, world, folder / "out", frames=200, facts={"scene": "room"})
+        return world, model, folder / "out", found
+
+    return export
+
+
 @pytest.mark.parametrize("kind", KINDS)
-def test_onnxruntime_does_what_pytorch_does(kind: str, tmp_path: Path) -> None:
-    world, model = trained(tmp_path, *KINDS[kind])
-    found = export_policy(model, world, tmp_path / "out", frames=200, facts={"scene": "room"})
+def test_onnxruntime_does_what_pytorch_does(kind: str, exported: Callable[[str], Exported]) -> None:
+    world, _, folder, found = exported(kind)
     assert found <= 1e-5
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"policy.onnx", "run_policy.py"}
-    session = onnxruntime.InferenceSession(tmp_path / "out" / "policy.onnx")
+    assert {path.name for path in folder.iterdir()} == {"policy.onnx", "run_policy.py"}
+    session = onnxruntime.InferenceSession(folder / "policy.onnx")
     remembered = {"gru": ["recurrent_state"], "both": ["frames", "recurrent_state"]}.get(kind, ["frames"])
     remembered = [] if kind in ("plain", "blind", "compared") else remembered
     observed = OBSERVED.get(kind, ["pixels"])
@@ -79,10 +97,10 @@ def test_onnxruntime_does_what_pytorch_does(kind: str, tmp_path: Path) -> None:
         assert sensors["depth"]["farthest"] == 10.0 and sensors["lidar"]["is"].startswith("A planar scan")
 
 
-def test_actions_depend_on_what_is_seen_and_remembered(tmp_path: Path) -> None:
-    world, model = trained(tmp_path, *KINDS["both"])
+def test_actions_depend_on_what_is_seen_and_remembered(exported: Callable[[str], Exported]) -> None:
+    world, model, folder, _ = exported("both")
     policy = StandalonePolicy(model, world.env(1))
-    session = onnxruntime.InferenceSession(onnx_bytes(policy, {}))
+    session = onnxruntime.InferenceSession(folder / "policy.onnx")
     given = {name: value.numpy() for name, value in zip(policy.inputs, policy.example(2), strict=True)}
     given["pixels"] = np.random.default_rng(0).integers(0, 256, given["pixels"].shape, np.uint8)
 
@@ -98,18 +116,20 @@ def test_actions_depend_on_what_is_seen_and_remembered(tmp_path: Path) -> None:
         assert np.abs(acted(begin=later, **{name: other}) - acted(begin=later)).max() > 1e-3
 
 
-def test_a_policy_that_differs_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    world, model = trained(tmp_path, *KINDS["gru"])
+def test_a_policy_that_differs_is_not_written(
+    tmp_path: Path, exported: Callable[[str], Exported], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, model, folder, _ = exported("gru")
     other = trained(tmp_path, *KINDS["gru"])[1]
     with torch.no_grad():
         next(other.get_policy_head().parameters()).mul_(1.001)
     env = world.env(8)
-    policy = StandalonePolicy(other, env)
-    content = onnx_bytes(policy, {})
-    assert 1e-5 < largest_difference(content, policy, model, env, 40) < 0.1
+    policy, content = StandalonePolicy(model, env), (folder / "policy.onnx").read_bytes()
+    assert largest_difference(content, policy, model, env, 40) < 1e-5
+    assert 1e-5 < largest_difference(content, policy, other, env, 40) < 0.1
     monkeypatch.setattr("splatrl.export.onnx_file.onnx_bytes", lambda policy, facts: content)
     with pytest.raises(ValueError, match=r"policy\.onnx: expected what PyTorch gives within 1e-05"):
-        export_policy(model, world, tmp_path / "out", frames=40)
+        export_policy(other, world, tmp_path / "out", frames=40)
     assert not (tmp_path / "out").exists()
 
 
@@ -124,8 +144,8 @@ def test_a_transform_that_only_simulates_nothing_cannot_be_left_out(tmp_path: Pa
         export_policy(model, scaled, tmp_path / "out")
 
 
-def test_the_same_policy_gives_the_same_bytes(tmp_path: Path) -> None:
-    world, model = trained(tmp_path, *KINDS["gru"])
+def test_the_same_policy_gives_the_same_bytes(exported: Callable[[str], Exported]) -> None:
+    world, model, folder, _ = exported("gru")
     policy = StandalonePolicy(model, world.env(1))
-    facts = metadata(policy, world.robot, world.task.motion)
-    assert onnx_bytes(policy, facts) == onnx_bytes(policy, facts)
+    facts = metadata(policy, world.robot, world.task.motion) | {"scene": "room"}
+    assert onnx_bytes(policy, facts) == (folder / "policy.onnx").read_bytes()

@@ -23,6 +23,7 @@ from splatrl.envs.tasks import ImageNav, NavigationRewards, NavigationTask, Outc
 from splatrl.envs.tasks.navigation import LOST
 from splatrl.evaluation.rollouts import Episodes, knowing, run_episodes
 from splatrl.motions import DriveMotion, ForwardMotion, NavigateMotion
+from splatrl.renderers import NoRenderer, Renderer
 from tests.tiny import BLOCK, HEIGHT, tiny_overrides, tiny_renderer
 
 BOUNDS: dict[str, Any] = {"lower": (-1.0, -1.5), "upper": (1.0, 1.5), "spacing": 0.25, "headings": 4}
@@ -50,13 +51,16 @@ def paths() -> Plan:
     return plan(task.motion, checker(), task.reached)
 
 
-def env_of(task: NavigationTask, batch: tuple[int, ...] = (1,), seed: int = 0) -> SplatEnv:
+def env_of(
+    task: NavigationTask, batch: tuple[int, ...] = (1,), seed: int = 0, renderer: Renderer | None = None
+) -> SplatEnv:
     robot = Robot(Sphere(0.1), HEIGHT, image_width=16, image_height=12)
     sensors = {"gps": Gps(), "pointgoal_with_gps_compass": PointGoal()}
     if isinstance(task, ImageNav):
         sensors = {"imagegoal": ImageGoal()}
     curriculum = Curriculum(paths(), None)
-    return SplatEnv(SceneDrawing(tiny_renderer()), checker(), robot, task, curriculum, batch, seed, sensors=sensors)
+    drawing = SceneDrawing(renderer or tiny_renderer())
+    return SplatEnv(drawing, checker(), robot, task, curriculum, batch, seed, sensors=sensors)
 
 
 def begin(env: SplatEnv, state: list[float], goal: list[float]) -> TensorDict:
@@ -245,7 +249,7 @@ def test_a_motion_that_cannot_stop_is_refused() -> None:
 
 def walked(task: NavigationTask, who: Any) -> Episodes:
     """Episodes of the task's tests, in which the robots do what someone says who knows state and memory."""
-    env = env_of(task, (4,))
+    env = env_of(task, (24,), renderer=NoRenderer(None))  # nobody looks
     begun = task.episodes(paths().starts, 24, 0)
     return run_episodes(env, knowing(env, who), begun.pop("state"), memory=begun)
 
