@@ -25,8 +25,9 @@ from scenes import Subject
 from splatrl.collision import NativeChecker
 from splatrl.renderers import NativeRenderer
 
-WITHIN_ONE, WORST_DB = 0.9999, 60.0
-"""The least share of bytes within one grey level of the CPU's, and the least PSNR of a frame, dB."""
+EXACT, DETAILED = (0.9999, 60.0), (0.999, 50.0)
+"""The least share of bytes within one grey level of the CPU's, and the least PSNR of a frame, dB; with level of detail
+the CPU alone draws what is behind a veil more coarsely."""
 FRAMES, QUERIES = 64, 64
 ROUNDS = 3
 
@@ -77,8 +78,9 @@ def compare(bench: Bench, subject: Subject, tolerance: float, count: int) -> Non
     print(
         f"{count} frames at {tolerance:g} px: {found.within_one:.4%} of bytes within 1, worst {found.worst_db:.1f} dB"
     )
-    if not (found.within_one >= WITHIN_ONE and found.worst_db >= WORST_DB):
-        sys.exit(f"expected at least {WITHIN_ONE:.2%} and {WORST_DB:.0f} dB")
+    within_one, worst_db = DETAILED if tolerance else EXACT
+    if not (found.within_one >= within_one and found.worst_db >= worst_db):
+        sys.exit(f"expected at least {within_one:.2%} and {worst_db:.0f} dB")
 
 
 def twice(bench: Bench, tolerance: float) -> None:
