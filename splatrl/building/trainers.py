@@ -90,9 +90,10 @@ def _teaching(cfg: DictConfig, world: World | Worlds, ppo: PPO) -> Callable[[], 
     def teach() -> Iterator[dict[str, float]]:
         if matching.frames:
             matcher = Matcher(ppo.model, matching)
-            shown_views = views(world.env(cfg.env.num_envs, seed=worker_seed(cfg.seed, 1)), matching.frames)
+            env = world.env(cfg.env.num_envs, seed=worker_seed(cfg.seed, 1))
+            loss = matcher.fit(views(env, matching.frames))  # the views take gigabytes: nothing holds them after this
             ppo.frames += matching.frames
-            yield {"loss_matching": matcher.fit(shown_views)}
+            yield {"loss_matching": loss}
         cloner = Cloner(ppo.model, instantiate(cfg.cloning))
         episodes = shown or _walked(world, cfg.demos or 0, cfg.seed)
         yield from imitate(ppo, cloner, world, episodes, dagger, worker_seed(cfg.seed, 0))
