@@ -148,7 +148,7 @@ void put_into_weather(const Tensor<const uint8_t, -1, -1, -1, 3>& pixels, const 
         }
         uint8_t* written = out.data() + 3 * number * area;
         for (size_t i = 0; i < 3 * area; ++i)
-            written[i] = uint8_t(std::min(std::max(255.0f * colors[i] + 0.5f, 0.0f), 255.0f));
+            written[i] = uint8_t(std::min(std::max(0.0f, 255.0f * colors[i] + 0.5f), 255.0f));  // 0 for what is no number
     });
 }
 
