@@ -8,6 +8,8 @@
 
 namespace splatrl {
 
+constexpr float BEYOND = 1e30f;  // metres or pixels: more than there are
+
 // Whether nothing of some Gaussians can show on a tile: everything is behind the near plane, or further outside
 // an edge than it reaches. An edge is a plane through the camera; the reach follows the projected covariance with its
 // bounded Jacobian and its dilation, so the test never drops what the projection would show.
@@ -97,12 +99,15 @@ SPLAT_INLINE float nearest_depth(const Frustum& frustum, const Camera& camera, c
     return depth;
 }
 
-// Whether what a node shows is displaced by at most `tolerance` pixels at its nearest depth; never where that depth is
-// behind the near plane.
+// Pixels by which what a node shows is displaced at its nearest depth: 0 for a leaf, BEYOND behind the near plane.
+SPLAT_INLINE float displacement(const Camera& camera, const Cluster& node, float nearest) {
+    if (node.error == 0.0f) return 0.0f;
+    return nearest > NEAR_DEPTH ? node.error * max(camera.fx, camera.fy) / nearest : BEYOND;
+}
+
+// Whether what a node shows is displaced by at most `tolerance` pixels.
 SPLAT_INLINE bool within_tolerance(const Frustum& frustum, const Camera& camera, const Cluster& node, float tolerance) {
-    const float depth = nearest_depth(frustum, camera, node);
-    const float focal = max(camera.fx, camera.fy);
-    return depth > NEAR_DEPTH && node.error * focal / depth <= tolerance;
+    return displacement(camera, node, nearest_depth(frustum, camera, node)) <= tolerance;
 }
 
 }  // namespace splatrl

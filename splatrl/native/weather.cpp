@@ -27,7 +27,8 @@ using Map = Tensor<const float, -1, -1>;
 using Numbers = Tensor<const float, -1>;
 // Rain and snow: cover and rank [K, T, U] and distance [K] of the layers, then of each image strength, wind, whether it
 // snows, where each of its layers begins [B, K / 2, 2], and colour.
-using Falling = std::tuple<Maps, Maps, Numbers, Numbers, Numbers, Tensor<const bool, -1>, Tensor<const float, -1, -1, 2>, Colors>;
+using Falling = std::tuple<Maps, Maps, Numbers, Numbers, Numbers, Tensor<const bool, -1>,
+                           Tensor<const float, -1, -1, 2>, Colors>;
 // Drops: shift [T, U, 2], cover, rank and shine [T, U], then of each image wetness, and where it is on the lens [B, 2].
 using Lens = std::tuple<Tensor<const int64_t, -1, -1, 2>, Map, Map, Map, Numbers, Tensor<const float, -1, 2>>;
 

@@ -83,7 +83,7 @@ class CudaRenderer:
     A block of threads draws a tile of 32×32 pixels from beginning to end: it goes down the trees over the models, sorts
     what may show a slab at a time in shared memory, and blends it with the pixels in registers. Frame i has the same
     bytes alone and in any batch. Kernels are compiled once per machine, in seconds, and cached. Only the CPU's level of
-    detail draws what is behind a veil more coarsely: a byte in 1,000 differs by more than a grey level.
+    detail draws what is behind a veil more coarsely: a byte in 1,000 may differ by more than a grey level.
 
     A camera whose pose is not rigid, or whose K has a skew or no positive focal lengths, gives a black image. A part
     whose pose is not rigid, or whose model does not exist, shows nothing; a row whose parts together have more

@@ -1,14 +1,12 @@
 """Images that a device remembers and finds again by itself: nothing here waits for the host."""
 
-from collections.abc import Collection
-
 import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras
-from splatrl.renderers.base import Renderer, checked_only
+from splatrl.renderers.base import checked_only
 from splatrl.renderers.parts import ABSENT, Parts, require_parts_of
-from splatrl.renderers.view_cache import Album, ViewCache
+from splatrl.renderers.view_cache import ViewCache
 
 WAYS = 16
 """Places in which an image may be. With half of all taken one image in 1,200 finds none: Poisson(8) beyond 16."""
@@ -85,21 +83,12 @@ class DeviceAlbum:
         self.taken[-1] = False
 
 
-class DeviceLatticeRenderer(ViewCache):
+class DeviceLatticeRenderer(ViewCache[DeviceAlbum]):
     """A ``ViewCache`` on the cameras' device: the host reads nothing, so a step can be captured in a CUDA graph.
 
     ``max_bytes`` are taken at once for each size of images, keys included. Duplicates within a batch are rendered until
     one of them is remembered. The renderer must take ``only`` without the host as well.
     """
-
-    def __init__(self, renderer: Renderer, max_bytes: int = 256 * 2**20) -> None:
-        super().__init__(renderer, max_bytes)
-        self._albums: dict[tuple[int, int, int], DeviceAlbum] = {}
-
-    @property
-    def albums(self) -> Collection[Album]:
-        """Images by their size and that of their keys."""
-        return self._albums.values()
 
     @torch.compiler.disable
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:

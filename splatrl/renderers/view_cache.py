@@ -1,8 +1,7 @@
 """Remembers the views of a finite lattice of poses, so that each is rendered once."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import torch
 from torch import Tensor
@@ -29,7 +28,10 @@ class Album(Protocol):
         ...
 
 
-class ViewCache(ABC):
+Kept = TypeVar("Kept", bound=Album)
+
+
+class ViewCache(ABC, Generic[Kept]):
     """Returns the bytes of another renderer, remembered by the exact bytes of the camera and its parts.
 
     Worth it where robots stand on a finite lattice of poses: in time every view is a copy. Where poses are continuous
@@ -49,24 +51,20 @@ class ViewCache(ABC):
             raise ValueError(f"max_bytes: expected at least 0, got {max_bytes}")
         self.renderer = renderer
         self.max_bytes = max_bytes
+        self._albums: dict[tuple[int, ...], Kept] = {}  # by the size of the images, and what else tells them apart
         if isinstance(renderer, Faulty):
             self.raise_faults = renderer.raise_faults
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.renderer, self.max_bytes)
 
-    @property
-    @abstractmethod
-    def albums(self) -> Collection[Album]:
-        """What is remembered."""
-
     def __len__(self) -> int:
         """How many views are remembered."""
-        return sum(map(len, self.albums))
+        return sum(map(len, self._albums.values()))
 
     def bytes_held(self) -> int:
         """Memory that the remembered images take."""
-        return sum(album.bytes_held() for album in self.albums)
+        return sum(album.bytes_held() for album in self._albums.values())
 
     def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
         """Colour, depth and alpha of each camera; nothing is remembered."""
@@ -113,20 +111,11 @@ class _Album:
         self.index.add(columns, rows[:count])
 
 
-class LatticeRenderer(ViewCache):
+class LatticeRenderer(ViewCache[_Album]):
     """A ``ViewCache`` in main memory that grows as it fills: while it does, the old and the new images exist together.
 
     Duplicates within a batch are rendered once.
     """
-
-    def __init__(self, renderer: Renderer, max_bytes: int = 256 * 2**20) -> None:
-        super().__init__(renderer, max_bytes)
-        self._albums: dict[tuple[int, int, bool], _Album] = {}
-
-    @property
-    def albums(self) -> Collection[Album]:
-        """Images by their size, with parts and without."""
-        return self._albums.values()
 
     @torch.compiler.disable
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:

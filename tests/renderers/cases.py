@@ -6,9 +6,10 @@ import torch
 from torch import Tensor
 
 from splatrl.cameras import Cameras, intrinsics, look_at
-from splatrl.renderers import NativeRenderer, Parts, RenderOutput
+from splatrl.renderers import NativeRenderer
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
+from tests.tiny import CountingRenderer
 
 LIKENESS = 60.0
 """The least PSNR of a fast renderer against the reference, decibels."""
@@ -107,16 +108,8 @@ def psnr(image: Tensor, reference: Tensor) -> float:
     return float(-10 * errors.clamp_min(1e-20).log10().max())
 
 
-class CountingRenderer:
+class TwoModels(CountingRenderer):
     """Two models in a renderer that counts the rows it is asked to draw."""
 
     def __init__(self) -> None:
-        self.renderer = NativeRenderer([random_gaussians(0, 100), random_gaussians(1, 30)], threads=1)
-        self.frames = 0
-
-    def render(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> RenderOutput:
-        return self.renderer.render(cameras, parts, only)
-
-    def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
-        self.frames += len(cameras) if only is None else int(only.sum())
-        return self.renderer.pixels(cameras, parts, only)
+        super().__init__(NativeRenderer([random_gaussians(0, 100), random_gaussians(1, 30)], threads=1))

@@ -9,62 +9,62 @@ from splatrl.renderers import DeviceLatticeRenderer, LatticeRenderer
 from splatrl.renderers.device_cache import WAYS, DeviceAlbum
 from splatrl.renderers.one_scene import OneScene
 from tests.envs.devices import NoHostReads, Painter
-from tests.renderers.cases import CountingRenderer, random_cameras
+from tests.renderers.cases import TwoModels, random_cameras
 from tests.renderers.parts_cases import at, placed, random_parts
 
 
-def lattice_around(inner: CountingRenderer, max_bytes: int = 2**22) -> DeviceLatticeRenderer:
+def lattice_around(inner: TwoModels, max_bytes: int = 2**22) -> DeviceLatticeRenderer:
     return DeviceLatticeRenderer(inner, max_bytes)
 
 
 def test_pixels_are_those_of_the_renderer_and_each_view_is_drawn_once() -> None:
-    inner, cameras = CountingRenderer(), random_cameras(1, 20)
+    inner, cameras = TwoModels(), random_cameras(1, 20)
     lattice, expected = lattice_around(inner), inner.renderer.pixels(cameras)
     g = torch.Generator().manual_seed(2)
     for _ in range(30):
         rows = torch.randperm(20, generator=g)[:7]
         assert torch.equal(lattice.pixels(cameras[rows]), expected[rows])
-    assert inner.frames == len(lattice) == 20
+    assert inner.rendered == len(lattice) == 20
     assert 0 < lattice.bytes_held() <= 2**22
 
 
 def test_of_several_rows_with_one_view_one_is_remembered() -> None:
-    inner, cameras = CountingRenderer(), random_cameras(1, 3)
+    inner, cameras = TwoModels(), random_cameras(1, 3)
     lattice, rows = lattice_around(inner), torch.tensor([2, 0, 2, 2, 1, 0])
     for frames in (6, 6):
         assert torch.equal(lattice.pixels(cameras[rows]), inner.renderer.pixels(cameras[rows]))
-        assert inner.frames == frames
+        assert inner.rendered == frames
     assert len(lattice) == 3
 
 
 def test_views_for_one_place_are_remembered_one_after_another_until_their_set_is_full() -> None:
-    inner, cameras = CountingRenderer(), random_cameras(1, WAYS + 4)
+    inner, cameras = TwoModels(), random_cameras(1, WAYS + 4)
     lattice, expected = lattice_around(inner, WAYS * (37 * 22 * 3 + 4 * 25)), inner.renderer.pixels(cameras)
     for turn in range(WAYS + 6):  # one set, so one view a turn
         assert torch.equal(lattice.pixels(cameras), expected)
         assert len(lattice) == min(turn + 1, WAYS)
     for rows, drawn in ((slice(0, WAYS), 0), (slice(WAYS, WAYS + 4), 4)):  # the first row was first
-        before = inner.frames
+        before = inner.rendered
         assert torch.equal(lattice.pixels(cameras[rows]), expected[rows])
-        assert inner.frames == before + drawn
+        assert inner.rendered == before + drawn
 
 
 def test_rows_that_are_not_asked_for_are_zero_and_not_remembered() -> None:
-    inner, cameras = CountingRenderer(), random_cameras(1, 4)
+    inner, cameras = TwoModels(), random_cameras(1, 4)
     lattice, expected = lattice_around(inner), inner.renderer.pixels(cameras)
     only = torch.tensor([True, False, True, False])
     for _ in range(2):
         assert torch.equal(lattice.pixels(cameras, only=only), expected * only.view(-1, 1, 1, 1))
-    assert inner.frames == len(lattice) == 2
+    assert inner.rendered == len(lattice) == 2
     assert torch.equal(lattice.pixels(cameras), expected)
     assert torch.equal(lattice.pixels(cameras, only=~only), expected * ~only.view(-1, 1, 1, 1))
-    assert inner.frames == 4
+    assert inner.rendered == 4
     with pytest.raises(ValueError, match=r"only: expected \[4\] torch.bool"):
         lattice.pixels(cameras, only=only.long())
 
 
 def test_another_lens_size_or_place_of_a_part_is_another_view() -> None:
-    inner, cameras = CountingRenderer(), random_cameras(1, 2, 16, 12)
+    inner, cameras = TwoModels(), random_cameras(1, 2, 16, 12)
     lattice = lattice_around(inner)
     wider = Cameras(cameras.camera_to_world, cameras.K, 17, 12)
     longer = Cameras(cameras.camera_to_world, cameras.K * torch.tensor([[1.1], [1.1], [1.0]]), 16, 12)
@@ -73,21 +73,21 @@ def test_another_lens_size_or_place_of_a_part_is_another_view() -> None:
     shown += [(cameras, placed(2, (0, at(0.0)))), (cameras, placed(2, (0, at(0.0)), (0, at(0.2))))]
     for number, (view, parts) in enumerate([*shown, *shown]):
         assert torch.equal(lattice.pixels(view, parts), inner.renderer.pixels(view, parts))
-        assert inner.frames == 2 * min(number + 1, len(shown))
+        assert inner.rendered == 2 * min(number + 1, len(shown))
 
 
 def test_where_an_absent_part_would_stand_makes_no_other_view() -> None:
-    inner, cameras = CountingRenderer(), random_cameras(1, 3)
+    inner, cameras = TwoModels(), random_cameras(1, 3)
     lattice, parts = lattice_around(inner), placed(3, (1, at(0.1)), (-1, at(0.0)))
     expected = lattice.pixels(cameras, parts)
     parts.model_to_world[:, 1] = torch.nan
-    assert torch.equal(lattice.pixels(cameras, parts), expected) and inner.frames == 3
+    assert torch.equal(lattice.pixels(cameras, parts), expected) and inner.rendered == 3
     with pytest.raises(ValueError, match=r"parts\.model: expected \[3, M\]"):
         lattice.pixels(cameras, random_parts(2, 4))
 
 
 def test_without_memory_or_rows_it_is_the_renderer() -> None:
-    inner, cameras = CountingRenderer(), random_cameras(1, 3)
+    inner, cameras = TwoModels(), random_cameras(1, 3)
     for max_bytes in (0, 2**22):
         lattice = lattice_around(inner, max_bytes)
         assert lattice.pixels(cameras[:0]).shape == (0, 22, 37, 3)

@@ -4,11 +4,11 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras
 from splatrl.renderers import LatticeRenderer, Parts
-from tests.renderers.cases import CountingRenderer, random_cameras
+from tests.renderers.cases import TwoModels, random_cameras
 from tests.renderers.parts_cases import at, placed, random_parts
 
 
-class Counting(CountingRenderer):
+class Counting(TwoModels):
     """Counts the frames that it draws, of which there are no others in a batch."""
 
     def pixels(self, cameras: Cameras, parts: Parts | None = None, only: Tensor | None = None) -> Tensor:
@@ -23,14 +23,14 @@ def test_pixels_are_those_of_the_renderer_and_each_view_is_rendered_once() -> No
     for _ in range(30):
         rows = torch.randint(0, 20, (7,), generator=g)
         assert torch.equal(lattice.pixels(cameras[rows]), expected[rows])
-    assert inner.frames == len(lattice) == 20
+    assert inner.rendered == len(lattice) == 20
 
 
 def test_duplicates_within_a_batch_are_rendered_once() -> None:
     inner, cameras = Counting(), random_cameras(1, 3)
     rows = torch.tensor([2, 0, 2, 2, 1, 0])
     assert torch.equal(LatticeRenderer(inner).pixels(cameras[rows]), inner.renderer.pixels(cameras[rows]))
-    assert inner.frames == 3
+    assert inner.rendered == 3
 
 
 def test_a_full_memory_still_gives_the_right_bytes_and_grows_no_further() -> None:
@@ -42,9 +42,9 @@ def test_a_full_memory_still_gives_the_right_bytes_and_grows_no_further() -> Non
         assert torch.equal(lattice.pixels(cameras[rows]), expected[rows])
     assert len(lattice) == 5
     assert lattice.bytes_held() <= 5 * image_bytes
-    before = inner.frames
+    before = inner.rendered
     lattice.pixels(cameras)
-    assert inner.frames == before + 7
+    assert inner.rendered == before + 7
 
 
 def test_no_memory_at_all_is_the_renderer_itself() -> None:
@@ -52,7 +52,7 @@ def test_no_memory_at_all_is_the_renderer_itself() -> None:
     lattice = LatticeRenderer(inner, max_bytes=0)
     for _ in range(2):
         assert torch.equal(lattice.pixels(cameras), inner.renderer.pixels(cameras))
-    assert len(lattice) == 0 and inner.frames == 8
+    assert len(lattice) == 0 and inner.rendered == 8
 
 
 def test_another_lens_or_image_size_is_another_view() -> None:
@@ -62,7 +62,7 @@ def test_another_lens_or_image_size_is_another_view() -> None:
     longer = Cameras(cameras.camera_to_world, cameras.K * torch.tensor([[1.1], [1.1], [1.0]]), 16, 12)
     for view in (cameras, wider, longer, wider, cameras):
         assert torch.equal(lattice.pixels(view), inner.renderer.pixels(view))
-    assert inner.frames == 6
+    assert inner.rendered == 6
 
 
 def test_all_image_sizes_share_one_bound() -> None:
@@ -110,7 +110,7 @@ def test_another_part_or_another_place_of_it_is_another_view() -> None:
     shown = [None, here, there, other, none, placed(2, (0, at(0.0))), placed(2, (0, at(0.0)), (-1, at(0.2)))]
     for number, parts in enumerate([*shown, *shown]):
         assert torch.equal(lattice.pixels(cameras, parts), inner.renderer.pixels(cameras, parts))
-        assert inner.frames == 2 * min(number + 1, len(shown))
+        assert inner.rendered == 2 * min(number + 1, len(shown))
 
 
 def test_where_an_absent_part_would_stand_makes_no_other_view() -> None:
@@ -118,7 +118,7 @@ def test_where_an_absent_part_would_stand_makes_no_other_view() -> None:
     lattice, parts = LatticeRenderer(inner), placed(3, (1, at(0.1)), (-1, at(0.0)))
     expected = lattice.pixels(cameras, parts)
     parts.model_to_world[:, 1] = torch.nan
-    assert torch.equal(lattice.pixels(cameras, parts), expected) and inner.frames == 3
+    assert torch.equal(lattice.pixels(cameras, parts), expected) and inner.rendered == 3
 
 
 def test_rows_with_parts_are_remembered_in_any_batch() -> None:
@@ -128,7 +128,7 @@ def test_rows_with_parts_are_remembered_in_any_batch() -> None:
     for _ in range(20):
         rows = torch.randint(0, 12, (7,), generator=g)
         assert torch.equal(lattice.pixels(cameras[rows], parts.rows(rows)), expected[rows])
-    assert inner.frames == len(lattice) == 12
+    assert inner.rendered == len(lattice) == 12
     only = torch.arange(12) % 2 == 0
     assert torch.equal(lattice.pixels(cameras, parts, only), expected * only.view(-1, 1, 1, 1))
     views = zip(lattice.render(cameras, parts), inner.render(cameras, parts), strict=True)

@@ -64,7 +64,7 @@ class EpisodeLook(RandomTransform):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Change images that do not come from an env."""
-        if self.KEY not in tensordict.keys():  # noqa: SIM118, a TensorDict is no dict
+        if tensordict.get(self.KEY, None) is None:
             tensordict.set(self.KEY, self._draw(tensordict["pixels"].shape[:-3], tensordict.get("level", None)))
         return self._change(tensordict)
 

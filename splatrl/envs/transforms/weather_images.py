@@ -141,15 +141,21 @@ def _in_core(images: Tensor) -> bool:
 def _by_core(pixels: Tensor, seen: Light, far: Tensor | None, things: Falling | None, drops: Wet | None) -> Tensor:
     """The same in one pass over each image."""
     (height, width), device, out = pixels.shape[1:3], pixels.device, torch.empty_like(pixels).contiguous()
-    over, on = pattern((*RAIN, *SNOW), height, width, device), lens(height, width, device)
+    over, on = None, None
+    if things is not None:
+        drawn = pattern((*RAIN, *SNOW), height, width, device)
+        over = drawn.cover, drawn.rank, drawn.distance, *(one.contiguous() for one in things)
+    if drops is not None:
+        glass = lens(height, width, device)
+        on = glass.shift, glass.cover, glass.rank, glass.shine, *(one.contiguous() for one in drops)
     _core.put_into_weather(
         pixels.contiguous(),
         seen.tint.contiguous(),
         seen.veil.contiguous(),
         None if seen.left is None else seen.left.contiguous(),
         None if far is None else far.contiguous(),
-        None if things is None else (over.cover, over.rank, over.distance, *(one.contiguous() for one in things)),
-        None if drops is None else (on.shift, on.cover, on.rank, on.shine, *(one.contiguous() for one in drops)),
+        over,
+        on,
         out,
         usable_cores() if len(pixels) >= LARGE else 1,
     )

@@ -36,21 +36,15 @@ struct Branches {
     void add(const Branch& branch) { items[count++] = branch; }
 };
 
-constexpr float FARTHEST = 1e30f;
 constexpr float COARSEST = 4.0f;  // times the tolerance by which what is veiled may be displaced
 constexpr float OPEN = 0.5f;      // of the light: where less comes through a veil, what is behind it may be displaced more
 constexpr uint32_t STEP = 512;    // groups that are drawn between one look at what they hide and the next, about
 
-// How many times the tolerance what a node shows is displaced at its nearest depth; 0 for a leaf.
-LANE_INLINE float displacement(const SceneView& scene, const Camera& camera, const Cluster& node, float nearest) {
-    if (node.error == 0.0f) return 0.0f;
-    const float focal = splatrl::max(camera.fx, camera.fy);
-    return nearest > NEAR_DEPTH ? node.error * focal / (nearest * scene.tolerance) : FARTHEST;
-}
-
 // Opening a node makes more groups of it; this is a guess, by which frames are divided into steps.
-LANE_INLINE Branch branch_of(uint32_t part, uint32_t c, const Cluster& node, float nearest, float displaced) {
-    return {part, c, nearest, float(node.groups) * splatrl::max(displaced, 1.0f)};
+LANE_INLINE Branch branch_of(uint32_t part, uint32_t c, const Cluster& node, float nearest, float displaced,
+                             float tolerance) {
+    const float opened = displaced > tolerance ? splatrl::min(displaced / tolerance, BEYOND) : 1.0f;
+    return {part, c, nearest, float(node.groups) * opened};
 }
 
 // The branches that may show on a tile: the highest nodes that would do behind a veil, or leaves.
@@ -67,12 +61,12 @@ LANE_INLINE void branch_out(const Row& row, const Tile& tile, Branches& branches
                 continue;
             }
             const float nearest = nearest_depth(frustum, part.camera, node);
-            const float displaced = displacement(scene, part.camera, node, nearest);
-            if (displaced > COARSEST) {
+            const float displaced = displacement(part.camera, node, nearest);
+            if (displaced > COARSEST * scene.tolerance) {
                 ++c;
                 continue;
             }
-            branches.add(branch_of(number, c, node, nearest, displaced));
+            branches.add(branch_of(number, c, node, nearest, displaced, scene.tolerance));
             c = node.skip;
         }
     }
@@ -99,7 +93,7 @@ LANE_INLINE float next_border(const Branches& branches) {
         std::memcpy(&depth, &bits, sizeof(depth));
         return depth;
     }
-    return FARTHEST;
+    return BEYOND;
 }
 
 // The groups that may show on a tile of the part whose branches are next in the list, in the order of the scene. What
@@ -126,15 +120,16 @@ LANE_INLINE uint32_t cull(const Part& part, const Tile& tile, float border, cons
                 continue;
             }
             const float nearest = nearest_depth(frustum, camera, node);
-            const float displaced = displacement(scene, camera, node, nearest);
+            const float displaced = displacement(camera, node, nearest);
             if (nearest >= border) {
-                later.add(branch_of(number, c, node, nearest, displaced));
+                later.add(branch_of(number, c, node, nearest, displaced, scene.tolerance));
                 c = node.skip;
                 continue;
             }
-            if (displaced > 1.0f) {
-                const float most = OPEN * OPEN / (displaced * displaced);
-                if (veil == nullptr || displaced > COARSEST || seen_through(*veil, camera, tile, scene.boxes[c]) > most) {
+            if (displaced > scene.tolerance) {
+                const float most = OPEN * scene.tolerance / displaced;  // root mean square of the transmittance
+                if (veil == nullptr || displaced > COARSEST * scene.tolerance ||
+                    seen_through(*veil, camera, tile, scene.boxes[c]) > most * most) {
                     ++c;
                     continue;
                 }

@@ -27,7 +27,7 @@ static Effort render(const Row& row, const Tile& whole, Tile& tile, const Scratc
     bool peaked = false;
     Branches branches{scratch.branches, 0}, later{scratch.later, 0};
     branch_out(row, whole, branches);
-    const bool stepped = ANTIALIASED && !row.ranked && next_border(branches) < FARTHEST;
+    const bool stepped = ANTIALIASED && !row.ranked && next_border(branches) < BEYOND;
     if (stepped) {
         if (tile.top > whole.top) {
             tile.bottom = tile.top;
@@ -42,7 +42,7 @@ static Effort render(const Row& row, const Tile& whole, Tile& tile, const Scratc
     Veil veil;
     uint32_t blended = 0;  // splats
     for (bool first = true, more = true; more; first = false) {
-        const float border = stepped ? next_border(branches) : FARTHEST;
+        const float border = stepped ? next_border(branches) : BEYOND;
         later.count = 0;
         for (uint32_t next = 0; next < branches.count;) {
             const Part& part = row.parts[branches.items[next].part];
@@ -52,7 +52,7 @@ static Effort render(const Row& row, const Tile& whole, Tile& tile, const Scratc
             effort.visible = project(part, tile, row.log2_invisible, groups, scratch, effort.visible, peaked);
         }
         take_time(effort.project_ms);
-        more = border < FARTHEST;
+        more = border < BEYOND;
         uint64_t* keys = scratch.keys + blended;
         const uint32_t open = effort.visible - blended;
         const uint32_t near = more ? bring_near(scratch, keys, open, border) : open;
