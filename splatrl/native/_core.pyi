@@ -215,7 +215,6 @@ class Renderer:
         rgb: Tensor,  # [B, H, W, 3] float32, written
         depth: Tensor,  # [B, H, W] float32, written
         alpha: Tensor,  # [B, H, W] float32, written
-        efforts: Tensor,  # [B, 6] float32, written: the fields of renderers.Effort
         threads: int,
     ) -> None: ...
     def pixels(
@@ -224,7 +223,7 @@ class Renderer:
         camera_to_models: Tensor,  # [B, M, 4, 4] float32
         K: Tensor,  # [B, 3, 3] float32
         pixels: Tensor,  # [B, H, W, 3] uint8, written
-        efforts: Tensor,  # [B, 6] float32, written
+        efforts: Tensor | None,  # [B, 6] float32, written: the fields of renderers.Effort
         threads: int,
     ) -> None: ...
 

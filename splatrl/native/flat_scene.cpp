@@ -47,25 +47,21 @@ struct FlatScene {
 private:
     void add(const SceneView& view, size_t slot) {
         const size_t group = slot / GROUP, lane = slot % GROUP;
-        const float* geometry = view.geometry + group * GEOMETRY * GROUP + lane;
+        const Stored item = stored(view, group, lane);
         float* sphere = &spheres[slot * SPHERE];
-        const float log2_opacity = geometry[LOG2_OPACITY * GROUP];
-        for (int i = 0; i < 3; ++i) sphere[i] = geometry[(MEAN + i) * GROUP];
-        if (log2_opacity == std::numeric_limits<float>::lowest()) return;  // it pads a group, or is transparent
+        std::copy_n(item.mean, 3, sphere);
+        if (item.log2_opacity == NEVER_SHOWS) return;
         const size_t index = indices[slot] = view.original_index[slot];
         float *shape = &shapes[index * SHAPE], axes[9] = {};
-        for (int i = 0; i < 3; ++i) shape[i] = sphere[i];
-        for (int row = 0, i = 0; row < 3; ++row)
-            for (int column = 0; column <= row; ++column, ++i)
-                shape[4 + i] = axes[3 * row + column] = geometry[(FACTOR + i) * GROUP];
-        float opacity = std::exp2(log2_opacity);
-        shape[3] = log2_opacity;
-        if (group >= view.first_merged) {
-            const float* merging = view.merging + (group - view.first_merged) * MERGING * GROUP + lane;
-            shape[10] = merging[MEMBERS * GROUP];
-            shape[11] = merging[SUM * GROUP];
-            opacity = most_opacity(opacity, shape[11], antialiased);
-        }
+        std::copy_n(item.mean, 3, shape);
+        std::copy_n(item.factor, 6, shape + 4);
+        for (int row = 0; row < 3; ++row)
+            std::copy_n(item.factor + row * (row + 1) / 2, row + 1, axes + 3 * row);
+        float opacity = std::exp2(item.log2_opacity);
+        shape[3] = item.log2_opacity;
+        shape[10] = item.members;
+        shape[11] = item.sum;
+        if (group >= view.first_merged) opacity = most_opacity(opacity, item.sum, antialiased);
         const float reach = reach_of(opacity);
         const uint32_t reaches = half_above(reach) | uint32_t(half_above(reach * longest_axis(axes))) << 16;
         std::memcpy(&sphere[3], &reaches, sizeof(reaches));

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "frustum.h"
 #include "splat.h"
 #include "tree.h"
 
@@ -15,15 +16,21 @@ constexpr int ACROSS = TILE / BLOCK, BLOCKS = ACROSS * ACROSS;  // blocks of a t
 constexpr int LISTS = BLOCKS + 2 * ACROSS + 2;  // of a tile; those behind its blocks stay empty
 constexpr uint32_t SLAB = 2048;  // splats that are dealt to blocks at once
 
-// One group in memory: [GEOMETRY][GROUP] floats. The factor of a covariance is a lower triangle, row by row.
+// One group of the scene's own Gaussians in memory: [GEOMETRY][GROUP] floats. The factor of a covariance is a lower
+// triangle, row by row.
 enum Geometry { MEAN = 0, FACTOR = 3, LOG2_OPACITY = 9, GEOMETRY = 10 };
 
-// In addition, for merged Gaussians: how many each stands for, and the sum of their opacities.
-enum Merged { MEMBERS, SUM, MERGING };
+// One group of merged Gaussians, in half floats: they may be displaced anyway, and drawing what is spread over a large
+// scene waits for memory. Means are relative to a centre; they and the factors are multiples of a scale. In addition,
+// how many Gaussians each stands for, and the sum of their opacities, which only classic images need.
+struct alignas(64) MergedGroup {
+    float center[3], scale;  // metres
+    alignas(32) uint16_t means[3][GROUP], factor[6][GROUP], log2_opacity[GROUP], members[GROUP], sums[GROUP];
+};
 
 struct SceneView {
-    const float* geometry;            // [groups, GEOMETRY, GROUP]
-    const float* merging;             // [groups - first_merged, MERGING, GROUP]
+    const float* geometry;            // [first_merged, GEOMETRY, GROUP]
+    const MergedGroup* merged;        // [groups - first_merged]
     const uint16_t* colors;           // [groups, 3 · harmonics, GROUP] half floats; final colours where harmonics is 1
     const uint32_t* original_index;   // [groups · GROUP]
     const Cluster* clusters;          // in preorder
@@ -60,16 +67,18 @@ struct Part {
     const SceneView* scene;
     Camera camera;         // in the frame of the model
     uint32_t first_index;  // of its Gaussians, across all that the row draws
+    Frustum frustum;       // of the camera and the tile that is drawn
 };
 
 // What is drawn into one image: the parts, and the background.
 struct Row {
-    const Part* parts;
+    Part* parts;
     size_t count;
     const float* background;
     float finished;        // the transmittance at which a pixel is finished
     float log2_invisible;  // the opacity below which a splat does not show
     bool ranked;           // the order of nearly equal depths is that of the numbers, and ties are broken
+    bool timed;            // the stages are
 };
 
 // Accumulated per block: [CHANNELS][BLOCK · BLOCK] floats.
@@ -84,10 +93,15 @@ struct Branch {
     float nearest, groups;
 };
 
+// A group that may show on a tile.
+struct Shown {
+    uint32_t part, group;
+};
+
 // Memory that a worker keeps from frame to frame. The arrays of splats hold [groups · GROUP + SPARE], of all parts.
 struct Scratch {
     Branch *branches, *later;  // [groups + SPARE]
-    uint32_t* groups;        // [groups + SPARE] in view, of one part at a time
+    Shown* groups;           // [groups + SPARE]
     Splat* splats;
     float* peaks;            // of the splats, where some can be merged
     uint64_t* ties;          // what decides between depths that are equal in single precision
@@ -99,7 +113,8 @@ struct Scratch {
     float* pixels;           // [BLOCKS, CHANNELS, BLOCK · BLOCK]
 };
 
-// The work that a tile took, which adds up over tiles. `blended` counts pairs of a splat and a block.
+// The work that a tile took, which adds up over tiles. `blended` counts pairs of a splat and a block; times are of the
+// processor, of this thread.
 struct Effort {
     uint32_t projected, visible, blended;
     float project_ms, sort_ms, blend_ms;

@@ -60,8 +60,10 @@ nb::dict to_arrays(const Scene& scene) {
     out["errors"] = to_numpy(std::move(errors), {nodes});
     out["bounds"] = to_numpy(std::move(bounds), {nodes, 6});
     out["group_bounds"] = to_numpy(std::move(group_bounds), {nodes, 6, size_t(GROUP)});
-    out["geometry"] = to_numpy(values_of(view.geometry, groups * GEOMETRY * GROUP), {groups, size_t(GEOMETRY), size_t(GROUP)});
-    out["merging"] = to_numpy(values_of(view.merging, merged * MERGING * GROUP), {merged, size_t(MERGING), size_t(GROUP)});
+    out["geometry"] = to_numpy(values_of(view.geometry, view.first_merged * GEOMETRY * GROUP),
+                               {size_t(view.first_merged), size_t(GEOMETRY), size_t(GROUP)});
+    const auto* records = reinterpret_cast<const uint8_t*>(view.merged);
+    out["merged"] = to_numpy(values_of(records, merged * sizeof(MergedGroup)), {merged, sizeof(MergedGroup)});
     out["colors"] = to_numpy(values_of(view.colors, groups * channels * GROUP), {groups, channels, size_t(GROUP)});
     out["indices"] = to_numpy(values_of(view.original_index, groups * GROUP), {groups, size_t(GROUP)});
     return out;
@@ -73,16 +75,16 @@ Scene from_arrays(const nb::dict& arrays, std::array<float, 3> background) {
     const auto bounds = nb::cast<Tensor<const float, -1, 6>>(arrays["bounds"]);
     const auto group_bounds = nb::cast<Tensor<const float, -1, 6, GROUP>>(arrays["group_bounds"]);
     const auto geometry = nb::cast<Tensor<const float, -1, GEOMETRY, GROUP>>(arrays["geometry"]);
-    const auto merging = nb::cast<Tensor<const float, -1, MERGING, GROUP>>(arrays["merging"]);
+    const auto merged = nb::cast<Tensor<const uint8_t, -1, sizeof(MergedGroup)>>(arrays["merged"]);
     const auto colors = nb::cast<Tensor<const uint16_t, -1, -1, GROUP>>(arrays["colors"]);
     const auto indices = nb::cast<Tensor<const uint32_t, -1, GROUP>>(arrays["indices"]);
-    const size_t count = nodes.shape(0), groups = geometry.shape(0);
+    const size_t count = nodes.shape(0), own = geometry.shape(0), groups = own + merged.shape(0);
     int degree = 0;
     while (degree < 3 && 3 * size_t((degree + 1) * (degree + 1)) < colors.shape(1)) ++degree;
     std::vector<Cluster> clusters(count);
     std::vector<GroupBounds> of_groups(count);
     bool right = errors.shape(0) == count && bounds.shape(0) == count && group_bounds.shape(0) == count &&
-                 merging.shape(0) <= groups && colors.shape(0) == groups && indices.shape(0) == groups &&
+                 colors.shape(0) == groups && indices.shape(0) == groups &&
                  colors.shape(1) == 3 * size_t((degree + 1) * (degree + 1));
     for (size_t i = 0; i < count && right; ++i) {
         const uint32_t* node = nodes.data() + 3 * i;
@@ -94,13 +96,13 @@ Scene from_arrays(const nb::dict& arrays, std::array<float, 3> background) {
         throw std::invalid_argument("packed model: expected the arrays of pack_model, got others");
     SceneView view{};
     view.geometry = geometry.data();
-    view.merging = merging.data();
+    view.merged = reinterpret_cast<const MergedGroup*>(merged.data());
     view.colors = colors.data();
     view.original_index = indices.data();
     view.clusters = clusters.data();
     view.group_bounds = of_groups.data();
     view.cluster_count = uint32_t(count);
-    view.first_merged = uint32_t(groups - merging.shape(0));
+    view.first_merged = uint32_t(own);
     view.degree = degree;
     std::copy_n(background.data(), 3, view.background);
     return Scene(view, groups);

@@ -77,7 +77,8 @@ T* offset(T* images, size_t items) {
 
 struct Renderer::Workspace {
     Buffer<Branch> branches, later;
-    Buffer<uint32_t> groups, tied;
+    Buffer<Shown> groups;
+    Buffer<uint32_t> tied;
     Buffer<Splat> splats;
     Buffer<float> peaks;
     Buffer<uint64_t> ties, keys, sorted;
@@ -90,7 +91,7 @@ struct Renderer::Workspace {
     explicit Workspace(size_t capacity)
         : branches(make_buffer<Branch>(capacity / GROUP + SPARE)),
           later(make_buffer<Branch>(capacity / GROUP + SPARE)),
-          groups(make_buffer<uint32_t>(capacity / GROUP + SPARE)),
+          groups(make_buffer<Shown>(capacity / GROUP + SPARE)),
           tied(make_buffer<uint32_t>(capacity + SPARE)),
           splats(make_buffer<Splat>(capacity + SPARE)),
           peaks(make_buffer<float>(capacity + SPARE)),
@@ -198,7 +199,7 @@ void Renderer::place(const Batch& batch, size_t row, const SceneView* views, std
         const int64_t model = batch.model(row, part);
         if (model < 0) continue;
         const float* pose = batch.camera_to_models + 16 * (row * batch.parts + part);
-        parts.push_back({views + model, camera_of(pose, batch.K + 9 * row, batch.width, batch.height), first_index});
+        parts.push_back({views + model, camera_of(pose, batch.K + 9 * row, batch.width, batch.height), first_index, {}});
         first_index += uint32_t(scenes_[size_t(model)]->capacity());
     }
 }
@@ -220,13 +221,14 @@ void Renderer::render(const Batch& batch, size_t threads, const Images& images, 
         const Scratch scratch = workspace.scratch();
         place(batch, row, views.data(), workspace.parts);
         const Row drawn{workspace.parts.data(), workspace.parts.size(), background_.data(), finished_at(tolerance_),
-                        log2_invisible_at(tolerance_, antialiased_), ranked_at(tolerance_)};
+                        log2_invisible_at(tolerance_, antialiased_), ranked_at(tolerance_), efforts != nullptr};
         taken[row * pieces.size() + number] = render_tile_(drawn, pieces[number].whole, tile, antialiased_,
                                                              images.depth != nullptr, scratch);
         const Images own{offset(images.rgb, 3 * area * row), offset(images.depth, area * row),
                          offset(images.alpha, area * row), offset(images.pixels, 3 * area * row)};
         write_images(scratch.pixels, batch.width, tile, own);
     });
+    if (efforts == nullptr) return;
     std::fill(efforts, efforts + batch.rows, Effort{});
     for (size_t item = 0; item < taken.size(); ++item) efforts[item / pieces.size()] += taken[item];
 }

@@ -41,7 +41,8 @@ public:
 
     std::array<float, 3> background() const { return background_; }
 
-    // The images of the batch lie one after another; efforts [rows] receives the work of each frame.
+    // The images of the batch lie one after another; efforts [rows] receives the work of each
+    // frame, if it is not null.
     void render(const Batch& batch, size_t threads, const Images& images, Effort* efforts);
 
 private:

@@ -20,7 +20,7 @@ using Models = std::optional<Tensor<const int64_t, -1, -1>>;
 using Poses = Tensor<const float, -1, -1, 4, 4>;
 using Lenses = Tensor<const float, -1, 3, 3>;
 // For each frame: projected, visible, blended, project_ms, sort_ms, blend_ms.
-using Efforts = Tensor<float, -1, 6>;
+using Efforts = std::optional<Tensor<float, -1, 6>>;
 
 void add_model(Renderer& renderer, Tensor<const float, -1, 3> means, Tensor<const float, -1, 3, 3> axes,
                Tensor<const float, -1> opacities, Tensor<const float, -1, -1, 3> sh, int degree,
@@ -38,9 +38,9 @@ void render(Renderer& renderer, const Models& models, const Poses& camera_to_mod
     const Release release;
     const Batch batch{models ? models->data() : nullptr, camera_to_models.data(), K.data(), K.shape(0),
                       camera_to_models.shape(1), width, height};
-    std::vector<Effort> taken(batch.rows);
-    renderer.render(batch, threads, images, taken.data());
-    float* to = efforts.data();
+    std::vector<Effort> taken(efforts ? batch.rows : 0);
+    renderer.render(batch, threads, images, efforts ? taken.data() : nullptr);
+    float* to = efforts ? efforts->data() : nullptr;
     for (const Effort& effort : taken)
         for (float value : {float(effort.projected), float(effort.visible), float(effort.blended), effort.project_ms,
                             effort.sort_ms, effort.blend_ms})
@@ -133,12 +133,12 @@ void bind_renderer(nb::module_& m) {
         .def(
             "render",
             [](Renderer& self, Models models, Poses camera_to_models, Lenses K, Tensor<float, -1, -1, -1, 3> rgb,
-               Tensor<float, -1, -1, -1> depth, Tensor<float, -1, -1, -1> alpha, Efforts efforts, size_t threads) {
+               Tensor<float, -1, -1, -1> depth, Tensor<float, -1, -1, -1> alpha, size_t threads) {
                 render(self, models, camera_to_models, K, int(rgb.shape(2)), int(rgb.shape(1)), threads,
-                       {rgb.data(), depth.data(), alpha.data(), nullptr}, efforts);
+                       {rgb.data(), depth.data(), alpha.data(), nullptr}, std::nullopt);
             },
             nb::arg("models").none(), nb::arg("camera_to_models"), nb::arg("K"), nb::arg("rgb"), nb::arg("depth"),
-            nb::arg("alpha"), nb::arg("efforts"), nb::arg("threads"))
+            nb::arg("alpha"), nb::arg("threads"))
         .def(
             "pixels",
             [](Renderer& self, Models models, Poses camera_to_models, Lenses K,
@@ -147,7 +147,7 @@ void bind_renderer(nb::module_& m) {
                        {nullptr, nullptr, nullptr, pixels.data()}, efforts);
             },
             nb::arg("models").none(), nb::arg("camera_to_models"), nb::arg("K"), nb::arg("pixels"),
-            nb::arg("efforts"), nb::arg("threads"));
+            nb::arg("efforts").none(), nb::arg("threads"));
 }
 
 }  // namespace splatrl

@@ -85,6 +85,50 @@ std::array<float, 6> triangle_of(const float* axes) {
     return out;
 }
 
+// Merged Gaussians in half floats, at most GROUP of them.
+MergedGroup in_halves(const Levels& levels, size_t first, size_t count) {
+    MergedGroup out{};
+    std::fill_n(out.log2_opacity, GROUP, to_half(-LARGEST_HALF));  // padding never shows
+    std::vector<std::array<float, 6>> factors(count);
+    float largest = 0.0f;
+    for (int i = 0; i < 3; ++i) {
+        float low = levels.means[3 * first + i], high = low;
+        for (size_t k = first; k < first + count; ++k) {
+            low = std::min(low, levels.means[3 * k + i]);
+            high = std::max(high, levels.means[3 * k + i]);
+        }
+        out.center[i] = low + 0.5f * (high - low);
+        largest = std::max(largest, high - low);
+    }
+    for (size_t k = 0; k < count; ++k) {
+        factors[k] = triangle_of(levels.axes.data() + 9 * (first + k));
+        for (float value : factors[k]) largest = std::max(largest, std::fabs(value));
+    }
+    constexpr int LEAST = -100, OF_HALVES = 15;  // powers of two: that of the largest half float is 15
+    out.scale = std::ldexp(1.0f, largest > 0.0f ? std::max(std::ilogb(largest) + 1 - OF_HALVES, LEAST) : 0);
+    const auto scaled = [&out](float value) { return to_half(value / out.scale); };
+    for (size_t k = 0; k < count; ++k) {
+        const size_t source = first + k;
+        for (int i = 0; i < 3; ++i) out.means[i][k] = scaled(levels.means[3 * source + i] - out.center[i]);
+        for (int i = 0; i < 6; ++i) out.factor[i][k] = scaled(factors[k][i]);
+        if (levels.opacities[source] > 0.0f) out.log2_opacity[k] = to_half(std::log2(levels.opacities[source]));
+        out.members[k] = to_half(levels.members[source]);
+        out.sums[k] = to_half(levels.sums[source]);
+    }
+    return out;
+}
+
+Stored merged_at(const MergedGroup& group, size_t lane) {
+    Stored out{};
+    for (int i = 0; i < 3; ++i) out.mean[i] = group.center[i] + from_half(group.means[i][lane]) * group.scale;
+    for (int i = 0; i < 6; ++i) out.factor[i] = from_half(group.factor[i][lane]) * group.scale;
+    out.log2_opacity = from_half(group.log2_opacity[lane]);
+    if (out.log2_opacity == -LARGEST_HALF) out.log2_opacity = NEVER_SHOWS;
+    out.members = from_half(group.members[lane]);
+    out.sum = from_half(group.sums[lane]);
+    return out;
+}
+
 }  // namespace
 
 float reach_of(float opacity) {
@@ -117,6 +161,16 @@ float longest_axis(const float* axes) {
     return float(std::sqrt(largest)) * 1.00001f;
 }
 
+Stored stored(const SceneView& scene, size_t group, size_t lane) {
+    if (group >= scene.first_merged) return merged_at(scene.merged[group - scene.first_merged], lane);
+    const float* geometry = scene.geometry + group * GEOMETRY * GROUP + lane;
+    Stored out{};
+    for (int i = 0; i < 3; ++i) out.mean[i] = geometry[(MEAN + i) * GROUP];
+    for (int i = 0; i < 6; ++i) out.factor[i] = geometry[(FACTOR + i) * GROUP];
+    out.log2_opacity = geometry[LOG2_OPACITY * GROUP];
+    return out;
+}
+
 Scene::Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<float, 3> background, bool antialiased)
     : background_(background),
       degree_(gaussians.degree),
@@ -125,39 +179,47 @@ Scene::Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<f
     size_t groups = 0, merged_groups = 0;
     for (const Node& node : levels.nodes) (node.leaf ? groups : merged_groups) += groups_of(node);
     const size_t all = groups + merged_groups;
-    geometry_ = make_buffer<float>(all * GEOMETRY * GROUP);
-    merging_ = make_buffer<float>(merged_groups * MERGING * GROUP);
+    geometry_ = make_buffer<float>(groups * GEOMETRY * GROUP);
+    merged_ = make_buffer<MergedGroup>(merged_groups);
     colors_ = make_buffer<uint16_t>(all * gaussians.colors() * GROUP);
     original_index_ = make_buffer<uint32_t>(all * GROUP);
-    std::memset(geometry_.get(), 0, all * GEOMETRY * GROUP * sizeof(float));
-    std::memset(merging_.get(), 0, merged_groups * MERGING * GROUP * sizeof(float));
+    std::memset(geometry_.get(), 0, groups * GEOMETRY * GROUP * sizeof(float));
     std::memset(colors_.get(), 0, all * gaussians.colors() * GROUP * sizeof(uint16_t));
     std::memset(original_index_.get(), 0, all * GROUP * sizeof(uint32_t));
-
-    const GaussianArrays merged{levels.means.data(), levels.axes.data(),      levels.opacities.data(),
-                                levels.sh.data(),    levels.opacities.size(), gaussians.degree};
-    std::vector<uint32_t> in_order(merged.count);
-    std::iota(in_order.begin(), in_order.end(), 0u);
-    for (size_t i = 0; i < levels.nodes.size(); ++i)
-        if (levels.nodes[i].leaf) pack(gaussians, gaussians.opacities, levels.order.data(), levels.nodes[i], i);
+    for (size_t i = 0; i < levels.nodes.size(); ++i) {
+        const Node& node = levels.nodes[i];
+        if (!node.leaf) continue;
+        pack(gaussians, levels.order.data(), node);
+        add(gaussians, gaussians.opacities, levels.order.data(), 0, node, i);
+    }
     first_merged_ = groups_;
-    std::vector<float> most(levels.opacities);
-    poll();
-    for (size_t i = 0; i < most.size(); ++i) most[i] = most_opacity(levels.opacities[i], levels.sums[i], antialiased);
+    add_merged(levels, gaussians, antialiased);
+    enclose(levels.nodes);
+    enclose_means();
+}
+
+// The nodes of merged Gaussians. Bounds are those of the numbers that are kept.
+void Scene::add_merged(const Levels& levels, const GaussianArrays& gaussians, bool antialiased) {
+    const size_t count = levels.opacities.size();
+    std::vector<float> means(3 * count), axes(9 * count), most(count);
+    std::vector<uint32_t> in_order(count);
+    std::iota(in_order.begin(), in_order.end(), 0u);
+    const GaussianArrays kept{means.data(), axes.data(), most.data(), levels.sh.data(), count, gaussians.degree};
     for (size_t i = 0; i < levels.nodes.size(); ++i) {
         const Node& node = levels.nodes[i];
         if (node.leaf) continue;
-        pack(merged, most.data(), in_order.data(), node, i);
         for (size_t k = 0; k < node.count; ++k) {
-            const size_t slot = size_t(clusters_[i].first_group - first_merged_) * GROUP + k;
-            float* merging = merging_.get() + slot / GROUP * MERGING * GROUP + slot % GROUP;
-            merging[MEMBERS * GROUP] = levels.members[node.first + k];
-            merging[SUM * GROUP] = levels.sums[node.first + k];
-            original_index_[first_merged_ * GROUP + slot] = uint32_t(gaussians.count) + node.first + uint32_t(k);
+            const size_t source = node.first + k;
+            MergedGroup& group = merged_[groups_ - first_merged_ + k / GROUP];
+            if (k % GROUP == 0) group = in_halves(levels, source, std::min(node.count - k, size_t(GROUP)));
+            const Stored item = merged_at(group, k % GROUP);
+            std::copy_n(item.mean, 3, &means[3 * source]);
+            for (int row = 0; row < 3; ++row)
+                std::copy_n(item.factor + row * (row + 1) / 2, row + 1, &axes[9 * source + 3 * row]);
+            most[source] = most_opacity(std::exp2(item.log2_opacity), item.sum, antialiased);
         }
+        add(kept, most.data(), in_order.data(), uint32_t(gaussians.count), node, i);
     }
-    enclose(levels.nodes);
-    enclose_means();
 }
 
 Scene::Scene(const SceneView& view, size_t groups)
@@ -165,8 +227,8 @@ Scene::Scene(const SceneView& view, size_t groups)
       degree_(view.degree),
       groups_(groups),
       first_merged_(view.first_merged),
-      geometry_(copied(view.geometry, groups * GEOMETRY * GROUP)),
-      merging_(copied(view.merging, (groups - view.first_merged) * MERGING * GROUP)),
+      geometry_(copied(view.geometry, first_merged_ * GEOMETRY * GROUP)),
+      merged_(copied(view.merged, groups - first_merged_)),
       colors_(copied(view.colors, groups * 3 * size_t((view.degree + 1) * (view.degree + 1)) * GROUP)),
       original_index_(copied(view.original_index, groups * GROUP)),
       clusters_(view.clusters, view.clusters + view.cluster_count),
@@ -174,9 +236,26 @@ Scene::Scene(const SceneView& view, size_t groups)
     enclose_means();
 }
 
-// Append the Gaussians of a node, in whole groups.
-void Scene::pack(const GaussianArrays& gaussians, const float* opacities, const uint32_t* order, const Node& node,
-                 size_t index) {
+// The geometry of a node of the scene's own Gaussians, in whole groups, behind what there is.
+void Scene::pack(const GaussianArrays& gaussians, const uint32_t* order, const Node& node) {
+    for (size_t i = 0; i < groups_of(node) * GROUP; ++i) {
+        const size_t slot = groups_ * GROUP + i;
+        float* geometry = geometry_.get() + slot / GROUP * GEOMETRY * GROUP + slot % GROUP;
+        geometry[LOG2_OPACITY * GROUP] = NEVER_SHOWS;  // padding of the last group
+        if (i >= node.count) continue;
+        const size_t source = order[node.first + i];
+        for (int k = 0; k < 3; ++k) geometry[(MEAN + k) * GROUP] = gaussians.means[3 * source + k];
+        const std::array<float, 6> factor = triangle_of(gaussians.axes + 9 * source);
+        for (int k = 0; k < 6; ++k) geometry[(FACTOR + k) * GROUP] = factor[k];
+        if (gaussians.opacities[source] > 0.0f)
+            geometry[LOG2_OPACITY * GROUP] = std::log2(gaussians.opacities[source]);
+    }
+}
+
+// All else of a node, whose geometry is that of the groups behind what there is. `opacities` are the most that its
+// Gaussians can have on an image.
+void Scene::add(const GaussianArrays& gaussians, const float* opacities, const uint32_t* order, uint32_t first_index,
+                const Node& node, size_t index) {
     poll();
     Cluster& cluster = clusters_[index];
     cluster = {{}, node.error, uint32_t(groups_), uint32_t(groups_of(node)), node.skip};
@@ -190,18 +269,9 @@ void Scene::pack(const GaussianArrays& gaussians, const float* opacities, const 
         for (int i = 0; i < 6; ++i) group_bounds_[index].members[i][group] = members[i];
     }
     const size_t values = gaussians.colors();
-    for (size_t i = 0; i < cluster.groups * GROUP; ++i) {
-        const size_t slot = groups_ * GROUP + i;
-        float* geometry = geometry_.get() + slot / GROUP * GEOMETRY * GROUP + slot % GROUP;
-        geometry[LOG2_OPACITY * GROUP] = std::numeric_limits<float>::lowest();  // padding of the last group never shows
-        if (i >= node.count) continue;
-        const size_t source = first[i];
-        original_index_[slot] = uint32_t(source);
-        for (int k = 0; k < 3; ++k) geometry[(MEAN + k) * GROUP] = gaussians.means[3 * source + k];
-        const std::array<float, 6> factor = triangle_of(gaussians.axes + 9 * source);
-        for (int k = 0; k < 6; ++k) geometry[(FACTOR + k) * GROUP] = factor[k];
-        if (gaussians.opacities[source] > 0.0f)
-            geometry[LOG2_OPACITY * GROUP] = std::log2(gaussians.opacities[source]);
+    for (size_t i = 0; i < node.count; ++i) {
+        const size_t slot = groups_ * GROUP + i, source = first[i];
+        original_index_[slot] = first_index + uint32_t(source);
         uint16_t* colors = colors_.get() + slot / GROUP * values * GROUP + slot % GROUP;
         const float* sh = gaussians.sh + values * source;
         for (size_t k = 0; k < values; ++k)
@@ -224,17 +294,18 @@ void Scene::enclose(const std::vector<Node>& nodes) {
 // The boxes around what each node shows.
 void Scene::enclose_means() {
     boxes_.resize(clusters_.size());
+    const SceneView scene = view(0.0f);
     for (size_t i = 0; i < clusters_.size(); ++i) {
         float low[3], high[3];
         std::fill_n(low, 3, std::numeric_limits<float>::max());
         std::fill_n(high, 3, std::numeric_limits<float>::lowest());
         for (uint32_t group = 0; group < clusters_[i].groups; ++group) {
-            const float* geometry = geometry_.get() + size_t(clusters_[i].first_group + group) * GEOMETRY * GROUP;
             for (int lane = 0; lane < GROUP; ++lane) {
-                if (geometry[LOG2_OPACITY * GROUP + lane] == std::numeric_limits<float>::lowest()) continue;
+                const Stored item = stored(scene, clusters_[i].first_group + group, lane);
+                if (item.log2_opacity == NEVER_SHOWS) continue;
                 for (int axis = 0; axis < 3; ++axis) {
-                    low[axis] = std::min(low[axis], geometry[axis * GROUP + lane]);
-                    high[axis] = std::max(high[axis], geometry[axis * GROUP + lane]);
+                    low[axis] = std::min(low[axis], item.mean[axis]);
+                    high[axis] = std::max(high[axis], item.mean[axis]);
                 }
             }
         }
@@ -247,7 +318,7 @@ void Scene::enclose_means() {
 
 SceneView Scene::view(float tolerance) const {
     return {geometry_.get(),
-            merging_.get(),
+            merged_.get(),
             colors_.get(),
             original_index_.get(),
             clusters_.data(),

@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "buffer.h"
@@ -25,6 +26,17 @@ float reach_of(float opacity);
 // more, so that rounding never makes it shorter.
 float longest_axis(const float* axes);
 
+// The logarithm of the opacity of what pads a group, or is transparent.
+constexpr float NEVER_SHOWS = std::numeric_limits<float>::lowest();
+
+// The numbers of a Gaussian in memory.
+struct Stored {
+    float mean[3], factor[6], log2_opacity;
+    float members, sum;  // 0 for one of the scene's own
+};
+
+Stored stored(const SceneView& scene, size_t group, size_t lane);
+
 class Scene {
 public:
     // The colours are kept relative to the background.
@@ -37,15 +49,18 @@ public:
     size_t capacity() const { return groups_ * GROUP; }
 
 private:
-    void pack(const GaussianArrays& gaussians, const float* opacities, const uint32_t* order, const Node& node,
-              size_t index);
+    void add_merged(const Levels& levels, const GaussianArrays& gaussians, bool antialiased);
+    void add(const GaussianArrays& gaussians, const float* opacities, const uint32_t* order, uint32_t first_index,
+             const Node& node, size_t index);
+    void pack(const GaussianArrays& gaussians, const uint32_t* order, const Node& node);
     void enclose(const std::vector<Node>& nodes);
     void enclose_means();
 
     std::array<float, 3> background_;
     int degree_;
     size_t groups_ = 0, first_merged_ = 0;
-    Buffer<float> geometry_, merging_;
+    Buffer<float> geometry_;
+    Buffer<MergedGroup> merged_;
     Buffer<uint16_t> colors_;
     Buffer<uint32_t> original_index_;
     std::vector<Cluster> clusters_;

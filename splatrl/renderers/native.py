@@ -23,7 +23,7 @@ class Effort(NamedTuple):
         projected: [B] int32, Gaussians that were projected.
         visible: [B] int32, those of them that can show, including ones hidden by others.
         blended: [B] int32, pairs of a Gaussian and a block of 4×4 pixels that were blended.
-        project_ms: [B] float32, milliseconds of one core for culling, projecting and colouring.
+        project_ms: [B] float32, milliseconds of the processor for culling, projecting and colouring.
         sort_ms: [B] float32, likewise for the depth order.
         blend_ms: [B] float32, likewise for blending.
     """
@@ -103,8 +103,7 @@ class NativeRenderer:
     def _rendered(self, cameras: Cameras, parts: Parts | None) -> RenderOutput:
         shape = (len(cameras), cameras.height, cameras.width)
         rgb, depth, alpha = torch.empty(*shape, 3), torch.empty(shape), torch.empty(shape)
-        efforts = torch.empty(len(cameras), len(Effort._fields))
-        self._core.render(*_placed(cameras, parts), rgb, depth, alpha, efforts, self.threads)
+        self._core.render(*_placed(cameras, parts), rgb, depth, alpha, self.threads)
         device = cameras.camera_to_world.device
         return RenderOutput(rgb.to(device), depth.to(device), alpha.to(device))
 
@@ -144,15 +143,14 @@ class NativeRenderer:
     @torch.compiler.disable
     def efforts(self, cameras: Cameras, parts: Parts | None = None) -> Effort:
         """What it takes to draw each view, measured by drawing it."""
-        parts = self._checked(parts, cameras)
-        values = self._draw(cameras, parts, empty_pixels(cameras)).unbind(1)
+        efforts = torch.empty(len(cameras), len(Effort._fields))
+        self._draw(cameras, self._checked(parts, cameras), empty_pixels(cameras), efforts)
+        values = efforts.unbind(1)
         return Effort(*(value.int() for value in values[:3]), *values[3:])
 
-    def _draw(self, cameras: Cameras, parts: Parts | None, pixels: Tensor) -> Tensor:
-        """Draw into ``pixels``; returns the efforts, [B, fields]."""
-        efforts = torch.empty(len(cameras), len(Effort._fields))
+    def _draw(self, cameras: Cameras, parts: Parts | None, pixels: Tensor, efforts: Tensor | None = None) -> None:
+        """Draw into ``pixels``, and write what it takes into ``efforts``, [B, fields] float32."""
         self._core.pixels(*_placed(cameras, parts), pixels, efforts, self.threads)
-        return efforts
 
 
 def empty_pixels(cameras: Cameras) -> Tensor:

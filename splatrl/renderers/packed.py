@@ -1,13 +1,15 @@
 """Models as arrays, in the layout that the renderer for CPUs draws them from: to keep in a file, whole or in part.
 
-The arrays, of C nodes of the tree in preorder, G groups of 16 Gaussians, the scene's own before M merged ones:
+The arrays, of C nodes of the tree in preorder, and of G groups of 16 Gaussians, the scene's own before M merged ones:
     nodes: [C, 3] uint32, first group, number of groups, and the node after all below it.
     errors: [C] float32, metres by which what a node shows is displaced: 0 in a leaf, infinite where it shows nothing.
     bounds: [C, 6] float32, of all below a node: centre and radius of a ball around the means, the most standard
         deviations at which one shows, and the largest product of that and its longest axis; metres.
     group_bounds: [C, 6, 16] float32, the same of each of its groups.
-    geometry: [G, 10, 16] float32, mean, lower triangular factor of the covariance row by row, and log2 of the opacity.
-    merging: [M, 2, 16] float32, how many Gaussians a merged one stands for, and the sum of their opacities.
+    geometry: [G − M, 10, 16] float32, mean, lower triangular factor of the covariance row by row, and log2 of the
+        opacity.
+    merged: [M, 448] uint8, the same in half floats, how many Gaussians a merged one stands for, and the sum of their
+        opacities: ``MergedGroup`` of native/kernel.h.
     colors: [G, 3 · harmonics, 16] half floats, as uint16.
     indices: [G, 16] uint32, which breaks ties of depth.
 """
@@ -23,7 +25,7 @@ from splatrl.renderers.lod import build_levels, gaussian_arrays
 from splatrl.scenes.cache import Arrays
 from splatrl.scenes.gaussians import Gaussians
 
-PACKED_VERSION = 2
+PACKED_VERSION = 3
 """Raise it when the arrays or what they are made from change: those in the cache are then made again."""
 
 HUGE_PAGE = 2**21
@@ -93,18 +95,21 @@ def top_of(arrays: Arrays, groups: int) -> tuple[Arrays, float]:
 
 def _part(arrays: Arrays, order: NDArray[np.int64], ends: NDArray[np.bool_]) -> Arrays:
     """The nodes ``order`` of a tree, with all that they hold; those that are ``ends`` have nothing below them."""
-    nodes, own = arrays["nodes"].astype(np.int64), len(arrays["geometry"]) - len(arrays["merging"])
+    nodes, own = arrays["nodes"].astype(np.int64), len(arrays["geometry"])
     first, counts, skips = nodes[order].T
     ranges = [np.arange(start, start + count) for start, count in zip(first, counts, strict=True)]
     groups = np.sort(np.concatenate(ranges))
     new_nodes = [np.searchsorted(groups, first), counts, np.searchsorted(order, skips)]
     ranks = np.unique(arrays["indices"][groups], return_inverse=True)[1]  # the order alone matters
-    part: dict[str, Any] = {name: arrays[name][groups] for name in ("geometry", "colors")}
+    part: dict[str, Any] = {
+        "geometry": arrays["geometry"][groups[groups < own]],
+        "merged": arrays["merged"][groups[groups >= own] - own],
+        "colors": arrays["colors"][groups],
+    }
     return part | {
         "nodes": np.stack(new_nodes, 1).astype(np.uint32),
         "errors": np.where(ends, np.float32(0.0), arrays["errors"][order]),
         "bounds": arrays["bounds"][order],
         "group_bounds": arrays["group_bounds"][order],
-        "merging": arrays["merging"][groups[groups >= own] - own],
         "indices": ranks.reshape(-1, 16).astype(np.uint32),
     }

@@ -238,6 +238,21 @@ def test_more_tolerance_draws_fewer_gaussians(yard: Gaussians) -> None:
     assert counts == sorted(counts, reverse=True) and counts[3] < 0.8 * counts[0]
 
 
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("unit", [2.0**-6, 2.0**24])
+def test_level_of_detail_is_the_same_in_any_unit(unit: float, antialiased: bool) -> None:
+    """Merged Gaussians are kept in half floats, whose range is not that of lengths."""
+    pixels = []
+    for scale in (1.0, unit):
+        cloud = random_gaussians(3, 3000, 1)
+        cloud.means *= scale
+        cloud.scales *= scale
+        poses = look_at([[6.0 * scale, 1.0 * scale, 0.5 * scale]], [0.0, 0.0, 0.0])
+        cameras = Cameras(poses, intrinsics(1.2, 64, 64), 64, 64)
+        pixels.append(NativeRenderer(cloud, antialiased, tolerance=12.0).pixels(cameras))
+    assert torch.equal(*pixels) and pixels[0].float().std() > 20
+
+
 def test_classic_images_are_held_to_a_stricter_tolerance(yard: Gaussians) -> None:
     cameras = level_views([-2.5, -2.5, 0.2], [2.5, 2.5, 1.2], 12)
     seen = psnrs(yard, cameras, 0.5, antialiased=False)

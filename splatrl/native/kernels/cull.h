@@ -18,13 +18,13 @@ LANE_INLINE uint32_t groups_in_view(const Frustum& frustum, const Camera& camera
     return ~bits_above(missed, lanes(0.0f)) & ((2u << (groups - 1)) - 1);
 }
 
-// Append the groups of a cluster that may show on a tile; returns the new count.
-LANE_INLINE uint32_t append_groups(const SceneView& scene, const Frustum& frustum, const Camera& camera, uint32_t c,
-                                   uint32_t* groups, uint32_t count) {
-    const Cluster& cluster = scene.clusters[c];
-    for (uint32_t left = groups_in_view(frustum, camera, scene.group_bounds[c], cluster.groups); left != 0;
-         left &= left - 1)
-        groups[count++] = cluster.first_group + uint32_t(__builtin_ctz(left));
+// Append the groups of a part's cluster that may show on a tile; returns the new count.
+LANE_INLINE uint32_t append_groups(const Row& row, uint32_t number, uint32_t c, Shown* groups, uint32_t count) {
+    const Part& part = row.parts[number];
+    const Cluster& cluster = part.scene->clusters[c];
+    const GroupBounds& bounds = part.scene->group_bounds[c];
+    for (uint32_t left = groups_in_view(part.frustum, part.camera, bounds, cluster.groups); left != 0; left &= left - 1)
+        groups[count++] = {number, cluster.first_group + uint32_t(__builtin_ctz(left))};
     return count;
 }
 
@@ -47,15 +47,36 @@ LANE_INLINE Branch branch_of(uint32_t part, uint32_t c, const Cluster& node, flo
     return {part, c, nearest, float(node.groups) * opened};
 }
 
+// The nodes at the root, which come first.
+LANE_INLINE void fetch_root(const SceneView& scene) {
+    constexpr int LINES = 4;
+    const char* clusters = reinterpret_cast<const char*>(scene.clusters);
+    for (int line = 0; line < LINES; ++line) __builtin_prefetch(clusters + 64 * line);
+}
+
+LANE_INLINE void fetch_bounds(const GroupBounds& bounds) {
+    for (const float(&member)[GROUP] : bounds.members) __builtin_prefetch(member);
+}
+
+// What culling reads of a branch.
+LANE_INLINE void fetch_branch(const Row& row, const Branch& branch) {
+    const SceneView& scene = *row.parts[branch.part].scene;
+    __builtin_prefetch(&scene.clusters[branch.cluster]);
+    __builtin_prefetch(&scene.boxes[branch.cluster]);
+    fetch_bounds(scene.group_bounds[branch.cluster]);
+}
+
 // The branches that may show on a tile: the highest nodes that would do behind a veil, or leaves.
 LANE_INLINE void branch_out(const Row& row, const Tile& tile, Branches& branches) {
     branches.count = 0;
     for (uint32_t number = 0; number < row.count; ++number) {
-        const Part& part = row.parts[number];
+        Part& part = row.parts[number];
         const SceneView& scene = *part.scene;
-        const Frustum frustum = frustum_of(part.camera, tile);
+        if (number + 1 < row.count) fetch_root(*row.parts[number + 1].scene);
+        const Frustum& frustum = part.frustum = frustum_of(part.camera, tile);
         for (uint32_t c = 0; c < scene.cluster_count;) {
             const Cluster& node = scene.clusters[c];
+            __builtin_prefetch(&scene.clusters[node.skip]);
             if (misses(frustum, part.camera, node.bounds)) {
                 c = node.skip;
                 continue;
@@ -96,52 +117,53 @@ LANE_INLINE float next_border(const Branches& branches) {
     return BEYOND;
 }
 
-// The groups that may show on a tile of the part whose branches are next in the list, in the order of the scene. What
-// is behind `border` is put off. Behind a veil, if there is one, a node may be displaced the more the less of it comes
-// through, so that its error weighs as much. The bounds of a cluster's groups are fetched while those of the cluster
-// before it are tested.
-LANE_INLINE uint32_t cull(const Part& part, const Tile& tile, float border, const Veil* veil, const Branches& branches,
-                          uint32_t& next, Branches& later, uint32_t* groups) {
-    const SceneView& scene = *part.scene;
-    const Camera& camera = part.camera;
-    const Frustum frustum = frustum_of(camera, tile);
-    const uint32_t number = branches.items[next].part, none = scene.cluster_count;
-    uint32_t count = 0, fetched = none;
-    for (; next < branches.count && branches.items[next].part == number; ++next) {
+// The groups that may show on a tile, in the order of the parts and their trees. What is behind `border` is put off.
+// Behind a veil, if there is one, a node may be displaced the more the less of it comes through, so that its error
+// weighs as much. What a branch and the groups of a cluster are tested by is fetched ahead, as memory may be far away.
+LANE_INLINE uint32_t cull(const Row& row, const Tile& tile, float border, const Veil* veil, const Branches& branches,
+                          Branches& later, Shown* groups) {
+    constexpr uint32_t AHEAD = 4;
+    later.count = 0;
+    uint32_t count = 0, fetched = 0, fetched_of = uint32_t(row.count);
+    for (uint32_t next = 0; next < branches.count; ++next) {
         const Branch& branch = branches.items[next];
+        if (next + AHEAD < branches.count) fetch_branch(row, branches.items[next + AHEAD]);
         if (branch.nearest >= border) {
             later.add(branch);
             continue;
         }
+        const Part& part = row.parts[branch.part];
+        const SceneView& scene = *part.scene;
         for (uint32_t c = branch.cluster; c < scene.clusters[branch.cluster].skip;) {
             const Cluster& node = scene.clusters[c];
-            if (c != branch.cluster && misses(frustum, camera, node.bounds)) {
+            __builtin_prefetch(&scene.clusters[node.skip]);
+            if (c != branch.cluster && misses(part.frustum, part.camera, node.bounds)) {
                 c = node.skip;
                 continue;
             }
-            const float nearest = nearest_depth(frustum, camera, node);
-            const float displaced = displacement(camera, node, nearest);
+            const float nearest = nearest_depth(part.frustum, part.camera, node);
+            const float displaced = displacement(part.camera, node, nearest);
             if (nearest >= border) {
-                later.add(branch_of(number, c, node, nearest, displaced, scene.tolerance));
+                later.add(branch_of(branch.part, c, node, nearest, displaced, scene.tolerance));
                 c = node.skip;
                 continue;
             }
             if (displaced > scene.tolerance) {
                 const float most = OPEN * scene.tolerance / displaced;  // root mean square of the transmittance
                 if (veil == nullptr || displaced > COARSEST * scene.tolerance ||
-                    seen_through(*veil, camera, tile, scene.boxes[c]) > most * most) {
+                    seen_through(*veil, part.camera, tile, scene.boxes[c]) > most * most) {
                     ++c;
                     continue;
                 }
             }
-            for (const float(&member)[GROUP] : scene.group_bounds[c].members) __builtin_prefetch(member);
-            if (fetched != none) count = append_groups(scene, frustum, camera, fetched, groups, count);
-            fetched = c;
+            fetch_bounds(scene.group_bounds[c]);
+            if (fetched_of < row.count) count = append_groups(row, fetched_of, fetched, groups, count);
+            fetched = c, fetched_of = branch.part;
             c = node.skip;
         }
     }
-    if (fetched != none) count = append_groups(scene, frustum, camera, fetched, groups, count);
-    for (uint32_t i = 0; i < SPARE; ++i) groups[count + i] = 0;
+    if (fetched_of < row.count) count = append_groups(row, fetched_of, fetched, groups, count);
+    for (uint32_t i = 0; i < SPARE; ++i) groups[count + i] = {0, 0};
     return count;
 }
 

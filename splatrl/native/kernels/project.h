@@ -36,20 +36,60 @@ LANE_INLINE void pixels_between(const F& middle, const F& extent, int low, int h
     last = floor(max(min(middle + extent - 0.5f, float(high)) + 1.0f, 0.0f)) - 1.0f;
 }
 
+// The numbers of a group.
+struct Group {
+    Vector<Lanes> offset;  // from the camera, world axes
+    Lanes factor[6], log2_opacity;
+    Merging<Lanes> merging;
+};
+
+LANE_INLINE void read_own(const float* from, const float* position, Group& out) {
+    out.offset = {load(from) - position[0], load(from + GROUP) - position[1], load(from + 2 * GROUP) - position[2]};
+    for (int i = 0; i < 6; ++i) out.factor[i] = load(from + (FACTOR + i) * GROUP);
+    out.log2_opacity = load(from + LOG2_OPACITY * GROUP);
+    out.merging = {lanes(1.0f), lanes(0.0f)};
+}
+
+LANE_INLINE void read_merged(const MergedGroup& from, const float* position, Group& out) {
+    out.offset = {load_halves(from.means[0]) * from.scale + (from.center[0] - position[0]),
+                  load_halves(from.means[1]) * from.scale + (from.center[1] - position[1]),
+                  load_halves(from.means[2]) * from.scale + (from.center[2] - position[2])};
+    for (int i = 0; i < 6; ++i) out.factor[i] = load_halves(from.factor[i]) * from.scale;
+    out.log2_opacity = load_halves(from.log2_opacity);
+    out.merging = {load_halves(from.members), load_halves(from.sums)};
+}
+
 // Depths in double precision, split into two floats, as the order of two Gaussians must not depend on rounding. What
-// single precision drops is given as bits in the order of the numbers.
-LANE_INLINE void exact_depths(const float* means, const Camera& camera, Lanes& depths, IntLanes& rests) {
-    const float *forward = camera.rotation + 6, *position = camera.position;
+// single precision drops is given as bits in the order of the numbers. The means [3][GROUP] are relative to `origin`.
+LANE_INLINE void exact_depths(const float* means, const float* origin, const Camera& camera, Lanes& depths,
+                              IntLanes& rests) {
+    const float* forward = camera.rotation + 6;
     alignas(64) float near[GROUP], rest[GROUP];
+    double from[3];
+    for (int i = 0; i < 3; ++i) from[i] = double(camera.position[i]) - double(origin[i]);
     for (int lane = 0; lane < GROUP; ++lane) {
-        const double depth = double(forward[0]) * (double(means[lane]) - double(position[0])) +
-                             double(forward[1]) * (double(means[GROUP + lane]) - double(position[1])) +
-                             double(forward[2]) * (double(means[2 * GROUP + lane]) - double(position[2]));
+        const double depth = double(forward[0]) * (double(means[lane]) - from[0]) +
+                             double(forward[1]) * (double(means[GROUP + lane]) - from[1]) +
+                             double(forward[2]) * (double(means[2 * GROUP + lane]) - from[2]);
         near[lane] = float(depth);
         rest[lane] = float(depth - double(near[lane]));
     }
     depths = load(near), rests = bits_of(load(rest));
     FOR_PARTS rests.part[p] ^= (rests.part[p] >> 31) | INT32_MIN;
+}
+
+template <bool MERGED>
+LANE_INLINE void exact_depths_of(const SceneView& scene, uint32_t group, const Camera& camera, Lanes& depths,
+                                 IntLanes& rests) {
+    if (!MERGED) {
+        constexpr float ORIGIN[3] = {};
+        exact_depths(scene.geometry + size_t(group) * GEOMETRY * GROUP, ORIGIN, camera, depths, rests);
+        return;
+    }
+    const MergedGroup& merged = scene.merged[group - scene.first_merged];
+    alignas(64) float means[3][GROUP];
+    for (int i = 0; i < 3; ++i) store(means[i], load_halves(merged.means[i]) * merged.scale);
+    exact_depths(means[0], merged.center, camera, depths, rests);
 }
 
 // The patches of sixteen splats that show on the pixels of these columns and rows.
@@ -69,17 +109,23 @@ LANE_INLINE IntLanes patches_of(const Tile& tile, const Lanes& left, const Lanes
     return out;
 }
 
+template <size_t BYTES>
+LANE_INLINE void fetch(const void* from) {
+    for (size_t line = 0; line < BYTES; line += 64) __builtin_prefetch(static_cast<const char*>(from) + line);
+}
+
 template <bool RANKED>
-LANE_INLINE void fetch_group(const SceneView& scene, uint32_t group) {
-    const char* geometry = reinterpret_cast<const char*>(scene.geometry + size_t(group) * GEOMETRY * GROUP);
-    for (int line = 0; line < GEOMETRY; ++line) __builtin_prefetch(geometry + 64 * line);
+LANE_INLINE void fetch_group(const Row& row, const Shown& shown) {
+    const SceneView& scene = *row.parts[shown.part].scene;
+    const uint32_t group = shown.group;
+    if (group < scene.first_merged)
+        fetch<GEOMETRY * GROUP * sizeof(float)>(scene.geometry + size_t(group) * GEOMETRY * GROUP);
+    else
+        fetch<offsetof(MergedGroup, sums)>(scene.merged + (group - scene.first_merged));
     const size_t bytes = size_t(3 * (scene.degree + 1) * (scene.degree + 1)) * GROUP * sizeof(uint16_t);
     const char* colors = reinterpret_cast<const char*>(scene.colors) + group * bytes;
     for (size_t line = 0; line < bytes; line += 64) __builtin_prefetch(colors + line, 0, 1);
     if (RANKED) __builtin_prefetch(scene.original_index + size_t(group) * GROUP);
-    if (group < scene.first_merged) return;
-    const float* merging = scene.merging + size_t(group - scene.first_merged) * MERGING * GROUP;
-    for (int line = 0; line < MERGING; ++line) __builtin_prefetch(merging + GROUP * line);
 }
 
 // Groups whose footprints are computed at once: each alone would wait for its own results, if there are the registers.
@@ -90,40 +136,35 @@ static_assert(GROUPS_AHEAD + AT_ONCE <= SPARE, "the array has room to read ahead
 // Append what a tile shows of some groups, at most AT_ONCE, after the first `count` splats. Returns the new number of
 // splats. However many there are, the same code computes them, so that they are rounded alike.
 template <bool ANTIALIASED, bool MERGED, bool RANKED>
-static uint32_t project_some(const Part& part, const Tile& tile, float log2_invisible,
-                             const uint32_t* groups, uint32_t some, const Scratch& scratch, uint32_t count,
-                             bool& peaked) {
+static uint32_t project_some(const Row& row, const Tile& tile, const Shown* groups, uint32_t some,
+                             const Scratch& scratch, uint32_t count, bool& peaked) {
     using Wide = FloatLanes<AT_ONCE * PARTS>;
-    const SceneView& scene = *part.scene;
-    const Camera& camera = part.camera;
-    const float* geometry[AT_ONCE];
     Vector<Lanes> offsets[AT_ONCE];
     Flat<Lanes> flat[AT_ONCE];
     Lanes log2_opacity[AT_ONCE];
     Merging<Lanes> merging[AT_ONCE];
 #pragma GCC unroll 1
     for (uint32_t i = 0; i < AT_ONCE; ++i) {
-        fetch_group<RANKED>(scene, groups[GROUPS_AHEAD + i]);
-        const uint32_t group = groups[i < some ? i : 0];
-        geometry[i] = scene.geometry + size_t(group) * GEOMETRY * GROUP;
-        offsets[i] = {load(geometry[i]) - camera.position[0], load(geometry[i] + GROUP) - camera.position[1],
-                      load(geometry[i] + 2 * GROUP) - camera.position[2]};
-        Lanes factor[6];
-        for (int k = 0; k < 6; ++k) factor[k] = load(geometry[i] + (FACTOR + k) * GROUP);
-        flat[i] = flatten(camera, offsets[i], factor);
-        log2_opacity[i] = load(geometry[i] + LOG2_OPACITY * GROUP);
-        merging[i] = {lanes(1.0f), lanes(0.0f)};
-        if (MERGED) {
-            const float* merged = scene.merging + size_t(group - scene.first_merged) * MERGING * GROUP;
-            merging[i] = {load(merged + MEMBERS * GROUP), load(merged + SUM * GROUP)};
-        }
+        fetch_group<RANKED>(row, groups[GROUPS_AHEAD + i]);
+        const Shown& shown = groups[i < some ? i : 0];
+        const Camera& camera = row.parts[shown.part].camera;
+        const SceneView& scene = *row.parts[shown.part].scene;
+        Group group;
+        if (MERGED)
+            read_merged(scene.merged[shown.group - scene.first_merged], camera.position, group);
+        else
+            read_own(scene.geometry + size_t(shown.group) * GEOMETRY * GROUP, camera.position, group);
+        offsets[i] = group.offset;
+        flat[i] = flatten(camera, group.offset, group.factor);
+        log2_opacity[i] = group.log2_opacity;
+        merging[i] = group.merging;
     }
     using From = Flat<Lanes>;
     const Flat<Wide> wide{joined(flat, &From::x),  joined(flat, &From::y),  joined(flat, &From::depth),
                           joined(flat, &From::xx), joined(flat, &From::yy), joined(flat, &From::xy),
                           joined(flat, &From::determinant)};
     const Merging<Wide> merged{joined(merging, &Merging<Lanes>::members), joined(merging, &Merging<Lanes>::sum)};
-    const Footprint<Wide> prints = dilate<ANTIALIASED, MERGED>(wide, joined(log2_opacity), merged, log2_invisible);
+    const Footprint<Wide> prints = dilate<ANTIALIASED, MERGED>(wide, joined(log2_opacity), merged, row.log2_invisible);
     Wide lefts, rights, tops, bottoms;
     pixels_between(prints.x, prints.extent_x, tile.left, tile.right - 1, lefts, rights);
     pixels_between(prints.y, prints.extent_y, tile.top, tile.bottom - 1, tops, bottoms);
@@ -132,15 +173,17 @@ static uint32_t project_some(const Part& part, const Tile& tile, float log2_invi
         const Lanes bottom = lanes_of(bottoms, i), opacity = lanes_of(prints.log2_opacity, i);
         const uint32_t close = bits_above(lanes(NEAR_DEPTH), lanes_of(prints.depth, i));
         const uint32_t hidden = close | bits_above(left, right) | bits_above(top, bottom);
-        const uint32_t visible = bits_above(opacity, lanes(log2_invisible)) & ~hidden;
+        const uint32_t visible = bits_above(opacity, lanes(row.log2_invisible)) & ~hidden;
         if (visible == 0) continue;
         peaked |= MERGED || (bits_above(opacity, lanes(LOG2_BELOW_PEAK)) & visible) != 0;
+        const Part& part = row.parts[groups[i].part];
+        const SceneView& scene = *part.scene;
         IntLanes rgb[3], rests{}, indices{};
-        shade(scene, groups[i], offsets[i], rgb);
+        shade(scene, groups[i].group, offsets[i], rgb);
         Lanes depths = lanes_of(prints.depth, i);
         if (RANKED) {
-            exact_depths(geometry[i], camera, depths, rests);
-            indices = plus(load_ints(scene.original_index + groups[i] * GROUP), part.first_index);
+            exact_depths_of<MERGED>(scene, groups[i].group, part.camera, depths, rests);
+            indices = plus(load_ints(scene.original_index + groups[i].group * GROUP), part.first_index);
         }
         const IntLanes patches = patches_of(tile, left, right, top, bottom);
         const Lanes l11 = lanes_of(prints.l11, i), l12 = lanes_of(prints.l12, i), l22 = lanes_of(prints.l22, i);
@@ -153,19 +196,19 @@ static uint32_t project_some(const Part& part, const Tile& tile, float log2_invi
     return count;
 }
 
-// Project the groups of a part that scratch names, after the first `count` splats. Returns the new number of splats;
-// `peaked` becomes true where one of them could exceed its peak.
+// Project the groups that scratch names, after the first `count` splats. Returns the new number of splats; `peaked`
+// becomes true where one of them could exceed its peak.
 template <bool ANTIALIASED, bool RANKED>
-static uint32_t project_groups(const Part& part, const Tile& tile, float log2_invisible, uint32_t groups,
-                               const Scratch& scratch, uint32_t count, bool& peaked) {
-    const SceneView& scene = *part.scene;
+static uint32_t project_groups(const Row& row, const Tile& tile, uint32_t groups, const Scratch& scratch,
+                               uint32_t count, bool& peaked) {
+    const auto merged = [&row](const Shown& shown) { return shown.group >= row.parts[shown.part].scene->first_merged; };
     for (uint32_t i = 0; i < groups;) {
-        const uint32_t* group = scratch.groups + i;
-        const bool merged = group[0] >= scene.first_merged;
+        const Shown* shown = scratch.groups + i;
+        const bool these = merged(shown[0]);
         uint32_t some = 1;
-        while (some < AT_ONCE && i + some < groups && (group[some] >= scene.first_merged) == merged) ++some;
-        const auto project = merged ? project_some<ANTIALIASED, true, RANKED> : project_some<ANTIALIASED, false, RANKED>;
-        count = project(part, tile, log2_invisible, group, some, scratch, count, peaked);
+        while (some < AT_ONCE && i + some < groups && merged(shown[some]) == these) ++some;
+        const auto project = these ? project_some<ANTIALIASED, true, RANKED> : project_some<ANTIALIASED, false, RANKED>;
+        count = project(row, tile, shown, some, scratch, count, peaked);
         i += some;
     }
     return count;

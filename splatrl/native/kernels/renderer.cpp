@@ -1,5 +1,5 @@
 // One tile, start to end, for one instruction set.
-#include <chrono>
+#include <ctime>
 #include <utility>
 
 #include "kernels/blend.h"
@@ -10,18 +10,39 @@
 namespace splatrl {
 namespace SPLATRL_ISA {
 
+// Adds up the milliseconds of processor time that this thread spends in each stage: other work on the machine does not
+// count. Asking for the time takes a good part of a microsecond, so it is only asked where it is wanted.
+class Stopwatch {
+public:
+    explicit Stopwatch(bool runs) : runs_(runs), last_(runs ? now() : 0.0) {}
+
+    void add_to(float& stage) {
+        if (!runs_) return;
+        const double time = now();
+        stage += float(time - last_);
+        last_ = time;
+    }
+
+private:
+    static double now() {
+        std::timespec time{};
+#if defined(CLOCK_THREAD_CPUTIME_ID)
+        clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time);
+#else
+        std::timespec_get(&time, TIME_UTC);
+#endif
+        return 1e3 * double(time.tv_sec) + 1e-6 * double(time.tv_nsec);
+    }
+
+    bool runs_;
+    double last_;
+};
+
 // Draws from near to far, in steps: what is in front veils what is behind, which then needs fewer Gaussians.
 template <bool ANTIALIASED, bool WITH_DEPTH>
 static Effort render(const Row& row, const Tile& whole, Tile& tile, const Scratch& scratch) {
-    using Clock = std::chrono::steady_clock;
-    using Milliseconds = std::chrono::duration<float, std::milli>;
     Effort effort{};
-    auto last = Clock::now();
-    const auto take_time = [&last](float& ms) {
-        const auto now = Clock::now();
-        ms += Milliseconds(now - last).count();
-        last = now;
-    };
+    Stopwatch watch(row.timed);
     const auto project = row.ranked ? project_groups<ANTIALIASED, true> : project_groups<ANTIALIASED, false>;
     const auto sort = row.ranked ? sort_by_depth<true> : sort_by_depth<false>;
     bool peaked = false;
@@ -43,28 +64,23 @@ static Effort render(const Row& row, const Tile& whole, Tile& tile, const Scratc
     uint32_t blended = 0;  // splats
     for (bool first = true, more = true; more; first = false) {
         const float border = stepped ? next_border(branches) : BEYOND;
-        later.count = 0;
-        for (uint32_t next = 0; next < branches.count;) {
-            const Part& part = row.parts[branches.items[next].part];
-            const uint32_t groups =
-                cull(part, tile, border, first ? nullptr : &veil, branches, next, later, scratch.groups);
-            effort.projected += groups * GROUP;
-            effort.visible = project(part, tile, row.log2_invisible, groups, scratch, effort.visible, peaked);
-        }
-        take_time(effort.project_ms);
+        const uint32_t groups = cull(row, tile, border, first ? nullptr : &veil, branches, later, scratch.groups);
+        effort.projected += groups * GROUP;
+        effort.visible = project(row, tile, groups, scratch, effort.visible, peaked);
+        watch.add_to(effort.project_ms);
         more = border < BEYOND;
         uint64_t* keys = scratch.keys + blended;
         const uint32_t open = effort.visible - blended;
         const uint32_t near = more ? bring_near(scratch, keys, open, border) : open;
         sort(scratch, keys, near);
-        take_time(effort.sort_ms);
+        watch.add_to(effort.sort_ms);
         const bool firm = row.finished <= MIN_TRANSMITTANCE;
         const auto blend = firm ? (peaked ? blend_splats<WITH_DEPTH, true, true> : blend_splats<WITH_DEPTH, true, false>)
                                 : (peaked ? blend_splats<WITH_DEPTH, false, true> : blend_splats<WITH_DEPTH, false, false>);
         effort.blended += blend(tile, row, keys, near, scratch, blocks);
         blended += near;
         if (more) draw_veil(scratch.pixels, blocks.finished, veil);
-        take_time(effort.blend_ms);
+        watch.add_to(effort.blend_ms);
         std::swap(branches, later);
     }
     return effort;
