@@ -14,6 +14,9 @@ from typing import Any
 import pytest
 import torch
 
+from splatrl.native.cuda import compiler
+from tests.native.kept import kept
+
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "benchmarks" / "results"
 EVERYTHING = {
@@ -50,6 +53,7 @@ def test_a_dry_run_measures_everything_and_leaves_no_result(
         bench.keep(section(name, "done", 0.0))
 
     monkeypatch.setattr(gpu, "measure_apart", measure_here)
+    monkeypatch.setattr(compiler, "translated", kept)
     monkeypatch.setattr(sys, "argv", ["gpu.py", "--dry-run", "--folder", str(tmp_path)])
     code, said = gpu.main(), capsys.readouterr().out
     assert code == 0, said
