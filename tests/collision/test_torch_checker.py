@@ -116,7 +116,7 @@ def test_a_capsule_meets_a_corner_where_its_parallelogram_does():
 
 @pytest.mark.parametrize("body", BODIES)
 def test_the_size_of_a_chunk_changes_nothing(body, monkeypatch):
-    start, end = moves(60, 8, turning=True)
+    start, end = moves(20, 8, turning=True)
     checker = TorchChecker(clutter(), body)
     expected = checker.collides(start), checker.free_fraction(start, end)
     monkeypatch.setattr(torch_checker, "_PAIRS", 97)
