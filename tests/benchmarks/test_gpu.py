@@ -133,7 +133,7 @@ def odd_sections(tmp_path: Path, benchmark: Any, monkeypatch: pytest.MonkeyPatch
     (tmp_path / "sections.py").write_text(SECTIONS.replace("{benchmarks!r}", repr(str(ROOT / "benchmarks"))))
     monkeypatch.setattr(gpu, "__file__", str(tmp_path / "sections.py"))
     monkeypatch.setattr(gpu, "bench_of", lambda dry: benchmark("gpu_bench").Bench(torch.device("cpu")))
-    monkeypatch.setattr(gpu, "SECONDS", {"machine": 60, "first use": -55, "rendering": 60, "collision": 0})
+    monkeypatch.setattr(gpu, "SECONDS", {"machine": 60, "first use": -57, "rendering": 60, "collision": 0})
     monkeypatch.setattr(gpu, "SPARE", 0)
     return gpu
 
