@@ -11,7 +11,6 @@ import io
 import json
 import math
 import struct
-import subprocess
 import sys
 import tempfile
 import warnings
@@ -39,6 +38,7 @@ from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.formats.limits import MAX_INFLATION, SLACK
 from splatrl.training import load_checkpoint
 from tests.fuzzing.formats import around_demonstrations
+from tests.preloaded import start
 from tests.scenes.samples import (
     compressed_ply_bytes,
     ply_bytes,
@@ -275,10 +275,10 @@ class Cost:
 def measured(kinds: Sequence[str]) -> dict[str, Cost]:
     """Write files and read them, one after the other, in a new process."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "tests.memory", "--read", folder, *kinds]
-        root = Path(__file__).parents[1]
-        done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=root)
-    return {kind: Cost(*cost) for kind, cost in json.loads(done.stdout.splitlines()[-1]).items()}
+        reading = start("-m", "tests.memory", "--read", folder, *kinds)
+        printed, _ = reading.communicate()
+    assert reading.returncode == 0, printed
+    return {kind: Cost(*cost) for kind, cost in json.loads(printed.splitlines()[-1]).items()}
 
 
 def _resident(field: str) -> int:

@@ -1,7 +1,7 @@
 """Python programs that begin at once, each in a process forked from one that has imported what takes seconds.
 
 A program has its own memory, environment, output, signals and end of the interpreter, as if ``python -m`` or
-``python -c`` had started it. The imports alone are done once, for all programs of a test process.
+``python -c`` had started it. The imports alone are done once, for all programs of a run of pytest.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import importlib
 import json
 import os
 import runpy
+import select
 import signal
 import socket
 import subprocess
@@ -20,7 +21,7 @@ import types
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Union
+from typing import Any, Union
 
 from tests.yaml_once import parse_once
 
@@ -53,7 +54,7 @@ def start(*words: str, env: Mapping[str, str] | None = None) -> Process:
     link, theirs = socket.socketpair()
     output, printed = os.pipe()
     with theirs:
-        socket.send_fds(_interpreter()[0], [request.encode()], [theirs.fileno(), printed])
+        socket.send_fds(_interpreter(), [request.encode()], [theirs.fileno(), printed])
     os.close(printed)
     return Program(link, output)
 
@@ -109,6 +110,10 @@ class Program:
         if self.poll() is None:
             os.kill(self.pid, number)
 
+    def terminate(self) -> None:
+        """Ask the program to end."""
+        self.send_signal(signal.SIGTERM)
+
     def kill(self) -> None:
         """End the program at once."""
         self.send_signal(signal.SIGKILL)
@@ -118,30 +123,45 @@ Process = Union[Program, "subprocess.Popen[str]"]
 
 
 @functools.cache
-def _interpreter() -> tuple[socket.socket, subprocess.Popen[bytes]]:
-    """The process from which programs are forked, and the way to it; it ends with this one."""
-    here, there = socket.socketpair(type=socket.SOCK_SEQPACKET)
-    with there:
-        command = [sys.executable, "-m", __name__, str(there.fileno())]
-        nothing = subprocess.DEVNULL
-        process = subprocess.Popen(command, cwd=ROOT, pass_fds=[there.fileno()], stdin=nothing, stdout=nothing)
-    return here, process
+def _interpreter() -> socket.socket:
+    """The way to the process from which programs are forked; it ends with the last test process that uses it."""
+    run = os.environ.get("PYTEST_XDIST_TESTRUNUID", os.getpid())
+    here, address = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET), f"\0splatrl-tests-{run}"
+    while here.connect_ex(address):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as there, suppress(OSError):
+            there.bind(address)  # refused where another test process begins to listen at this moment
+            there.listen()
+            command = [sys.executable, "-m", __name__, str(there.fileno())]
+            nothing = subprocess.DEVNULL
+            subprocess.Popen(command, cwd=ROOT, pass_fds=[there.fileno()], stdin=nothing, stdout=nothing)
+    return here
 
 
-def _requested(requests: socket.socket) -> list[str]:
+def _requested(listener: socket.socket) -> list[str]:
     """Wait for requests: returns the words of each in a process of its own, and here none when there are no more."""
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for the processes that wait for programs
-    while True:
-        message, descriptors, *_ = socket.recv_fds(requests, MOST_BYTES, 2)
-        if not message:
-            return []
-        if os.fork() == 0:
-            break
-        for each in descriptors:
-            os.close(each)
-    requests.close()
+    asking = [listener.accept()[0]]
+    while asking:
+        for ready in select.select([listener, *asking], [], [])[0]:
+            if ready is listener:
+                asking.append(listener.accept()[0])
+                continue
+            message, descriptors, *_ = socket.recv_fds(ready, MOST_BYTES, 2)
+            if not message:
+                asking.remove(ready)
+            elif os.fork() == 0:
+                for each in (listener, *asking):
+                    each.close()
+                return _begun(json.loads(message), *descriptors)
+            for each in descriptors:
+                os.close(each)
+    return []
+
+
+def _begun(request: Mapping[str, Any], link_number: int, printed: int) -> list[str]:
+    """Tell how the program ends, here; returns its words in the process that is to run it."""
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    link, printed = socket.socket(fileno=descriptors[0]), descriptors[1]
+    link = socket.socket(fileno=link_number)
     child = os.fork()
     if child:
         os.close(printed)
@@ -152,7 +172,6 @@ def _requested(requests: socket.socket) -> list[str]:
     for standard in (1, 2):
         os.dup2(printed, standard)
     os.close(printed)
-    request = json.loads(message)
     os.chdir(request["folder"])
     os.environ.clear()
     os.environ.update(request["env"])

@@ -51,6 +51,14 @@ def test_an_error_is_printed_and_a_program_does_not_touch_another() -> None:
     assert other.communicate(60) == ("tensor([1., 1., 1.])\n", None)
 
 
+def test_the_processes_of_a_run_share_one_interpreter() -> None:
+    tells = "import splatrl.runs; print(id(splatrl.runs))"  # its address, which differs from process to process
+    asks = f"from tests.preloaded import start; print(*start('-c', {tells!r}).communicate(60), sep='', end='')"
+    env = os.environ | {"PYTEST_XDIST_TESTRUNUID": os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))}
+    here, there = start("-c", tells), start("-c", asks, env=env)
+    assert here.communicate(60)[0] + "None" == there.communicate(60)[0]
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_program_that_is_sent_a_signal_ends_by_it(number: int) -> None:
     program = start("-c", "import time; print('begun', flush=True); time.sleep(600)")

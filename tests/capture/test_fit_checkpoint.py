@@ -1,8 +1,6 @@
 """A fit that was killed goes on from within, with the bytes of one that was not."""
 
 import signal
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +12,7 @@ from splatrl.capture.fit import Fitting, fit
 from splatrl.capture.fit_checkpoint import Checkpoint
 from splatrl.scenes.gaussians import Gaussians
 from tests.capture.test_fit import SETTINGS, same_bytes, tiny_capture
+from tests.preloaded import start
 
 FULL = replace(SETTINGS, views=120, views_a_step=2, sh_degree=1, poses=1e-3)
 """Every kind of thing that a fit learns; 60 steps, moved and added to after 20 and 40."""
@@ -63,8 +62,7 @@ def resumed(capture: Reconstruction, checkpoint: Checkpoint) -> tuple[Gaussians,
 
 
 def test_a_fit_that_was_killed_goes_on_with_the_same_bytes(tmp_path: Path, whole: Gaussians) -> None:
-    process = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path), "70"], check=False)
-    assert process.returncode == -signal.SIGKILL
+    assert start("-c", KILLED, str(tmp_path), "70").wait() == -signal.SIGKILL
     found, first = resumed(tiny_capture(tmp_path), Checkpoint(tmp_path / "fit.npz", "one"))
     assert first == 70  # the step that was killed, 35 of 60, and no other, is done again
     assert same_bytes(found, whole)

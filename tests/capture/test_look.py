@@ -90,8 +90,8 @@ def test_a_walk_passes_and_turning_and_standing_still_do_not(tmp_path: Path) -> 
     def seen(name: str, poses: np.ndarray) -> Look:
         return look(photos_of(tmp_path / name, [room_image(pose) for pose in poses]))
 
-    assert seen("walk", walk(12)).cause() is None
-    assert "only turned" in (seen("turning", turning(12)).cause() or "")
+    assert seen("walk", walk(8)).cause() is None
+    assert "only turned" in (seen("turning", turning(8)).cause() or "")
     assert "hardly moved" in (seen("still", walk(1).repeat(6, 0)).cause() or "")
 
 

@@ -5,13 +5,17 @@ from dataclasses import replace
 import pytest
 from omegaconf import OmegaConf
 
+from splatrl.capture.base import Reconstruction
 from splatrl.capture.fit import FitSettings
 from splatrl.capture.resolution import Resolution
 from splatrl.configuration import conf_dir
 from splatrl.envs.robot import Robot
 from tests.capture.walks import walk
 
-PHOTOS = replace(walk(), width=960, height=540, K=walk().K * 3)  # f = 702 pixels
+
+def photos() -> Reconstruction:
+    """The walk in larger photos: f = 702 pixels."""
+    return replace(walk(), width=960, height=540, K=walk().K * 3)
 
 
 @pytest.mark.parametrize(
@@ -28,14 +32,14 @@ PHOTOS = replace(walk(), width=960, height=540, K=walk().K * 3)  # f = 702 pixel
     ],
 )
 def test_width_and_cap_follow_the_robots(resolution: Resolution, width: int, cap: int) -> None:
-    fit = resolution.of(PHOTOS, FitSettings(views=7))
+    fit = resolution.of(photos(), FitSettings(views=7))
     assert fit.views == 7 and fit.width == pytest.approx(width, abs=1) and fit.cap == pytest.approx(cap, rel=0.01)
 
 
 def test_a_fit_has_twice_the_pixels_of_a_robot_for_each_degree() -> None:
     robot = Robot(None, 1.0, fov_deg=60.0, image_width=300)  # type: ignore[arg-type]
-    fit = Resolution(300, 60.0).of(PHOTOS, FitSettings())
-    focal = float(PHOTOS.K[0, 0]) * fit.width / PHOTOS.width
+    fit = Resolution(300, 60.0).of(photos(), FitSettings())
+    focal = float(photos().K[0, 0]) * fit.width / photos().width
     assert 2.0 <= focal / float(robot.K[0, 0]) < 2.01
 
 
@@ -48,7 +52,7 @@ def test_what_makes_no_sense_is_refused() -> None:
         with pytest.raises(ValueError, match="robot: expected"):
             Resolution(**wrong)
     with pytest.raises(ValueError, match="width: expected at least 1, got 0"):
-        Resolution(width=0).of(PHOTOS, FitSettings())
+        Resolution(width=0).of(photos(), FitSettings())
 
 
 def test_the_usual_robot_is_that_of_the_configs() -> None:

@@ -67,11 +67,12 @@ def test_the_sense_of_rotation_is_counter_clockwise():
     assert checker.collides(poses).tolist() == [True, False]
 
 
+@pytest.mark.parametrize("count", [500, pytest.param(5000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("body", BODIES)
-def test_no_answer_differs_from_separating_axes_and_closest_points(body):
+def test_no_answer_differs_from_separating_axes_and_closest_points(body, count):
     occupancy = clutter()
     lower, upper = occupancy.bounds
-    poses = random_poses(1500, lower - 0.2, upper + 0.2)
+    poses = random_poses(count, lower - 0.2, upper + 0.2)
     gaps = torch.tensor([separation(body, pose, occupancy) for pose in poses.double().numpy()])
     sure = gaps.abs() > 1e-5
     expected = gaps < 0

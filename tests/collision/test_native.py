@@ -120,14 +120,15 @@ def test_a_sweep_misses_nothing_that_a_hundred_steps_of_fcl_find(scenes, name, b
     assert_nothing_missed(scenes[name], body, count, turning)
 
 
+@pytest.mark.parametrize("count", [400, pytest.param(4000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("body", BODIES)
 @pytest.mark.parametrize("name", SCENES)
-def test_no_straight_sweep_differs_from_the_readable_twin(scenes, name, body):
+def test_no_straight_sweep_differs_from_the_readable_twin(scenes, name, body, count):
     occupancy = scenes[name]
-    start, end = moves_in(occupancy, 1000, turning=False, seed=3)
+    start, end = moves_in(occupancy, count, turning=False, seed=3)
     native, twin = NativeChecker(occupancy, body), TorchChecker(occupancy, body)
     found = verify_sweeps(native, twin, start, end)
-    assert 100 < found.hits < 950
+    assert 0.1 * count < found.hits < 0.95 * count
     assert not found.beyond(1e-6), str(found)
     same = torch.ones(len(start), dtype=torch.bool)
     same[[one.row for one in found.disagreements]] = False

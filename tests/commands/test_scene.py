@@ -8,6 +8,7 @@ import torch
 from PIL import Image
 
 from splatrl.building import build_world
+from splatrl.capture import suggestions
 from splatrl.collision.point_clouds import write_points
 from splatrl.commands import scene
 from splatrl.commands.scene import main
@@ -41,12 +42,14 @@ def splat(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leaves the pictures out, which take most of the time, where a test looks at none; they show what is read."""
+    """Leaves the pictures out, which take most of the time, where a test looks at none; they show what is read. Goals
+    are looked for in a few places."""
 
     def draw_scene(*arguments: object) -> list[Path]:
         Path(str(arguments[4])).mkdir(parents=True, exist_ok=True)  # as the true one does
         return []
 
+    monkeypatch.setattr(suggestions, "MOST", 8)
     monkeypatch.setattr(scene, "draw_scene", draw_scene)
     for name in ("draw_goals", "draw_terrain"):
         monkeypatch.setattr(scene, name, lambda *_: None)

@@ -51,16 +51,16 @@ class EmulatedKernels:
 
     def __init__(self, source: str | Path, defines: Mapping[str, int]) -> None:
         path = Path(source) if Path(source).suffix else NATIVE / "cuda" / f"{source}.cu"
-        self._library = ctypes.CDLL(str(_library(path, tuple(sorted(defines.items())))))
-        self._library.launch.argtypes = [
-            ctypes.c_char_p,
-            ctypes.c_uint,
-            ctypes.c_uint,
-            ctypes.c_void_p,
-            ctypes.c_uint64,
-        ]
+        self._source, self._defines = path, tuple(sorted(defines.items()))
         self.seed = 0
         self.counts = "COUNT_PASSES" in defines
+
+    @functools.cached_property
+    def _library(self) -> ctypes.CDLL:
+        """The compiled source, made when it is used first: renderers also load kernels that they may never launch."""
+        library = ctypes.CDLL(str(_library(self._source, self._defines)))
+        library.launch.argtypes = [ctypes.c_char_p, ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p, ctypes.c_uint64]
+        return library
 
     def passes(self) -> dict[str, tuple[int, int]]:
         """How often warps came by each ``Pass`` (passes.h) since this was last asked, and how many lanes in all."""

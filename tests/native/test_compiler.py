@@ -1,5 +1,3 @@
-import hashlib
-import pickle
 import re
 import sys
 from pathlib import Path
@@ -10,9 +8,9 @@ from splatrl.bodies import Box, Capsule, Sphere
 from splatrl.capture.fit_cuda import kernel_defines as fit_defines
 from splatrl.collision.cuda import kernel_defines as collision_defines
 from splatrl.native.cuda import compiler
-from splatrl.native.cuda.compiler import FOLDERS, compiled, translated
+from splatrl.native.cuda.compiler import FOLDERS, compiled
 from splatrl.renderers.cuda import kernel_defines
-from tests.builds import built
+from tests.native.kept import kept
 
 SOURCES: dict[str, list[dict[str, int]]] = {
     "collide": [collision_defines(body) for body in (Box((0.4, 0.4, 0.1)), Sphere(0.1), Capsule(0.1, 0.2))],
@@ -29,10 +27,11 @@ ARCHITECTURES = ("sm_80", "sm_90", "sm_120")
 COMPILED = [
     (name, defines, arch)
     for name, many in SOURCES.items()
-    for arch in ARCHITECTURES
-    for defines in (many if arch == "sm_90" or name == "fit" else many[:1])
+    for i in range(max(len(many), len(ARCHITECTURES)))
+    for arch in (ARCHITECTURES if name == "fit" else [ARCHITECTURES[(i + 1) % len(ARCHITECTURES)]])
+    for defines in [many[i % len(many)]]
 ]
-"""All of them for one architecture, and each source for the others; the fit's are looked at for all."""
+"""Each source for every architecture, and with all its macros for one of them; the fit's are looked at for all."""
 
 pytest.importorskip("cuda.core", reason="needs the extra cuda")
 
@@ -53,14 +52,6 @@ def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (folder / "factor.h").write_text("#define FACTOR 2.0f\n")
     monkeypatch.setattr(compiler, "FOLDERS", (folder,))
     return folder
-
-
-def kept(source: str, arch: str, defines: dict[str, int]) -> tuple[bytes, str]:
-    """The result of ``translated``, from an earlier run if neither sources nor compiler have changed since."""
-    recipe = f"{compiler._digest(source, arch, defines)} {Path(compiler.__file__).read_text()}"
-    name = f"{source}-{arch}-{hashlib.sha256(recipe.encode()).hexdigest()[:24]}.pickle"
-    path = built(name, lambda made: made.write_bytes(pickle.dumps(translated(source, arch, defines))))
-    return pickle.loads(path.read_bytes())
 
 
 def test_every_kernel_is_listed_here() -> None:

@@ -130,7 +130,7 @@ def test_a_renderer_is_loaded_and_launched_as_the_driver_asks(driver: list[Prete
 
 
 def test_any_thread_may_load_and_launch(driver: list[PretendedDriver]) -> None:
-    scene, cameras = random_gaussians(3, 30, 1), random_cameras(4, 2, 20, 30)
+    scene, cameras = random_gaussians(3, 30), random_cameras(4, 2, 20, 30)
     with ThreadPoolExecutor(1) as first, ThreadPoolExecutor(1) as second:
         renderer = first.submit(CudaRenderer, scene, device="cpu").result()
         pixels = second.submit(renderer.pixels, cameras).result()  # asks how many blocks are resident, and launches

@@ -103,7 +103,7 @@ def test_a_renderer_launches_in_turns(monkeypatch: pytest.MonkeyPatch) -> None:
         return loaded
 
     monkeypatch.setattr(renderers, "Turns", Watched)
-    CudaRenderer(random_gaussians(3, 30, 1), load=load).pixels(random_cameras(4, 2, 20, 30))
+    CudaRenderer(random_gaussians(3, 30), load=load).pixels(random_cameras(4, 2, 20, 30))
     assert said == ["turn", "draw_pixels", "over"]
 
 

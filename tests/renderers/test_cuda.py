@@ -52,7 +52,7 @@ def assert_like_native(renderer: CudaRenderer, native: NativeRenderer, cameras: 
     assert torch.equal(pixels, (255 * image.rgb + 0.5).floor().to(torch.uint8))
 
 
-@pytest.mark.parametrize(("antialiased", "degree"), [(True, 0), (False, 1), (False, 2), (True, 3)])
+@pytest.mark.parametrize(("antialiased", "degree"), [(True, 0), (False, 1), (True, 2), (False, 3)])
 def test_any_scene_and_camera_look_as_on_the_cpu(make: Make, antialiased: bool, degree: int) -> None:
     for seed, size in ((degree, (37, 22)), (10 + degree, (31, 65)), (20 + degree, (1, 3))):
         scene, cameras = random_gaussians(seed, 700, degree), random_cameras(seed + 1, 2, *size)
@@ -62,9 +62,8 @@ def test_any_scene_and_camera_look_as_on_the_cpu(make: Make, antialiased: bool, 
         )
 
 
-@pytest.mark.parametrize("antialiased", [True, False])
-@pytest.mark.parametrize("tolerance", [0.0, 0.5, 2.0])
-def test_a_yard_looks_as_on_the_cpu_at_every_level_of_detail(make: Make, antialiased: bool, tolerance: float) -> None:
+@pytest.mark.parametrize(("tolerance", "antialiased"), [(0.0, True), (0.5, True), (0.5, False), (2.0, False)])
+def test_a_yard_looks_as_on_the_cpu_at_every_level_of_detail(make: Make, tolerance: float, antialiased: bool) -> None:
     scene = backyard()
     cameras = Cameras(
         look_at([[0.3, -1.0, 0.5], [-1.8, 1.2, 0.6]], [[1.0, 0.4, 0.3], [2.0, -2.0, 0.4]]),
@@ -99,7 +98,7 @@ def test_a_captured_room_looks_as_on_the_cpu(make: Make, kitchen: Gaussians) -> 
 
 
 def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order(make: Make) -> None:
-    scene = random_gaussians(3, 1500, 1)
+    scene = random_gaussians(3, 1500, 2)
     renderer = make(scene, memory=1)  # one block draws all
     cameras = on(renderer, random_cameras(4, 5, 50, 33))
     together, views = renderer.pixels(cameras), renderer.render(cameras)
@@ -152,7 +151,7 @@ def test_depths_far_apart_and_close_together_are_in_order(make: Make) -> None:
 
 
 def test_large_images_are_drawn_by_tiles(make: Make) -> None:
-    scene, cameras = random_gaussians(3, 300, 1), random_cameras(8, 1, 150, 101)
+    scene, cameras = random_gaussians(3, 300, 2), random_cameras(8, 1, 150, 101)
     assert_like_native(make(scene), NativeRenderer(scene), cameras)
 
 

@@ -35,7 +35,8 @@ from tests.renderers.parts_cases import (
 
 Make = Callable[..., CudaRenderer]
 MODES = [((0, 0, 0), True), ((1, 1, 1), False), ((2, 2, 2), True), ((3, 0, 1), False)]
-"""Degrees of models and whether images are antialiased: test_cuda.py draws each degree both ways."""
+"""Degrees of models and whether images are antialiased. Each degree is drawn both ways, with parts and without, in
+detail and with less of it, in all tests together, but not in each: every combination would be compiled for seconds."""
 
 
 @pytest.fixture(params=["emulated", pytest.param("gpu", marks=pytest.mark.gpu)])
@@ -71,10 +72,13 @@ def test_parts_look_like_their_gaussians_moved_to_the_world(
     renderer.raise_faults()
 
 
-@pytest.mark.parametrize("antialiased", [True, False])
-@pytest.mark.parametrize("tolerance", [0.0, 1.0])
-def test_one_part_at_home_is_the_scene_where_it_stands(make: Make, tolerance: float, antialiased: bool) -> None:
-    models, cameras = random_models([2, 2, 2], (900, 700, 40)), random_cameras(31, 3, 40, 35)
+@pytest.mark.parametrize(
+    ("degree", "tolerance", "antialiased"), [(2, 0.0, True), (3, 0.0, False), (1, 1.0, True), (2, 1.0, False)]
+)
+def test_one_part_at_home_is_the_scene_where_it_stands(
+    make: Make, degree: int, tolerance: float, antialiased: bool
+) -> None:
+    models, cameras = random_models([degree] * 3, (900, 700, 40)), random_cameras(31, 3, 40, 35)
     settings = {"antialiased": antialiased, "tolerance": tolerance}
     renderer = make(models, **settings)
     assert_equal(images(renderer, cameras, placed(3, (0, IDENTITY))), images(renderer, cameras))
@@ -83,24 +87,24 @@ def test_one_part_at_home_is_the_scene_where_it_stands(make: Make, tolerance: fl
     assert_equal(second, images(make(models[1:], **settings), cameras))
 
 
-@pytest.mark.parametrize(("degrees", "antialiased"), [((1, 1, 1), True), ((1, 3, 0), False)])
+@pytest.mark.parametrize(("degrees", "antialiased"), [((1, 1, 1), True), ((0, 2, 0), False)])
 def test_a_part_is_drawn_at_the_level_of_detail_of_its_own_model(
     make: Make, degrees: tuple[int, ...], antialiased: bool
 ) -> None:
-    models, settings = random_models(degrees, (3000, 2000, 600)), {"antialiased": antialiased, "tolerance": 2.0}
+    models, settings = random_models(degrees, (3000, 2000, 600)), {"antialiased": antialiased, "tolerance": 3.0}
     cameras, parts = random_cameras(37, 4, 33, 22), random_parts(38, 4, most=1)
     renderer, poses = make(models, **settings), camera_to_models(cameras, parts)[:, 0]
     for row, model in enumerate(parts.model[:, 0].tolist()):
         one = slice(row, row + 1)
         alone = make([models[model]], **settings).render(Cameras(poses[one], cameras.K[one], 33, 22))
         assert_like(renderer.render(cameras[one], parts.rows(one)), alone, 1e-3)
-    exact = make(models, antialiased).efforts(cameras, parts)[:, 0]
-    assert (renderer.efforts(cameras, parts)[:, 0] < 0.8 * exact).any()
+    finer = make(models, antialiased, tolerance=0.01).efforts(cameras, parts)[:, 0]
+    assert (renderer.efforts(cameras, parts)[:, 0] < 0.8 * finer).any()
 
 
-@pytest.mark.parametrize("antialiased", [True, False])
-def test_parts_with_level_of_detail_look_as_on_the_cpu(make: Make, antialiased: bool) -> None:
-    models, cameras, parts = random_models((1, 3, 0), (3000, 2000, 600)), random_cameras(33, 4), random_parts(34, 4)
+@pytest.mark.parametrize(("degrees", "antialiased"), [((1, 3, 0), True), ((2, 0, 1), False)])
+def test_parts_with_level_of_detail_look_as_on_the_cpu(make: Make, degrees: tuple[int, ...], antialiased: bool) -> None:
+    models, cameras, parts = random_models(degrees, (3000, 2000, 600)), random_cameras(33, 4), random_parts(34, 4)
     image = make(models, antialiased, tolerance=2.0).render(cameras, parts)
     expected = NativeRenderer(models, antialiased, BACKGROUND, tolerance=2.0).render(cameras, parts)
     assert psnr(image.rgb, expected.rgb) >= LIKENESS and psnr(image.alpha, expected.alpha) >= LIKENESS
@@ -116,9 +120,11 @@ def test_a_part_before_another_is_laid_over_it(make: Make) -> None:
     assert (both.alpha - near.alpha - (1 - near.alpha) * far.alpha).abs().max() < 2e-3
 
 
-@pytest.mark.parametrize("tolerance", [0.0, 1.0])
-def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order(make: Make, tolerance: float) -> None:
-    models, cameras = random_models([2, 0, 1], (900, 700, 300)), random_cameras(35, 5, 50, 33)
+@pytest.mark.parametrize(("degrees", "tolerance"), [((2, 0, 1), 0.0), ((1, 0, 1), 1.0)])
+def test_a_frame_has_the_same_bytes_alone_in_any_batch_and_order(
+    make: Make, degrees: tuple[int, ...], tolerance: float
+) -> None:
+    models, cameras = random_models(degrees, (900, 700, 300)), random_cameras(35, 5, 50, 33)
     parts, order = random_parts(36, 5), torch.tensor([3, 0, 4, 2, 1])
     renderer, others = make(models, tolerance=tolerance, memory=1), make(models, tolerance=tolerance)  # one block
     together = images(renderer, cameras, parts)
@@ -190,7 +196,7 @@ def test_a_row_without_parts_shows_the_background(make: Make) -> None:
 
 
 def test_only_some_rows_are_drawn_with_their_own_parts_and_the_others_are_not_looked_at(make: Make) -> None:
-    models, cameras, parts = random_models([1, 1, 1]), random_cameras(31, 4, 19, 13), random_parts(32, 4)
+    models, cameras, parts = random_models([2, 1, 1]), random_cameras(31, 4, 19, 13), random_parts(32, 4)
     renderer, only = make(models), torch.tensor([False, True, True, False])
     whole = images(renderer, cameras, parts)
     parts.model[0] = 99

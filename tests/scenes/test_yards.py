@@ -1,6 +1,8 @@
 """Generated yards: as hard as the backyard, solvable by the checker that moves robots, and each another place."""
 
 import math
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,8 +22,9 @@ from splatrl.motions import LatticeMotion
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes.yard import backyard_obstacles
 from splatrl.scenes.yard.layout import Solid
-from splatrl.scenes.yards import Yard, yard, yards
+from splatrl.scenes.yards import Yard, source, yard, yards
 from splatrl.scenes.yards.solvable import BLOCKED, LONGEST, Cells, difficulty, footprints, solvable
+from tests.preloaded import Process, start
 
 SEEDS = (0, 3, 10)
 ROUND = ("shrub", "egg", "egg stone", "shrub pot", "rain barrel", "trunk")
@@ -133,7 +136,16 @@ def test_processes_make_the_same_yards_in_the_order_of_their_seeds(
 ) -> None:
     alone = yards([10, 3])
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
+    begun: list[str] = []
+
+    def started(command: list[str], stdout: int) -> Process:
+        assert command[0] == sys.executable and stdout == subprocess.DEVNULL
+        begun.append(command[-1])
+        return start(*command[1:])
+
+    monkeypatch.setattr(source, "Popen", started)
     together = yards([10, 3], workers=2)
+    assert begun == ["10", "3"]
     assert [one.seed for one in together] == [10, 3]
     for one, same in zip(alone, together, strict=True):
         assert all_bytes(one.scene) == all_bytes(same.scene) and one.goal == same.goal and one.walk == same.walk
