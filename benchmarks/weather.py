@@ -1,9 +1,9 @@
-"""Measures what weather costs a frame of the env, beside what drawing it costs.
+"""Measures what weather, and another camera and light, cost a frame of the env, beside what drawing it costs.
 
     python benchmarks/weather.py            # half a minute
     python benchmarks/weather.py --batch 16 --size 128
 
-Views in the backyard are drawn, drawn with their depth, and put into weather; all take turns.
+Views in the backyard are drawn, drawn with their depth, put into weather and varied; all take turns.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from timing import take_turns
 
 from splatrl import backyard
 from splatrl.envs.drawing import DepthDrawing, SceneDrawing, View
-from splatrl.envs.transforms import Weather
+from splatrl.envs.transforms import Appearance, Weather
 from splatrl.renderers import NativeRenderer
 
 NAMES = ("fog", "dusk", "sun", "rain", "snow", "wet")
@@ -27,6 +27,11 @@ NAMES = ("fog", "dusk", "sun", "rain", "snow", "wet")
 def put(weather: Weather, shown: View, count: int) -> object:
     """Images in weather."""
     return weather(TensorDict({"pixels": shown.pixels, **shown.shown}, [count]))
+
+
+def vary(appearance: Appearance, shown: View, count: int) -> object:
+    """Images of other cameras."""
+    return appearance(TensorDict({"pixels": shown.pixels}, [count]))
 
 
 def main() -> None:
@@ -48,6 +53,7 @@ def main() -> None:
     for name in (*NAMES, "all weather"):
         off = {other: 0.0 for other in NAMES if name in NAMES and other != name}
         calls[f"put into {name}"] = partial(put, Weather(**off), shown, options.batch)
+    calls["varied (appearance=varied)"] = partial(vary, Appearance(), shown, options.batch)
     seconds = take_turns(calls, options.rounds)
     print(f"| {options.size} × {options.size}, {options.batch} views, one core | ms a frame |")
     print("|---|---|")

@@ -346,6 +346,22 @@ def pool_images(
         ValueError: for a side that is not from 1 to 4096.
     """
 
+def change_appearance(
+    pixels: Tensor,  # [B, H, W, 3] uint8
+    weights: Tensor,  # [B, K] float32, of a blur: of a pixel itself, and of those 1, 2, ... to both sides
+    gain: Tensor,  # [B, 3] float32, of each colour
+    offset: Tensor,  # [B, 3] float32, added to it, of 255
+    grain: Tensor,  # [B] float32, standard deviation of the noise, of 255
+    noise: Tensor | None,  # [B, H, 3 W] float32, of standard deviation 1
+    out: Tensor,  # [B, H, W, 3] uint8, written
+    threads: int,
+) -> None:
+    """Blur images, change their colours and add noise.
+
+    Raises:
+        ValueError: for tensors whose sizes do not belong together.
+    """
+
 def put_into_weather(
     pixels: Tensor,  # [B, H, W, 3] uint8
     tint: Tensor,  # [B, 3] float32, gains of the light

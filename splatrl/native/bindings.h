@@ -23,6 +23,7 @@ void bind_row_index(nanobind::module_& m);
 void bind_rows(nanobind::module_& m);
 void bind_stereo(nanobind::module_& m);
 void bind_trunk(nanobind::module_& m);
+void bind_appearance(nanobind::module_& m);
 void bind_weather(nanobind::module_& m);
 
 }  // namespace splatrl

@@ -38,5 +38,6 @@ NB_MODULE(_core, m) {
     splatrl::bind_rows(m);
     splatrl::bind_stereo(m);
     splatrl::bind_trunk(m);
+    splatrl::bind_appearance(m);
     splatrl::bind_weather(m);
 }

@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 
 from splatrl.envs.transforms.episode_look import EpisodeLook
+from splatrl.envs.transforms.native_images import cores_for, in_core
+from splatrl.native import _core
 
 NEUTRAL = (0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
 """The appearance that changes nothing."""
@@ -72,37 +74,49 @@ class Appearance(EpisodeLook):
 
     def _changed(self, images: Tensor, look: Tensor, depth: Tensor | None) -> Tensor:
         count, height, width, _ = images.shape
-        colors, own = images.reshape(count, height, width * 3).float(), look.reshape(count, 7, 1, 1)
-        if self.reach:
-            colors = _blurred(_blurred(colors, own[:, 5], self.reach, 1, 1), own[:, 5], self.reach, 2, 3)
-        gain = own[:, 2:5, 0, 0].repeat(1, width).unsqueeze(1)  # [B, 1, 3 W]
-        contrast, brightness = own[:, 1], own[:, 0]
-        colors = colors * (gain * contrast) + 255 * (gain * 0.5 * (1 - contrast) + brightness)
+        brightness, contrast, grain = look[:, :1], look[:, 1:2], 255 * look[:, 6]
+        weights = _weights(look[:, 5], self.reach)
+        gain, offset = look[:, 2:5] * contrast, 255 * (look[:, 2:5] * 0.5 * (1 - contrast) + brightness)
+        noise = None
         if self.noisy:
-            noise = torch.randn(colors.shape, generator=self.generator, device=colors.device)
-            colors = colors + noise * (255 * own[:, 6])
+            noise = torch.randn(count, height, width * 3, generator=self.generator, device=images.device)
+        if in_core(images):
+            out, cores = torch.empty_like(images).contiguous(), cores_for(images)
+            _core.change_appearance(images.contiguous(), weights, gain, offset, grain, noise, out, cores)
+            return out
+        colors = images.reshape(count, height, width * 3).float()
+        if self.reach:
+            colors = _blurred(_blurred(colors, weights, 1, 1), weights, 2, 3)
+        colors = colors * gain.repeat(1, width)[:, None] + offset.repeat(1, width)[:, None]
+        if noise is not None:
+            colors = colors + noise * grain[:, None, None]
         return (colors + 0.5).floor().clamp(0, 255).to(torch.uint8).view(images.shape)
 
 
-def _blurred(colors: Tensor, sigma: Tensor, reach: int, dim: int, stride: int) -> Tensor:
+def _weights(sigma: Tensor, reach: int) -> Tensor:
+    """Weights of a blur: [B] standard deviations, pixels, of which 0 changes nothing -> [B, reach + 1]."""
+    steps = torch.arange(reach + 1, device=sigma.device)
+    weights = torch.exp(-0.5 * (steps / sigma[:, None].clamp_min(1e-3)) ** 2)
+    return weights / (weights[:, :1] + 2 * weights[:, 1:].sum(1, keepdim=True))
+
+
+def _blurred(colors: Tensor, weights: Tensor, dim: int, stride: int) -> Tensor:
     """Blur along one axis, with the border repeated.
 
     Args:
         colors: [B, H, 3 W] float32.
-        sigma: [B, 1, 1] standard deviation, pixels; 0 changes nothing.
-        reach: radius of the kernel, pixels.
+        weights: [B, reach + 1] of a pixel itself, and of those to both sides.
         dim: 1 for rows, 2 for columns.
         stride: number of entries from one pixel to the next along ``dim``.
     """
-    steps = torch.arange(reach + 1, device=colors.device).view(-1, 1, 1, 1)
-    weights = torch.exp(-0.5 * (steps / sigma.clamp_min(1e-3)) ** 2)  # [reach + 1, B, 1, 1]
-    weights = weights / (weights[0] + 2 * weights[1:].sum(0))
-    size, margin = colors.shape[dim], reach * stride
+    own = weights[:, :, None, None].unbind(1)
+    reach, size = len(own) - 1, colors.shape[dim]
+    margin = reach * stride
     first, last = colors.narrow(dim, 0, stride), colors.narrow(dim, size - stride, stride)
     padded = torch.cat([first] * reach + [colors] + [last] * reach, dim)
-    blurred = colors * weights[0]
+    blurred = colors * own[0]
     for step in range(1, reach + 1):
         before = padded.narrow(dim, margin - step * stride, size)
         after = padded.narrow(dim, margin + step * stride, size)
-        blurred = blurred + (before + after) * weights[step]
+        blurred = blurred + (before + after) * own[step]
     return blurred

@@ -5,11 +5,10 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch._C._functorch import is_functorch_wrapped_tensor
 
+from splatrl.envs.transforms.native_images import cores_for, in_core
 from splatrl.envs.transforms.weather_patterns import RAIN, SNOW, lens, pattern
 from splatrl.native import _core
-from splatrl.native.threads import usable_cores
 
 SKY = (0.80, 0.83, 0.86)
 """Colour of fog by day, sRGB."""
@@ -24,8 +23,6 @@ GLOOM = 0.22
 GAMMA = 2.2
 LAYERS = len(RAIN)
 """In which rain and snow fall, one behind the other."""
-LARGE = 16
-"""From so many images on, starting threads costs less than they save."""
 
 
 @cache
@@ -119,7 +116,7 @@ def put_into(
         things: rain and snow.
         drops: on the lens.
     """
-    if _in_core(pixels):
+    if in_core(pixels):
         return _by_core(pixels, seen, far, things, drops)
     colors = pixels.float() / 255 * seen.tint[:, None, None]
     if seen.left is not None:
@@ -131,11 +128,6 @@ def put_into(
     if drops is not None:
         colors = _through_drops(colors, drops)
     return (255 * colors + 0.5).floor().clamp(0, 255).to(torch.uint8)
-
-
-def _in_core(images: Tensor) -> bool:
-    """Whether the core can read images: it needs numbers in main memory, which tracers do not have."""
-    return images.device.type == "cpu" and not torch.compiler.is_compiling() and not is_functorch_wrapped_tensor(images)
 
 
 def _by_core(pixels: Tensor, seen: Light, far: Tensor | None, things: Falling | None, drops: Wet | None) -> Tensor:
@@ -157,7 +149,7 @@ def _by_core(pixels: Tensor, seen: Light, far: Tensor | None, things: Falling | 
         over,
         on,
         out,
-        usable_cores() if len(pixels) >= LARGE else 1,
+        cores_for(pixels),
     )
     return out
 

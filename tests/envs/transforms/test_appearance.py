@@ -8,8 +8,9 @@ from torch import Tensor
 from torchrl.envs import TransformedEnv
 
 from splatrl.configuration import load_config
-from splatrl.envs.transforms import Appearance
+from splatrl.envs.transforms import Appearance, appearance
 from splatrl.envs.transforms.appearance import NEUTRAL
+from splatrl.native import _core
 from tests.envs.contract import seeded_rollout
 from tests.envs.transforms.views import seeing_env
 
@@ -19,8 +20,8 @@ NAMES = ("brightness", "contrast", "red", "green", "blue", "blur", "noise")
 
 def seen(images: Tensor, **look: float) -> Tensor:
     """Images under a given appearance."""
-    appearance = torch.tensor([look.get(name, neutral) for name, neutral in zip(NAMES, NEUTRAL, strict=True)])
-    td = TensorDict({"pixels": images, "appearance": appearance.expand(*images.shape[:-3], 7)}, images.shape[:-3])
+    row = torch.tensor([look.get(name, neutral) for name, neutral in zip(NAMES, NEUTRAL, strict=True)])
+    td = TensorDict({"pixels": images, "appearance": row.expand(*images.shape[:-3], 7)}, images.shape[:-3])
     return Appearance(blur=2.0)(td)["pixels"]
 
 
@@ -93,6 +94,36 @@ def test_each_image_has_its_own_appearance() -> None:
     for row in range(2):
         alone = Appearance()(TensorDict({"pixels": images[row], "appearance": looks[row]}, []))["pixels"]
         assert torch.equal(both[row], alone)
+
+
+@pytest.mark.parametrize(("height", "width"), [(10, 14), (1, 1), (3, 40)])
+@pytest.mark.parametrize("ranges", [{"blur": 3.0}, {"blur": 0.0}, {"noise": 0.0, "contrast": 1.0}, {"blur": 0.3}])
+def test_the_core_changes_images_as_pytorch_does(
+    ranges: dict[str, float], height: int, width: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    images, made = pictures(20, height, width), Appearance(**ranges)
+    looks = made._draw(torch.Size([20]))
+    looks[0], looks[1, 5] = torch.tensor(NEUTRAL), 0.0
+
+    def change() -> Tensor:
+        torch.manual_seed(0)
+        return Appearance(**ranges)._changed(images, looks, None)
+
+    by_core = change()
+    monkeypatch.setattr(appearance, "in_core", lambda images: False)
+    apart = (by_core.int() - change().int()).abs()
+    assert apart.max() <= 1 and (apart > 0).double().mean() < 1e-3
+    assert torch.equal(by_core[0], images[0]) and (by_core != images).any()
+
+
+def test_the_core_refuses_sizes_that_do_not_belong_together() -> None:
+    images, weights, color, grain = pictures(), torch.ones(2, 1), torch.ones(2, 3), torch.zeros(2)
+    for sizes in ((weights[:1], color, grain), (weights, torch.ones(2, 4), grain), (weights, color, torch.zeros(3))):
+        with pytest.raises(ValueError, match="as many of each"):
+            _core.change_appearance(images, sizes[0], sizes[1], color, sizes[2], None, images.clone(), 1)
+    with pytest.raises(ValueError, match="as many of each"):
+        noise = torch.zeros(2, 10, 14)
+        _core.change_appearance(images, weights, color, color, grain, noise, images.clone(), 1)
 
 
 def test_what_is_drawn_fills_its_ranges() -> None:

@@ -271,7 +271,7 @@ def test_the_core_puts_images_into_the_weather_that_pytorch_does(monkeypatch: py
     for far in (depth, None):
         by_core = put(far)
         with monkeypatch.context() as patched:
-            patched.setattr(weather_images, "_in_core", lambda images: False)
+            patched.setattr(weather_images, "in_core", lambda images: False)
             by_torch = put(far)
         apart = (by_core.int() - by_torch.int()).abs()
         assert apart.max() <= 1 and (apart > 0).float().mean() < 1e-3
