@@ -1,11 +1,12 @@
 import os
+import time
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from splatrl.scenes.cache import _warn_unwritable, cache_dir, cached_arrays
+from splatrl.scenes.cache import DAY, _warn_unwritable, cache_dir, cached_arrays
 
 ARRAYS = {"a": np.arange(6).reshape(2, 3), "b": np.array(0.5)}
 
@@ -110,6 +111,46 @@ def test_a_write_that_fails_leaves_no_half_file(folder: Path, monkeypatch: pytes
     with pytest.warns(UserWarning, match="No space left on device"):
         assert_arrays(cached_arrays("x-1", Build()))
     assert list(folder.iterdir()) == []
+
+
+def kept(folder: Path, name: str, days: float, size: int = 1000) -> Path:
+    """A file that was used so many days ago."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path, then = folder / name, time.time() - days * DAY
+    path.write_bytes(b"x" * size)
+    os.utime(path, (then, then))
+    return path
+
+
+def test_beyond_its_limit_the_cache_loses_what_was_used_longest_ago(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPLATRL_CACHE_GB", "4e-6")  # 4,000 bytes
+    digests = [f"{number:032x}" for number in range(6)]
+    days = [3.0, 9.0, 0.5, 5.0]
+    files = [kept(folder, f"levels-{digest}.npz", ago) for digest, ago in zip(digests, days, strict=False)]
+    others = kept(folder, "mine.npz", 400.0), kept(folder, f"render-{digests[0]}.cubin", 400.0)
+    cached_arrays(f"levels-{digests[4]}", lambda: {"a": np.zeros(150)})  # 1.5 kB: 5.5 kB are held
+    assert [path.exists() for path in (*files, *others)] == [True, False, True, False, True, True]
+    monkeypatch.setenv("SPLATRL_CACHE_GB", "0")
+    cached_arrays(f"levels-{digests[5]}", lambda: {"a": np.zeros(150)})
+    left = {path.name for path in folder.glob("levels-*")}
+    assert left == {f"levels-{digests[number]}.npz" for number in (2, 4, 5)}  # used today
+
+
+def test_what_is_read_is_marked_as_used(folder: Path) -> None:
+    cached_arrays("x-1", Build())
+    then = time.time() - 3 * DAY
+    os.utime(folder / "x-1.npz", (then, then))
+    cached_arrays("x-1", Build())
+    assert (folder / "x-1.npz").stat().st_mtime > then + 2 * DAY
+
+
+@pytest.mark.parametrize("limit", ["many", "-1", "nan"])
+def test_a_limit_that_is_no_size_is_refused(folder: Path, limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPLATRL_CACHE_GB", limit)
+    with pytest.raises(ValueError, match=f"SPLATRL_CACHE_GB: expected a number of gigabytes from 0 on, got '{limit}'"):
+        cached_arrays("x-1", Build())
 
 
 def test_an_error_of_the_builder_is_not_hidden(folder: Path) -> None:
