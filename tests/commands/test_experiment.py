@@ -1,5 +1,6 @@
 """``splatrl-experiment`` from the outside."""
 
+import functools
 import json
 import shlex
 import signal
@@ -15,11 +16,11 @@ from splatrl.building import build_world
 from splatrl.capture.folder import write_scene
 from splatrl.commands.experiment import TRAIN, experiment, main
 from splatrl.configuration import load_config
-from splatrl.experiments import Run, conduct, recapture
+from splatrl.experiments import Run, conduct, recapture, running
 from splatrl.training import load_checkpoint
 from tests.capture.rooms import ABOVE, tiny_capture
 from tests.commands.test_train import SETTINGS
-from tests.preloaded import start
+from tests.preloaded import Process, start
 from tests.tiny import tiny_gaussians, tiny_overrides
 
 Command = Callable[..., None]
@@ -79,8 +80,12 @@ def test_ctrl_c_keeps_what_was_trained_and_says_how_to_go_on(tmp_path: Path) -> 
 
 
 def test_a_training_is_run_reported_and_not_run_again(
-    tmp_path: Path, command: Command, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    def begin(run: Run, cores: int, program: Sequence[str]) -> Process:
+        return start(*running.command(run, program)[1:])
+
+    monkeypatch.setattr(conduct, "train", functools.partial(running.train, begin=begin))
     settings = [setting for setting in SETTINGS if not setting.startswith("collector.total_frames")]
     quoted = ",".join(f"'{override}'" for override in [*tiny_overrides(tmp_path), *settings, "logger.video=false"])
     folder = tmp_path / "experiments"
