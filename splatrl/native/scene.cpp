@@ -198,7 +198,8 @@ Scene::Scene(const GaussianArrays& gaussians, const Levels& levels, std::array<f
     enclose_means();
 }
 
-// The nodes of merged Gaussians. Bounds are those of the numbers that are kept.
+// The nodes of merged Gaussians. Bounds are those of the numbers that are kept, and so far as rounding moves a mean, the
+// node is displaced more.
 void Scene::add_merged(const Levels& levels, const GaussianArrays& gaussians, bool antialiased) {
     const size_t count = levels.opacities.size();
     std::vector<float> means(3 * count), axes(9 * count), most(count);
@@ -208,17 +209,23 @@ void Scene::add_merged(const Levels& levels, const GaussianArrays& gaussians, bo
     for (size_t i = 0; i < levels.nodes.size(); ++i) {
         const Node& node = levels.nodes[i];
         if (node.leaf) continue;
+        float moved = 0.0f;
         for (size_t k = 0; k < node.count; ++k) {
             const size_t source = node.first + k;
             MergedGroup& group = merged_[groups_ - first_merged_ + k / GROUP];
             if (k % GROUP == 0) group = in_halves(levels, source, std::min(node.count - k, size_t(GROUP)));
             const Stored item = merged_at(group, k % GROUP);
             std::copy_n(item.mean, 3, &means[3 * source]);
+            float apart = 0.0f;
+            for (int axis = 0; axis < 3; ++axis)
+                apart = std::hypot(apart, item.mean[axis] - levels.means[3 * source + axis]);
+            moved = std::max(moved, apart);
             for (int row = 0; row < 3; ++row)
                 std::copy_n(item.factor + row * (row + 1) / 2, row + 1, &axes[9 * source + 3 * row]);
             most[source] = most_opacity(std::exp2(item.log2_opacity), item.sum, antialiased);
         }
         add(kept, most.data(), in_order.data(), uint32_t(gaussians.count), node, i);
+        clusters_[i].error = std::hypot(node.error, moved);
     }
 }
 

@@ -16,7 +16,7 @@ from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs.drawing import billboard
 from splatrl.envs.restart import restart
-from splatrl.envs.transforms import episode_look, weather_images
+from splatrl.envs.transforms import appearance, episode_look, weather_images
 from splatrl.envs.world import World
 from splatrl.faults import FaultFlag
 from splatrl.training import trunk
@@ -73,7 +73,8 @@ def whole_overlay(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make what works otherwise on a CPU work as on a GPU: on all pixels and rows, and by PyTorch."""
     monkeypatch.setattr(billboard, "_points", lambda inside: torch.arange(len(inside), device=inside.device))
     monkeypatch.setattr(episode_look, "_wanted", lambda mask: None)
-    monkeypatch.setattr(weather_images, "_in_core", lambda images: False)
+    for module in (appearance, weather_images):
+        monkeypatch.setattr(module, "in_core", lambda images: False)
     monkeypatch.setattr(trunk, "_by_core", lambda images: False)
 
 

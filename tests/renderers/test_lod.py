@@ -12,6 +12,7 @@ from splatrl.native import _core
 from splatrl.renderers import LatticeRenderer, NativeRenderer
 from splatrl.renderers import lod as lod_module
 from splatrl.renderers.lod import build_levels, gaussian_arrays
+from splatrl.renderers.packed import packed_model
 from splatrl.scenes import Gaussians, Scene
 from splatrl.scenes.cache import Arrays
 from tests.renderers.cases import ahead, ball, dust, gaussians, psnr, random_cameras, random_gaussians
@@ -251,6 +252,31 @@ def test_level_of_detail_is_the_same_in_any_unit(unit: float, antialiased: bool)
         cameras = Cameras(poses, intrinsics(1.2, 64, 64), 64, 64)
         pixels.append(NativeRenderer(cloud, antialiased, tolerance=12.0).pixels(cameras))
     assert torch.equal(*pixels) and pixels[0].float().std() > 20
+
+
+def test_by_how_much_rounding_moves_a_mean_a_node_is_displaced_more() -> None:
+    """Half floats are relative to the middle of a group, which is far from most where one of them is far away."""
+    cloud = random_gaussians(5, 300)
+    cloud.means *= 0.02
+    cloud.means[::100] += torch.tensor([40000.0, -30000.0, 500.0])
+    levels = build_levels(arrays_of(cloud), 0)
+    packed = packed_model(cloud, True, (0.0, 0.0, 0.0), True)
+    records = packed["merged"]
+    headers = np.ascontiguousarray(records[:, :16]).view(np.float32)
+    halves = np.ascontiguousarray(records[:, 32:128]).view(np.float16).reshape(-1, 3, 16).astype(np.float64)
+    means = (headers[:, :3, None] + headers[:, 3:, None] * halves).swapaxes(1, 2)  # [M, 16, 3]
+    most = 0.0
+    for node, (first, groups, _), error in zip(
+        levels["nodes"].reshape(-1, 4), packed["nodes"], packed["errors"], strict=True
+    ):
+        if node[3] == 1:
+            continue
+        at = first - len(packed["geometry"])
+        kept = means[at : at + groups].reshape(-1, 3)[: node[1]]
+        moved = np.linalg.norm(kept - levels["means"].reshape(-1, 3)[node[0] : node[0] + node[1]], axis=1).max()
+        assert error >= 0.999 * moved
+        most = max(most, moved)
+    assert most > 0.05
 
 
 def test_classic_images_are_held_to_a_stricter_tolerance(yard: Gaussians) -> None:
