@@ -150,7 +150,8 @@ def main() -> None:
     print(measured_machine())
     renderer = BlockRenderer(scene, tolerance=TOLERANCE, threads=1, budget=4e9)
     sizes = {block.splat: len(block.read()) for block in scene.blocks}
-    print(f"{len(scene.blocks) - 1} blocks, {sum(sizes.values()):,} Gaussians")
+    gaussians, packed = sum(sizes.values()), renderer.bytes_in_all
+    print(f"{len(scene.blocks) - 1} blocks, {gaussians:,} Gaussians, {packed / gaussians:.0f} bytes each")
     around, *blocks = nearest_first(scene)
     first = next(block for block in blocks if block.bounds[0][:2] == (0.0, 0.0))
     block = BlockRenderer(BlockScene("one", [around, first]), tolerance=TOLERANCE, threads=1)

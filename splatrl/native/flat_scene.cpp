@@ -55,8 +55,7 @@ private:
         float *shape = &shapes[index * SHAPE], axes[9] = {};
         std::copy_n(item.mean, 3, shape);
         std::copy_n(item.factor, 6, shape + 4);
-        for (int row = 0; row < 3; ++row)
-            std::copy_n(item.factor + row * (row + 1) / 2, row + 1, axes + 3 * row);
+        copy_factor(item.factor, axes);
         float opacity = std::exp2(item.log2_opacity);
         shape[3] = item.log2_opacity;
         shape[10] = item.members;

@@ -220,8 +220,7 @@ void Scene::add_merged(const Levels& levels, const GaussianArrays& gaussians, bo
             for (int axis = 0; axis < 3; ++axis)
                 apart = std::hypot(apart, item.mean[axis] - levels.means[3 * source + axis]);
             moved = std::max(moved, apart);
-            for (int row = 0; row < 3; ++row)
-                std::copy_n(item.factor + row * (row + 1) / 2, row + 1, &axes[9 * source + 3 * row]);
+            copy_factor(item.factor, &axes[9 * source]);
             most[source] = most_opacity(std::exp2(item.log2_opacity), item.sum, antialiased);
         }
         add(kept, most.data(), in_order.data(), uint32_t(gaussians.count), node, i);

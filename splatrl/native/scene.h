@@ -37,6 +37,12 @@ struct Stored {
 
 Stored stored(const SceneView& scene, size_t group, size_t lane);
 
+// Write a factor, whose upper triangle is left out, as a matrix (row-major 3×3); what is above stays.
+inline void copy_factor(const float (&factor)[6], float* axes) {
+    for (int row = 0, i = 0; row < 3; ++row)
+        for (int column = 0; column <= row; ++column, ++i) axes[3 * row + column] = factor[i];
+}
+
 class Scene {
 public:
     // The colours are kept relative to the background.

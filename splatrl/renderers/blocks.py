@@ -123,6 +123,11 @@ class BlockRenderer(NativeRenderer):
         """Memory that blocks take now, at most the budget."""
         return self._tops + sum(self._held.values())
 
+    @property
+    def bytes_in_all(self) -> int:
+        """Memory that all blocks would take at once."""
+        return self._tops + sum(kept.bytes for kept in self._whole.values())
+
     def _add(self, model: Scene | Gaussians, tolerance: float) -> None:
         if not isinstance(model, BlockScene):
             super()._add(model, tolerance)
