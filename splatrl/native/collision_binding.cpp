@@ -22,7 +22,6 @@ const QueryKernels& query_kernels_of(Isa isa) {
 #ifdef SPLATRL_X86
         case Isa::avx512: return avx512::query_kernels;
         case Isa::avx2: return avx2::query_kernels;
-        case Isa::baseline: return baseline::query_kernels;
 #endif
         default: return portable::query_kernels;
     }

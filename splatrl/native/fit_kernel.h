@@ -106,7 +106,6 @@ struct FitKernels {
 };
 
 namespace portable { extern const FitKernels fit_kernels; }
-namespace baseline { extern const FitKernels fit_kernels; }
 namespace avx2 { extern const FitKernels fit_kernels; }
 namespace avx512 { extern const FitKernels fit_kernels; }
 

@@ -14,7 +14,6 @@ const FitKernels& kernels_of(Isa isa) {
 #ifdef SPLATRL_X86
         case Isa::avx512: return avx512::fit_kernels;
         case Isa::avx2: return avx2::fit_kernels;
-        case Isa::baseline: return baseline::fit_kernels;
 #endif
         default: return portable::fit_kernels;
     }

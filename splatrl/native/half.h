@@ -5,20 +5,22 @@
 #include <cstdint>
 #include <cstring>
 
+#include "inline.h"
+
 namespace splatrl {
 
 constexpr float LARGEST_HALF = 65504.0f;
 constexpr float HALF_BIAS = 5.192296858534828e33f, INVERSE_HALF_BIAS = 1.925929944387236e-34f;  // 2^112, 2^-112
 
 // The nearest half float; larger values become the largest finite one.
-inline uint16_t to_half(float value) {
+SPLAT_INLINE uint16_t to_half(float value) {
     const float scaled = std::fmin(std::fabs(value), LARGEST_HALF) * INVERSE_HALF_BIAS;
     uint32_t bits;
     std::memcpy(&bits, &scaled, sizeof(bits));
     return uint16_t(((bits + 0xfff + ((bits >> 13) & 1)) >> 13) | (std::signbit(value) ? 0x8000 : 0));
 }
 
-inline float from_half(uint16_t half) {
+SPLAT_INLINE float from_half(uint16_t half) {
     const uint32_t bits = uint32_t(half & 0x7fff) << 13;
     float magnitude;
     std::memcpy(&magnitude, &bits, sizeof(magnitude));

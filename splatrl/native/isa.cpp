@@ -9,7 +9,6 @@ const char* isa_name(Isa isa) {
     switch (isa) {
         case Isa::avx512: return "avx512";
         case Isa::avx2: return "avx2";
-        case Isa::baseline: return "baseline";
         case Isa::portable: return "portable";
     }
     throw std::logic_error("isa_name: unknown instruction set");
@@ -18,7 +17,6 @@ const char* isa_name(Isa isa) {
 std::vector<Isa> supported_isas() {
     std::vector<Isa> isas{Isa::portable};
 #ifdef SPLATRL_X86
-    isas.push_back(Isa::baseline);
     __builtin_cpu_init();
     if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) isas.push_back(Isa::avx2);
     if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&

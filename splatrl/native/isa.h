@@ -6,7 +6,7 @@
 
 namespace splatrl {
 
-enum class Isa { portable, baseline, avx2, avx512 };
+enum class Isa { portable, avx2, avx512 };
 
 const char* isa_name(Isa isa);
 

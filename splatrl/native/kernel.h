@@ -131,7 +131,6 @@ using RenderTile = Effort (*)(const Row&, const Tile& whole, Tile& piece, bool a
                               const Scratch&);
 
 namespace portable { extern const RenderTile render_tile; }
-namespace baseline { extern const RenderTile render_tile; }
 namespace avx2 { extern const RenderTile render_tile; }
 namespace avx512 { extern const RenderTile render_tile; }
 

@@ -1,5 +1,5 @@
 // Sixteen floats as one value, in as many registers as the instruction set needs. Vector extensions of GCC and Clang do
-// nearly all of it, on any processor; what they lack uses intrinsics on x86 and plain code in the set `portable`.
+// nearly all of it, on any processor; some of what they lack or do slowly uses intrinsics of AVX-512, AVX2 or ARM.
 // Everything lives in the namespace of the instruction set, so that the linker never mixes variants.
 #pragma once
 
@@ -7,8 +7,10 @@
 #include <cstdint>
 #include <cstring>
 
-#if defined(SPLATRL_X86_LANES)
+#if defined(SPLATRL_AVX512) || defined(SPLATRL_AVX2)
 #include <immintrin.h>
+#elif defined(__aarch64__)
+#include <arm_neon.h>
 #endif
 
 #if defined(SPLATRL_AVX512)
@@ -212,14 +214,11 @@ LANE_INLINE uint32_t bits_above(const Lanes& a, const Lanes& b) {
 #elif defined(SPLATRL_AVX2)
     return uint32_t(_mm256_movemask_ps(_mm256_cmp_ps((__m256)a.part[0], (__m256)b.part[0], _CMP_GT_OQ))) |
            uint32_t(_mm256_movemask_ps(_mm256_cmp_ps((__m256)a.part[1], (__m256)b.part[1], _CMP_GT_OQ))) << 8;
-#elif defined(SPLATRL_X86_LANES)
-    uint32_t bits = 0;
-    FOR_PARTS bits |= uint32_t(_mm_movemask_ps(_mm_cmpgt_ps((__m128)a.part[p], (__m128)b.part[p]))) << (4 * p);
-    return bits;
 #else
-    uint32_t bits = 0;
-    for (int i = 0; i < LANES; ++i) bits |= uint32_t(a.part[i / 4][i % 4] > b.part[i / 4][i % 4]) << i;
-    return bits;
+    constexpr UnsignedPart FIRST{1, 2, 4, 8};
+    UnsignedPart bits{};
+    FOR_PARTS bits |= (UnsignedPart)(a.part[p] > b.part[p]) & (FIRST << (4 * p));
+    return bits[0] | bits[1] | bits[2] | bits[3];
 #endif
 }
 
@@ -252,8 +251,9 @@ LANE_INLINE FloatLanes<COUNT> reciprocal_sqrt(const FloatLanes<COUNT>& a) {
         const FloatPart r = (FloatPart)_mm512_maskz_rsqrt14_ps(0xffff, (__m512)a.part[p]);
 #elif defined(SPLATRL_AVX2)
         const FloatPart r = (FloatPart)_mm256_rsqrt_ps((__m256)a.part[p]);
-#elif defined(SPLATRL_X86_LANES)
-        const FloatPart r = (FloatPart)_mm_rsqrt_ps((__m128)a.part[p]);
+#elif defined(__aarch64__)
+        const float32x4_t x = (float32x4_t)a.part[p], estimate = vrsqrteq_f32(x);  // 8 bits, which takes another step
+        const FloatPart r = (FloatPart)(estimate * vrsqrtsq_f32(x * estimate, estimate));
 #else
         FloatPart r;
         for (int i = 0; i < SPLATRL_REGISTER; ++i) r[i] = 1.0f / __builtin_sqrtf(a.part[p][i]);

@@ -4,6 +4,7 @@
 #include "half.h"
 #include "kernel.h"
 #include "lanes.h"
+#include "quads.h"
 
 namespace splatrl {
 namespace SPLATRL_ISA {
@@ -85,6 +86,11 @@ LANE_INLINE Lanes load_halves(const uint16_t* from) {
     FOR_PARTS out.part[p] =
         (FloatPart)_mm256_cvtph_ps(_mm_loadu_si128(reinterpret_cast<const __m128i*>(from + p * SPLATRL_REGISTER)));
     return out;
+#elif defined(__aarch64__)
+    Lanes out;
+    FOR_PARTS out.part[p] =
+        (FloatPart)vcvt_f32_f16(vreinterpret_f16_u16(vld1_u16(from + p * SPLATRL_REGISTER)));
+    return out;
 #else
     return from_halves(load_shorts(from));
 #endif
@@ -97,6 +103,9 @@ LANE_INLINE IntLanes to_halves(const Lanes& a) {
 #if defined(SPLATRL_AVX512)
     const __m256i halves = _mm512_maskz_cvtps_ph(0xffff, (__m512)bounded.part[0], _MM_FROUND_TO_NEAREST_INT);
     out.part[0] = (IntPart)_mm512_maskz_cvtepu16_epi32(0xffff, halves);
+#elif defined(__aarch64__)
+    FOR_PARTS out.part[p] =
+        (IntPart)vmovl_u16(vreinterpret_u16_f16(vcvt_f16_f32((float32x4_t)bounded.part[p])));
 #else
     FOR_PARTS {
         const IntPart sign = ((IntPart)bounded.part[p] >> 16) & 0x8000;
@@ -112,6 +121,8 @@ LANE_INLINE IntLanes to_halves(const Lanes& a) {
 LANE_INLINE void store_four_halves(float* to, const uint16_t* from) {
 #if defined(SPLATRL_AVX512) || defined(SPLATRL_AVX2)
     _mm_store_ps(to, _mm_cvtph_ps(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(from))));
+#elif defined(__aarch64__)
+    vst1q_f32(to, vcvt_f32_f16(vreinterpret_f16_u16(vld1_u16(from))));
 #else
     for (int i = 0; i < 4; ++i) to[i] = from_half(from[i]);
 #endif
@@ -132,34 +143,17 @@ LANE_INLINE void append_words(void* to, __m512i low, __m512i high) {
 
 #else
 
-typedef float Quad __attribute__((vector_size(16)));
-typedef int32_t QuadIndex __attribute__((vector_size(16)));
-
-LANE_INLINE Quad pick(const Quad& a, const Quad& b, const QuadIndex& from) {
-#if defined(__clang__)
-    Quad out;
-    for (int i = 0; i < 4; ++i) out[i] = from[i] < 4 ? a[from[i]] : b[from[i] - 4];
-    return out;
-#else
-    return __builtin_shuffle(a, b, from);
-#endif
-}
-
 // rows[lane][column] = columns[column][lane], four by four.
 template <int COLUMNS>
 LANE_INLINE void transpose(const Lanes (&columns)[COLUMNS], float (*rows)[COLUMNS]) {
     static_assert(COLUMNS % 4 == 0, "whole quads");
     for (int column = 0; column < COLUMNS; column += 4)
         for (int lane = 0; lane < LANES; lane += 4) {
-            Quad in[4];
+            Quad quads[4];
             for (int i = 0; i < 4; ++i)
-                std::memcpy(&in[i], reinterpret_cast<const float*>(&columns[column + i]) + lane, sizeof(Quad));
-            constexpr QuadIndex LOW{0, 4, 1, 5}, HIGH{2, 6, 3, 7}, FIRST{0, 1, 4, 5}, SECOND{2, 3, 6, 7};
-            const Quad low_ab = pick(in[0], in[1], LOW), low_cd = pick(in[2], in[3], LOW);
-            const Quad high_ab = pick(in[0], in[1], HIGH), high_cd = pick(in[2], in[3], HIGH);
-            const Quad out[4] = {pick(low_ab, low_cd, FIRST), pick(low_ab, low_cd, SECOND),
-                                 pick(high_ab, high_cd, FIRST), pick(high_ab, high_cd, SECOND)};
-            for (int i = 0; i < 4; ++i) std::memcpy(&rows[lane + i][column], &out[i], sizeof(Quad));
+                std::memcpy(&quads[i], reinterpret_cast<const float*>(&columns[column + i]) + lane, sizeof(Quad));
+            turn_quads(quads);
+            for (int i = 0; i < 4; ++i) std::memcpy(&rows[lane + i][column], &quads[i], sizeof(Quad));
         }
 }
 

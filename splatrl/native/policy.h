@@ -52,7 +52,6 @@ struct PolicyKernels {
 };
 
 namespace portable { extern const PolicyKernels policy_kernels; }
-namespace baseline { extern const PolicyKernels policy_kernels; }
 namespace avx2 { extern const PolicyKernels policy_kernels; }
 namespace avx512 { extern const PolicyKernels policy_kernels; }
 

@@ -77,7 +77,6 @@ struct QueryKernels {
 };
 
 namespace portable { extern const QueryKernels query_kernels; }
-namespace baseline { extern const QueryKernels query_kernels; }
 namespace avx2 { extern const QueryKernels query_kernels; }
 namespace avx512 { extern const QueryKernels query_kernels; }
 

@@ -19,7 +19,6 @@ struct Beams {
 using CastBeams = void (*)(const RayGrid&, const Beams&, size_t begin, size_t count, double reach, float* metres);
 
 namespace portable { extern const CastBeams cast_beams; }
-namespace baseline { extern const CastBeams cast_beams; }
 namespace avx2 { extern const CastBeams cast_beams; }
 namespace avx512 { extern const CastBeams cast_beams; }
 

@@ -22,7 +22,6 @@ CastBeams cast_beams_of(Isa isa) {
 #ifdef SPLATRL_X86
         case Isa::avx512: return avx512::cast_beams;
         case Isa::avx2: return avx2::cast_beams;
-        case Isa::baseline: return baseline::cast_beams;
 #endif
         default: return portable::cast_beams;
     }

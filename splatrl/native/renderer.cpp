@@ -18,7 +18,6 @@ RenderTile kernel_of(Isa isa) {
 #ifdef SPLATRL_X86
         case Isa::avx512: return avx512::render_tile;
         case Isa::avx2: return avx2::render_tile;
-        case Isa::baseline: return baseline::render_tile;
 #endif
         default: return portable::render_tile;
     }

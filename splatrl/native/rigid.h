@@ -6,6 +6,8 @@
 #ifndef __CUDACC__
 #include <cmath>
 #include <cstring>
+
+#include "quads.h"
 #endif
 
 namespace splatrl {
@@ -33,18 +35,10 @@ SPLAT_INLINE bool is_pose(const float* matrix) {
 #ifndef __CUDACC__
 
 // The same, but faster where registers hold four numbers.
-typedef float Quad __attribute__((vector_size(16)));
-typedef int QuadIndex __attribute__((vector_size(16)));
+SPLAT_INLINE Quad next_of(const Quad& a) { return PICK(a, a, 1, 2, 0, 3); }        // y, z, x
+SPLAT_INLINE Quad after_next_of(const Quad& a) { return PICK(a, a, 2, 0, 1, 3); }  // z, x, y
 
-#if defined(__clang__)
-inline Quad next_of(const Quad& a) { return __builtin_shufflevector(a, a, 1, 2, 0, 3); }        // y, z, x
-inline Quad after_next_of(const Quad& a) { return __builtin_shufflevector(a, a, 2, 0, 1, 3); }  // z, x, y
-#else
-inline Quad next_of(const Quad& a) { return __builtin_shuffle(a, QuadIndex{1, 2, 0, 3}); }
-inline Quad after_next_of(const Quad& a) { return __builtin_shuffle(a, QuadIndex{2, 0, 1, 3}); }
-#endif
-
-inline bool is_pose_by_fours(const float* matrix) {
+SPLAT_INLINE bool is_pose_by_fours(const float* matrix) {
     Quad rows[4];
     std::memcpy(rows, matrix, sizeof(rows));
     // 0 in the fourth lane, or NaN where the position is not finite; then the position is dropped.

@@ -7,7 +7,6 @@ const StereoKernels& stereo_kernels_of(Isa isa) {
 #ifdef SPLATRL_X86
         case Isa::avx512: return avx512::stereo_kernels;
         case Isa::avx2: return avx2::stereo_kernels;
-        case Isa::baseline: return baseline::stereo_kernels;
 #endif
         default: return portable::stereo_kernels;
     }

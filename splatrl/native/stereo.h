@@ -53,7 +53,6 @@ struct StereoKernels {
 };
 
 namespace portable { extern const StereoKernels stereo_kernels; }
-namespace baseline { extern const StereoKernels stereo_kernels; }
 namespace avx2 { extern const StereoKernels stereo_kernels; }
 namespace avx512 { extern const StereoKernels stereo_kernels; }
 

@@ -7,7 +7,6 @@ const TrunkKernels& trunk_kernels_of(Isa isa) {
 #ifdef SPLATRL_X86
         case Isa::avx512: return avx512::trunk_kernels;
         case Isa::avx2: return avx2::trunk_kernels;
-        case Isa::baseline: return baseline::trunk_kernels;
 #endif
         default: return portable::trunk_kernels;
     }

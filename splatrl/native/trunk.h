@@ -63,7 +63,6 @@ struct TrunkKernels {
 };
 
 namespace portable { extern const TrunkKernels trunk_kernels; }
-namespace baseline { extern const TrunkKernels trunk_kernels; }
 namespace avx2 { extern const TrunkKernels trunk_kernels; }
 namespace avx512 { extern const TrunkKernels trunk_kernels; }
 

@@ -44,7 +44,7 @@ class NativeRenderer:
     the image that is asked for, so images are sharp at every resolution.
 
     Frame i has the same bytes alone, in any batch, in any order and with any number of threads. Instruction sets may
-    differ in the last bits; ``SPLATRL_ISA=avx512|avx2|baseline|portable`` forces one for the renderers made after
+    differ in the last bits; ``SPLATRL_ISA=avx512|avx2|portable`` forces one for the renderers made after
     it is set. Pickling and copying it keeps the scene and the settings, from which it is built again.
 
     Args:

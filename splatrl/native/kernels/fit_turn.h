@@ -1,7 +1,10 @@
 // Sixteen vectors as the rows of a matrix, turned to its columns.
 #pragma once
 
+#include <cstring>
+
 #include "lanes.h"
+#include "quads.h"
 
 namespace splatrl {
 namespace SPLATRL_ISA {
@@ -31,17 +34,14 @@ LANE_INLINE void turn(const float* in, float* out) {
         _mm512_store_ps(out + 16 * (4 + i), _mm512_shuffle_f32x4(odd, end, 0x88));
         _mm512_store_ps(out + 16 * (12 + i), _mm512_shuffle_f32x4(odd, end, 0xdd));
     }
-#elif defined(SPLATRL_X86_LANES)
+#else
     for (int row = 0; row < 16; row += 4)
         for (int column = 0; column < 16; column += 4) {
-            __m128 q[4];
-            for (int i = 0; i < 4; ++i) q[i] = _mm_load_ps(in + 16 * (row + i) + column);
-            _MM_TRANSPOSE4_PS(q[0], q[1], q[2], q[3]);
-            for (int i = 0; i < 4; ++i) _mm_store_ps(out + 16 * (column + i) + row, q[i]);
+            Quad quads[4];
+            for (int i = 0; i < 4; ++i) std::memcpy(&quads[i], in + 16 * (row + i) + column, sizeof(Quad));
+            turn_quads(quads);
+            for (int i = 0; i < 4; ++i) std::memcpy(out + 16 * (column + i) + row, &quads[i], sizeof(Quad));
         }
-#else
-    for (int row = 0; row < 16; ++row)
-        for (int column = 0; column < 16; ++column) out[16 * column + row] = in[16 * row + column];
 #endif
 }
 

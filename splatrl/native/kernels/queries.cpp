@@ -6,6 +6,7 @@
 #include "collision.h"
 #include "doubles.h"
 #include "first_contact.h"
+#include "quads.h"
 #include "rigid.h"
 
 namespace splatrl {
@@ -62,12 +63,6 @@ struct Rows {
     }
 };
 
-#if defined(__clang__)
-#define PICK(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
-#else
-#define PICK(a, b, ...) __builtin_shuffle(a, b, QuadIndex{__VA_ARGS__})
-#endif
-
 // Spread poses over lanes, four at a time; lanes behind the last pose repeat it. Returns whether all last rows are 0, 0,
 // 0, 1.
 static bool spread(const float* poses, int count, Rows& rows) {
@@ -76,16 +71,10 @@ static bool spread(const float* poses, int count, Rows& rows) {
         const float* of[4];
         for (int i = 0; i < 4; ++i) of[i] = poses + 16 * (first + i < count ? first + i : count - 1);
         for (int row = 0; row < 3; ++row) {
-            Quad a, b, c, d;
-            std::memcpy(&a, of[0] + 4 * row, sizeof(a));
-            std::memcpy(&b, of[1] + 4 * row, sizeof(b));
-            std::memcpy(&c, of[2] + 4 * row, sizeof(c));
-            std::memcpy(&d, of[3] + 4 * row, sizeof(d));
-            const Quad ab = PICK(a, b, 0, 4, 1, 5), cd = PICK(c, d, 0, 4, 1, 5);
-            const Quad ab_high = PICK(a, b, 2, 6, 3, 7), cd_high = PICK(c, d, 2, 6, 3, 7);
-            const Quad columns[4] = {PICK(ab, cd, 0, 1, 4, 5), PICK(ab, cd, 2, 3, 6, 7),
-                                     PICK(ab_high, cd_high, 0, 1, 4, 5), PICK(ab_high, cd_high, 2, 3, 6, 7)};
-            for (int i = 0; i < 4; ++i) std::memcpy(&rows.at[4 * row + i][first], &columns[i], sizeof(Quad));
+            Quad quads[4];
+            for (int i = 0; i < 4; ++i) std::memcpy(&quads[i], of[i] + 4 * row, sizeof(Quad));
+            turn_quads(quads);
+            for (int i = 0; i < 4; ++i) std::memcpy(&rows.at[4 * row + i][first], &quads[i], sizeof(Quad));
         }
         for (int i = 0; i < 4; ++i) {
             Quad last;
@@ -202,8 +191,9 @@ static inline Near near_of(const Part& outside, const Part& to_center_squared, c
     const Mask is_within = outside == 0.0;
     Near out;
     out.at_least = is_within ? inside : root(outside + inside * inside);
-    out.at_most = is_within & (steps < double(FARTHEST)) ? (steps + 1.0) / DISTANCE_STEPS + to_center : NEVER + Part{};
-    out.at_most = is_within & (steps == 0.0) ? Part{} : out.at_most;
+    const Mask is_near = is_within & (steps < double(FARTHEST));
+    out.at_most = is_near ? (steps + 1.0) / DISTANCE_STEPS + to_center : NEVER + Part{};
+    out.at_most = (is_within & (steps == 0.0)) ? Part{} : out.at_most;
     return out;
 }
 

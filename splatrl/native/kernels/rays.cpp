@@ -64,10 +64,10 @@ struct Flight {
     const Rays<AT_ONCE>& waiting;
     const double nowhere;  // stands for the voxel of a ray that is over: its room is 0
     int count, next = 0, open = 0;
-    Rays<LANES> rays;
-    Part room[PARTS];
-    int which[LANES];
-    bool ends;  // whether some lane has no room
+    Rays<LANES> rays{};
+    Part room[PARTS]{};
+    int which[LANES]{};
+    bool ends = false;  // whether some lane has no room
 
     void take(int lane) {
         const int ray = next < count ? next : count - 1;  // a lane without a ray repeats the last one, unheard
@@ -99,7 +99,7 @@ struct Flight {
         room[first / WIDTH] = found;
     }
 
-    Part places(int first, const Part (&index)[3], const Mask& ahead) const {
+    Part places(const Part (&index)[3], const Mask& ahead) const {
         const Part place = (index[2] * double(grid.size[0]) + index[0]) * double(grid.size[1]) + index[1];
         return ahead ? place : nowhere + Part{};
     }
@@ -108,7 +108,7 @@ struct Flight {
         ends = false;
         for (int first = 0; first < LANES; first += WIDTH) {
             const Part index[3] = {load(rays.index[0] + first), load(rays.index[1] + first), load(rays.index[2] + first)};
-            look(first, places(first, index, load(rays.t + first) < load(rays.last + first)));
+            look(first, places(index, load(rays.t + first) < load(rays.last + first)));
         }
     }
 
@@ -121,7 +121,7 @@ struct Flight {
             const Mask ahead = advance(axes, room[first / WIDTH], grid.size, load(rays.last + first), t);
             store(rays.t + first, ahead ? t : ALONG_A_PLANE + Part{});
             for (int axis = 0; axis < 3; ++axis) store(rays.index[axis] + first, axes[axis].index);
-            look(first, places(first, {axes[0].index, axes[1].index, axes[2].index}, ahead));
+            look(first, places({axes[0].index, axes[1].index, axes[2].index}, ahead));
         }
     }
 };
