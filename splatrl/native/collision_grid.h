@@ -11,6 +11,7 @@ namespace splatrl {
 constexpr double NEVER = INFINITE;
 constexpr double DISTANCE_STEPS = 256.0;
 constexpr uint16_t FARTHEST = 0xffff;
+constexpr double HALF_DIAGONAL = 0.8660254037844387;  // of a voxel
 
 // A view of memory that others own.
 struct Grid {
@@ -53,7 +54,6 @@ struct Nearby {
 };
 
 SPLAT_INLINE Nearby nearby(const Grid& grid, const Vec3& point) {
-    constexpr double HALF_DIAGONAL = 0.8660254037844387;
     const Place place = nearest_place(grid, point);
     double outside = 0.0, to_center = 0.0;
     for (int i = 0; i < 3; ++i) {

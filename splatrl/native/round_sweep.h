@@ -8,34 +8,86 @@
 namespace splatrl {
 inline namespace EACH_ISA {
 
+constexpr double PARALLEL = 1e-10;  // the sine, squared, below which two directions count as one
+
+// What a cylinder's axis passes over on its way: bottom + s axis + t way for s and t in [0, 1].
+struct Swept {
+    Vec3 bottom, axis, way;
+    double along, across, turning;            // |axis|², |way|² and their product
+    double per_along, per_across, per_area;   // inverse, 0 where there is nothing to divide by
+
+    // The squared distance of a point: the best s for any t, the best t for it, and the best s for that.
+    HOST_DEVICE double squared_distance(const Vec3& point) const {
+        const Vec3 off = between(bottom, point);
+        const double u = dot(off, axis), v = dot(off, way);
+        double s = clamp((across * u - turning * v) * per_area, 0.0, 1.0);
+        const double t = clamp((v - s * turning) * per_across, 0.0, 1.0);
+        s = clamp((u - t * turning) * per_along, 0.0, 1.0);
+        double squared = 0.0;
+        for (int i = 0; i < 3; ++i) {
+            const double rest = off[i] - s * axis[i] - t * way[i];
+            squared += rest * rest;
+        }
+        return squared;
+    }
+};
+
+SPLAT_INLINE Swept swept_by(const Vec3& bottom, const Vec3& axis, const Vec3& way) {
+    const auto inverse = [](double a) { return a > 0.0 ? 1.0 / a : 0.0; };
+    Swept out{bottom, axis, way, dot(axis, axis), dot(way, way), dot(axis, way), 0.0, 0.0, 0.0};
+    const double area = out.along * out.across - out.turning * out.turning;
+    out.per_along = inverse(out.along);
+    out.per_across = inverse(out.across);
+    out.per_area = area > PARALLEL * out.along * out.across ? 1.0 / area : 0.0;
+    return out;
+}
+
 struct RoundSweep {
     Vec3 bottom, axis, way;  // the cylinder is bottom to bottom + axis at the start
     double radius;
     bool ball;  // the axis has length 0
+    // Of a capsule alone: a voxel touches where its middle is as near to what the axis passes over, and does not where
+    // it is as far.
+    Swept swept;
+    double near, far;  // squared
 
     HOST_DEVICE double contact(const Column& column, bool any) const {
         double first = NEVER;
         any_solid(column, [&](int z) {
             const Vec3 corner{double(column.x), double(column.y), double(z)};
-            if (!ball && any)
-                first = capsule_touches(corner, bottom, axis, way, radius) ? 0.0 : NEVER;
-            else {
-                const double t = ball ? ball_contact(corner, bottom, way, radius)
-                                      : capsule_contact(corner, bottom, axis, way, radius);
-                first = any && t < NEVER ? 0.0 : min(first, t);
-            }
+            first = min(first, ball ? of_ball(corner, any) : of_capsule(corner, any));
             return first == 0.0;
         });
         return first;
     }
+
+private:
+    HOST_DEVICE double of_ball(const Vec3& corner, bool any) const {
+        const double t = ball_contact(corner, bottom, way, radius);
+        return any && t < NEVER ? 0.0 : t;
+    }
+
+    HOST_DEVICE double of_capsule(const Vec3& corner, bool any) const {
+        const double squared = swept.squared_distance({corner[0] + 0.5, corner[1] + 0.5, corner[2] + 0.5});
+        if (squared > far) return NEVER;
+        if (!any) return capsule_contact(corner, bottom, axis, way, radius);
+        return squared <= near || capsule_touches(corner, bottom, axis, way, radius) ? 0.0 : NEVER;
+    }
 };
 
 SPLAT_INLINE RoundSweep round_sweep(const Shape& shape, const Pose& pose, const Vec3& way) {
-    RoundSweep out{pose.position, {}, way, shape.radius + SLACK, shape.kind == Shape::SPHERE};
+    constexpr double SURE = 1e-6;  // voxels: more than what searches for a contact are off
+    RoundSweep out{pose.position, {}, way, shape.radius + SLACK, shape.kind == Shape::SPHERE, {}, 0.0, 0.0};
+    if (out.ball) return out;
     for (int i = 0; i < 3; ++i) {
-        out.axis[i] = out.ball ? 0.0 : 2.0 * shape.half_length * pose.rotation[i][2];
+        out.axis[i] = 2.0 * shape.half_length * pose.rotation[i][2];
         out.bottom[i] -= 0.5 * out.axis[i];
     }
+    out.swept = swept_by(out.bottom, out.axis, way);
+    const double unsure = SURE + 2.0 * sqrt(PARALLEL * (out.swept.along + out.swept.across));
+    const double far = shape.radius + HALF_DIAGONAL + unsure;
+    out.near = shape.radius * shape.radius;
+    out.far = far * far;
     return out;
 }
 

@@ -239,6 +239,23 @@ def test_every_instruction_set_gives_the_same_answers(scenes, name, body, isa, m
     )
 
 
+@pytest.mark.parametrize("aside", [0.0, 1e-9, 3e-7, 1e-5])
+@pytest.mark.parametrize("back", [1.0, -1.0])
+def test_a_capsule_along_its_axis_or_nearly_so_is_a_longer_capsule(scenes, aside, back):
+    start = poses_in(scenes["rooms"], 2000).double()
+    forward, sideways = start[:, :3, 2], start[:, :3, 0]
+    middle, end = start.clone(), start.clone()
+    middle[:, :3, 3] += 0.15 * back * forward
+    end[:, :3, 3] += 0.3 * back * forward + aside * sideways
+    hits = NativeChecker(scenes["rooms"], Capsule(0.1, 0.4)).sweeps(start.float(), end.float())
+    tight, wide = (
+        NativeChecker(scenes["rooms"], Capsule(0.1 + off, 0.7)).collides(middle.float())
+        for off in (-2 * SURE, 2 * SURE)
+    )
+    assert 300 < tight.sum() <= wide.sum() < 1700
+    assert ((hits >= tight) & (hits <= wide)).all()
+
+
 @pytest.mark.parametrize("body", BODIES)
 def test_a_body_whose_middle_is_in_a_solid_voxel_hits_however_thin_it_is(body):
     thin = {Box: Box((0.4, 0.3, 1e-3)), Sphere: Sphere(1e-3), Capsule: Capsule(1e-3, 0.4)}[type(body)]

@@ -15,7 +15,6 @@ namespace SPLATRL_ISA {
 constexpr int AT_ONCE = 32;  // queries that are prepared before they are answered, so that memory is fetched meanwhile
 constexpr double WHOLE = 4503599627370496.0;  // from 2^52 on doubles are whole, and hold that number in their lower bits
 constexpr double FAR_FROM_TOO_MANY_PARTS = 1000.0;  // voxels: a turn of such bodies is not cut into MOST_PARTS_OF_TURN
-constexpr double HALF_DIAGONAL = 0.8660254037844387;
 
 typedef float Singles __attribute__((vector_size(4 * SPLATRL_DOUBLES)));
 typedef int32_t SinglesMask __attribute__((vector_size(4 * SPLATRL_DOUBLES)));
