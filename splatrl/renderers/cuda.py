@@ -12,7 +12,7 @@ from splatrl.faults import FaultFlag
 from splatrl.native.cuda.kernels import CudaKernels, Kernels, Load
 from splatrl.native.cuda.turns import Turns
 from splatrl.renderers.base import RenderOutput, checked_background, checked_only, models_of
-from splatrl.renderers.cuda_models import MOST_INDICES, CudaModels, degree_of
+from splatrl.renderers.cuda_models import MOST_INDICES, CudaModels, Packer
 from splatrl.renderers.cuda_parts import MOST_PARTS, CudaParts, require_few_parts_of
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
@@ -120,15 +120,15 @@ class CudaRenderer:
         most_gaussians: int = MOST_INDICES,
         load: Load | None = None,
     ) -> None:
-        scenes, colour = models_of(scene), checked_background(background)
+        packer = Packer(models_of(scene), antialiased, checked_background(background), tolerance)
         if not 1 <= most_gaussians <= MOST_INDICES:
             raise ValueError(f"most_gaussians: expected at least 1, at most {MOST_INDICES:,}, got {most_gaussians:,}")
         self._load = load or (lambda source, defines: CudaKernels(source, device, defines))
-        self._settings = antialiased, degree_of(scenes), tolerance > 0
+        self._settings = antialiased, packer.sh_degree, tolerance > 0
         self._kernels = self._load("render", kernel_defines(*self._settings))
         self._parts: tuple[Kernels, CudaParts] | None = None  # loaded when there are parts
         self.device = self._kernels.device
-        self._models = CudaModels(scenes, antialiased, colour, tolerance, self.device)
+        self._models = CudaModels(packer, self.device)
         self._most_gaussians = most_gaussians
         self._memory = self._kernels.memory // 4 if memory is None else memory
         self._faults = FaultFlag(self.device)

@@ -58,12 +58,13 @@ SPLAT_INLINE void cull(const SceneArrays& scene, const Views& views, Shared& sha
     }
 }
 
-// 39 bits of depth, from the bits of its double-precision value: 34 of the mantissa, from 2^-7 m to 2^25 m. The highest
-// bit of a key stays free, so that sums of keys do not overflow.
+// 35 bits of depth, from the bits of its double-precision value: 30 of the mantissa, from 2^-7 m to 2^25 m, which is a
+// nanometre at one metre. The highest bit of a key stays free, so that sums of keys do not overflow.
 SPLAT_INLINE Key key_of(double depth, uint32_t index) {
-    constexpr Key NEAREST = Key(1023 - 7) << 52, FARTHEST = (Key(1) << (63 - INDEX_BITS)) - 1;
+    constexpr int DEPTH_BITS = 63 - INDEX_BITS, EXPONENT_BITS = 5, MANTISSA_BITS = 52;
+    constexpr Key NEAREST = Key(1023 - 7) << MANTISSA_BITS, FARTHEST = (Key(1) << DEPTH_BITS) - 1;
     const Key bits = bits_of(depth);
-    const Key steps = bits > NEAREST ? (bits - NEAREST) >> 18 : 0;
+    const Key steps = bits > NEAREST ? (bits - NEAREST) >> (EXPONENT_BITS + MANTISSA_BITS - DEPTH_BITS) : 0;
     return (steps < FARTHEST ? steps : FARTHEST) << INDEX_BITS | index;
 }
 

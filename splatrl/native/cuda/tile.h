@@ -31,7 +31,7 @@ constexpr int BUCKETS = 1024;  // of a histogram of depths
 // Depth in the high bits, the index in the row, counted across its parts, in the low ones: no two keys of an image
 // are equal, so their order does not depend on the order in which they were found.
 using Key = uint64_t;
-constexpr int INDEX_BITS = 24;
+constexpr int INDEX_BITS = 28;
 constexpr Key NO_KEY = ~Key(0);
 
 // The models of a renderer, one after another. Slots are in the order of the trees, and some pad a group of sixteen.
