@@ -43,6 +43,10 @@ def kernel_defines(antialiased: bool, sh_degree: int, levels: bool, parts: bool 
     }
 
 
+LEAST_KEYS = 2**15
+"""Room for candidates of a tile that every block has: half a megabyte."""
+
+
 class _Views(ctypes.Structure):
     """``Views`` of cuda/tile.h."""
 
@@ -56,7 +60,7 @@ class _Workspace(ctypes.Structure):
     """``Workspace`` of cuda/tile.h."""
 
     _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("keys", "nodes", "next_tile", "fault", "efforts")),
+        *((name, ctypes.c_void_p) for name in ("keys", "nodes", "next_tile", "chosen", "left", "fault", "efforts")),
         ("key_capacity", ctypes.c_int),
         ("node_capacity", ctypes.c_int),
     )
@@ -69,12 +73,24 @@ class _Images(ctypes.Structure):
 
 
 class _Working(NamedTuple):
-    """Working memory of blocks: keys [blocks, 2, key_capacity] int64, nodes [blocks, 3, node_capacity] int32."""
+    """Working memory of blocks.
+
+    Attributes:
+        keys: int64, enough for [blocks, 2, key_capacity] and for [1, 2, most_keys].
+        nodes: [blocks, 3, node_capacity] int32.
+        key_capacity: what a block has room for where all are at work.
+        most_keys: what the tile with the most candidates needs, which only few blocks at a time have room for.
+    """
 
     keys: Tensor
     nodes: Tensor
     key_capacity: int
-    node_capacity: int
+    most_keys: int
+
+    @property
+    def few_blocks(self) -> int:
+        """How many blocks have room for any tile."""
+        return min(len(self.nodes), len(self.keys) // (2 * self.most_keys))
 
 
 class CudaRenderer:
@@ -192,15 +208,24 @@ class CudaRenderer:
         mask = None if only is None else self._here(checked_only(only, cameras), torch.bool)
         kernels = self._kernels if parts is None else self._for_parts()[0]
         places = None if parts is None else self._for_parts()[1].places(poses, parts, mask)
-        working, next_tile = self._working_for(parts), self._zeros(1, dtype=torch.int32)
+        working = self._working_for(parts)
         numbers = (len(cameras), cameras.width, cameras.height, 0 if parts is None else parts.model.shape[1])
         views = _Views(*(_address(value) for value in (poses, K, mask, places)), *numbers)
-        memory = (working.keys, working.nodes, next_tile, self._faults.flag, efforts)
-        workspace = _Workspace(*(_address(part) for part in memory), working.key_capacity, working.node_capacity)
         tiles = len(cameras) * -(-cameras.height // TILE) * -(-cameras.width // TILE)
-        blocks, arguments = min(len(working.keys), tiles), (self._models.arrays, views, workspace, images)
+        left = self._zeros(1 + tiles, dtype=torch.int32) if working.key_capacity < working.most_keys else None
+
+        def launch(blocks: int, key_capacity: int, chosen: Tensor | None, left: Tensor | None) -> None:
+            next_tile = self._zeros(1, dtype=torch.int32)
+            memory = (working.keys, working.nodes, next_tile, chosen, left, self._faults.flag, efforts)
+            addresses = (_address(part) for part in memory)
+            workspace = _Workspace(*addresses, key_capacity, working.nodes.shape[2])
+            arguments = self._models.arrays, views, workspace, images
+            kernels.launch(kernel, min(blocks, tiles), BLOCK_THREADS, *arguments, shared=SHARED_BYTES)
+
         with self._turns.taken():
-            kernels.launch(kernel, blocks, BLOCK_THREADS, *arguments, shared=SHARED_BYTES)
+            launch(len(working.nodes), working.key_capacity, None, left)
+            if left is not None:  # tiles that had no room, by as many blocks as have room for any
+                launch(working.few_blocks, working.most_keys, left, None)
 
     def _for_parts(self) -> tuple[Kernels, CudaParts]:
         """The kernels that draw rows with parts, and what places the parts."""
@@ -213,17 +238,18 @@ class CudaRenderer:
         """Keys and nodes for as many blocks as the device holds at a time, or as the memory allows."""
         columns = None if parts is None else parts.model.shape[1]
         if columns not in self._working:
-            kernels, key_capacity = self._kernels, self._models.models[0].gaussians
+            kernels, most_keys = self._kernels, self._models.models[0].gaussians
             if parts is not None:
                 kernels, placing = self._for_parts()
-                key_capacity = placing.capacity(parts)
+                most_keys = placing.capacity(parts)
             node_capacity = max(1, columns or 1) * self._models.clusters
-            needed = 16 * key_capacity + 12 * node_capacity
             resident = kernels.multiprocessors * kernels.resident("draw_pixels", BLOCK_THREADS, SHARED_BYTES)
-            blocks = max(1, min(resident, self._memory // needed))
-            keys = torch.empty(blocks, 2, key_capacity, dtype=torch.int64, device=self.device)
+            room = (self._memory // resident - 12 * node_capacity) // 16
+            key_capacity = min(most_keys, max(LEAST_KEYS, room))
+            blocks = max(1, min(resident, self._memory // (16 * key_capacity + 12 * node_capacity)))
+            keys = torch.empty(2 * max(blocks * key_capacity, most_keys), dtype=torch.int64, device=self.device)
             nodes = torch.empty(blocks, 3, node_capacity, dtype=torch.int32, device=self.device)
-            self._working[columns] = _Working(keys, nodes, key_capacity, node_capacity)
+            self._working[columns] = _Working(keys, nodes, key_capacity, most_keys)
         return self._working[columns]
 
     def _here(self, value: Tensor, dtype: torch.dtype) -> Tensor:

@@ -148,7 +148,10 @@ class CudaModels:
             flat["indices"] += np.uint32(size)
             size, self._slots = size + len(flat["shapes"]), self._slots + len(flat["indices"])
             gaussians += 1 + int(packed["indices"][: len(packed["geometry"])].max())
-            _require_room(len(self.models), size)
+            if size > MOST_INDICES:
+                most, blocks = f"{MOST_INDICES:,} Gaussians, merged ones included", f" in its first {len(trees)} blocks"
+                got = f"{size:,}{blocks if isinstance(scene, BlockScene) else ''}"
+                raise ValueError(f"scene[{len(self.models)}]: expected at most {most}, got {got}")
             self._upload(flat)
         tree = joined(trees)
         self.models.append(Model(self._clusters, last.first_index + last.size, size, gaussians))
@@ -162,13 +165,6 @@ class CudaModels:
     def _upload(self, flat: Arrays) -> None:
         for name, values in flat.items():
             self._uploaded.setdefault(name, []).append(uploaded(values, self._device))
-
-
-def _require_room(number: int, size: int) -> None:
-    """Refuse a model with more Gaussians than the index in a key can address."""
-    if size > MOST_INDICES:
-        most = f"{MOST_INDICES:,} Gaussians, merged ones included"
-        raise ValueError(f"scene[{number}]: expected at most {most}, got {size:,}")
 
 
 def _one(pieces: list[Tensor]) -> Tensor:

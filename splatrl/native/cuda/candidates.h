@@ -94,21 +94,22 @@ SPLAT_INLINE bool group_in_view(const SceneArrays& scene, const View& view, uint
                               bounds.members[4][group], bounds.members[5][group]) > 0.0f);
 }
 
-// Append the keys of the lanes that have one.
-SPLAT_INLINE void append(Shared& shared, Key* keys, Key key) {
+// Append the keys of the lanes that have one, as far as there is room; all are counted.
+SPLAT_INLINE void append(Shared& shared, Key* keys, uint32_t room, Key key) {
     const uint32_t found = __ballot_sync(ALL_LANES, key != NO_KEY);
     if (found == 0) return;
     uint32_t base = 0;
     if (lane() == 0) base = atomicAdd(&shared.count, uint32_t(__popc(found)));
     base = __shfl_sync(ALL_LANES, base, 0);
-    if (key != NO_KEY) keys[base + rank_in(found)] = key;
+    const uint32_t at = base + rank_in(found);
+    if (key != NO_KEY && at < room) keys[at] = key;
 }
 
 // The keys of all Gaussians that may show, from the nodes that `cull` left. Half a warp takes a node: first its groups,
 // then the sixteen Gaussians of each group in view.
-SPLAT_INLINE void find_candidates(const SceneArrays& scene, Shared& shared, const uint32_t* nodes, int capacity,
-                                  Key* keys) {
-    const uint32_t* accepted = nodes + 2 * size_t(capacity);
+SPLAT_INLINE void find_candidates(const SceneArrays& scene, const Workspace& workspace, Shared& shared,
+                                  const uint32_t* nodes, Key* keys) {
+    const uint32_t* accepted = nodes + 2 * size_t(workspace.node_capacity);
     if (thread() == 0) shared.count = 0;
     __syncthreads();
     const uint32_t half = lane() / GROUP, member = lane() % GROUP;
@@ -132,7 +133,7 @@ SPLAT_INLINE void find_candidates(const SceneArrays& scene, Shared& shared, cons
                 key = candidate(scene, shared, part, (first_group + __ffs(left) - 1) * GROUP + member);
             }
             left &= left - 1;
-            append(shared, keys, key);
+            append(shared, keys, uint32_t(workspace.key_capacity), key);
             if (key != NO_KEY) low = key < low ? key : low, high = key > high ? key : high;
         }
     }

@@ -64,6 +64,9 @@ struct Workspace {
     Key* keys;                        // [blocks, 2, key_capacity]
     uint32_t* nodes;                  // [blocks, 3, node_capacity]
     int* next_tile;                   // 0 at the start
+    const int* chosen;                // how many tiles to draw, and which; null for all
+    int* left;                        // how many tiles were left, having more candidates than there is room for keys,
+                                      // and which; null where there is always room
     int* fault;                       // the lowest row whose camera is refused
     uint32_t* efforts;                // [batch, EFFORTS] added to; null if not asked for
     int key_capacity, node_capacity;
