@@ -26,8 +26,6 @@ MOST_INDICES = 2**28
 """The most Gaussians, merged ones included, that the index in a key can address: ``INDEX_BITS`` of cuda/tile.h."""
 MOST_CLUSTERS = 2**25
 """The most nodes of all models' trees: as many as ``Node`` of cuda/candidates.h can address."""
-
-
 GROUP = 16
 """Slots of a group, of which nodes have some each."""
 
