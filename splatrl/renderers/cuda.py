@@ -104,20 +104,22 @@ class CudaRenderer:
     A camera whose pose is not rigid, or whose K has a skew or no positive focal lengths, gives a black image. A part
     whose pose is not rigid, or whose model does not exist, shows nothing; a row whose parts together have more
     Gaussians than fit shows the background. ``raise_faults`` reports all three. A row has at most 128 parts, with at
-    most 2²⁴ Gaussians in all, merged ones included.
+    most 2²⁸ Gaussians in all, merged ones included. A ``BlockScene`` is one model, and all of it is kept on the device:
+    its blocks are drawn at the levels of detail of each, as ``BlockRenderer`` draws them.
 
     Args:
-        scene: a scene, whose levels of detail are kept in its cache; or Gaussians; or several such models, which the
-            parts of a row choose from. Values are copied.
+        scene: a scene, whose levels of detail are kept in its cache, in blocks or not; or Gaussians; or several such
+            models, which the parts of a row choose from. Values are copied.
         antialiased: keep the energy of Gaussians smaller than a pixel; False is the classic 3DGS image.
         background: colour behind the Gaussians, in [0, 1].
         tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
         device: a CUDA device.
-        memory: upper bound on working memory, bytes: with less, fewer tiles are drawn at a time. None takes a quarter
-            of the device's memory.
-        most_gaussians: upper bound on the Gaussians of a row's parts together, merged ones not counted. Working memory
-            has room for this many in each tile in flight, or for M times the largest model where that is less: the
-            host does not read which models the M parts are.
+        memory: upper bound on working memory, bytes; None takes a quarter of the device's memory. With less, more tiles
+            have candidates for which most blocks of threads have no room, and are drawn later by a few that have. The
+            most that a tile can have is always taken: 16 bytes for each Gaussian.
+        most_gaussians: upper bound on the Gaussians of a row's parts together, merged ones not counted. The most that
+            a tile can have are this many, or M times those of the largest model where that is less: the host does not
+            read which models the M parts are.
         load: loads the kernels; None compiles them for ``device``.
 
     Raises:
@@ -136,9 +138,9 @@ class CudaRenderer:
         most_gaussians: int = MOST_INDICES,
         load: Load | None = None,
     ) -> None:
-        packer = Packer(models_of(scene), antialiased, checked_background(background), tolerance)
         if not 1 <= most_gaussians <= MOST_INDICES:
             raise ValueError(f"most_gaussians: expected at least 1, at most {MOST_INDICES:,}, got {most_gaussians:,}")
+        packer = Packer(models_of(scene), antialiased, checked_background(background), tolerance)
         self._load = load or (lambda source, defines: CudaKernels(source, device, defines))
         self._settings = antialiased, packer.sh_degree, tolerance > 0
         self._kernels = self._load("render", kernel_defines(*self._settings))
