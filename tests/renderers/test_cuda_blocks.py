@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from splatrl.native.cuda.compiler import NATIVE
 from splatrl.renderers import ABSENT, NativeRenderer, Parts, cuda_models
 from splatrl.renderers import cuda as cuda_module
 from splatrl.renderers.cuda import CudaRenderer
@@ -135,6 +136,10 @@ def test_more_gaussians_than_a_key_can_number_are_refused(town: BlockScene, monk
         CudaRenderer([random_gaussians(0, 9), town], load=emulated)
     with pytest.raises(ValueError, match="tolerance: expected pixels, at least 0 and finite, got -1"):
         CudaRenderer(town, tolerance=-1, load=emulated)
+
+
+def test_the_index_in_a_key_has_the_bits_that_the_limit_says() -> None:
+    assert f"INDEX_BITS = {cuda_models.MOST_INDICES.bit_length() - 1};" in (NATIVE / "cuda" / "tile.h").read_text()
 
 
 def test_a_tree_over_trees_bounds_them_and_opens_them_all() -> None:
