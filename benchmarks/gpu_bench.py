@@ -4,6 +4,7 @@ import math
 import os
 import pickle
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,10 +16,11 @@ from unittest.mock import patch
 import torch
 from gpu_device import CHAINS, RATE, STEPS, Machine, measured_machine
 from scenes import YARD, Room, Subject, backyard, chosen, dense_backyard
+from town import BATCH, FOV, into_one_block, nearest_first, town
 
 from splatrl.bodies import Body
 from splatrl.building import build_world
-from splatrl.cameras import Cameras
+from splatrl.cameras import Cameras, intrinsics
 from splatrl.capture.fit_cuda import CudaFitter
 from splatrl.collision import Occupancy
 from splatrl.collision.cuda import CudaChecker
@@ -29,6 +31,8 @@ from splatrl.files import replacing
 from splatrl.renderers.cuda import CudaRenderer
 from splatrl.renderers.gsplat import GsplatRenderer
 from splatrl.scenes import Gaussians, Scene
+from splatrl.scenes.blocks import BlockScene, read_blocks
+from splatrl.scenes.splitting import write_split
 
 ROOT = Path(__file__).parents[1]
 
@@ -172,6 +176,16 @@ class Bench:
         cameras = subject.room.views(count, self.sizes.pixels, self.sizes.pixels)
         return on(cameras, self.device)
 
+    def town(self, count: int) -> tuple[BlockScene, BlockScene, Cameras]:
+        """A town, one block of it with what is around the town, and so many views into that block."""
+        scene = town()
+        around, *blocks = nearest_first(scene)
+        middle = next(block for block in blocks if block.bounds[0][:2] == (0.0, 0.0))
+        seeds = [into_one_block(seed) for seed in range(-(-count // BATCH))]
+        poses = torch.cat([cameras.camera_to_world for cameras in seeds])[:count]
+        cameras = Cameras(poses, intrinsics(FOV, self.sizes.pixels, self.sizes.pixels), *[self.sizes.pixels] * 2)
+        return scene, BlockScene("one", [around, middle]), on(cameras, self.device)
+
     def renderer(self, scene: Scene | Gaussians, tolerance: float = 0.0, antialiased: bool = True) -> CudaRenderer:
         """The renderer that is measured; it leaves most of the memory to others."""
         most = torch.cuda.get_device_properties(self.device).total_memory // 8
@@ -219,6 +233,7 @@ class DryRun(Bench):
 
     def __init__(self) -> None:
         super().__init__(torch.device("cpu"), TINY)
+        self.blocks = tempfile.TemporaryDirectory()
         if str(ROOT) not in sys.path:
             sys.path.insert(0, str(ROOT))  # for the tests' tools
 
@@ -232,6 +247,12 @@ class DryRun(Bench):
 
         scene = Scene("tiny", tiny_gaussians(), ((-1.5, -2.0, 0.0), (1.5, 2.0, 1.2)))
         return {"tiny": Subject(scene, Room((-1.0, -1.5, 0.4), (1.0, 1.5, 0.6)))}
+
+    def town(self, count: int) -> tuple[BlockScene, BlockScene, Cameras]:
+        subject, folder = self.subjects()["tiny"], Path(self.blocks.name)
+        write_split(folder, subject.scene, 2.0)
+        scene = read_blocks(folder)
+        return scene, BlockScene("one", scene.blocks[:1]), self.views(subject, count)
 
     def renderer(self, scene: Scene | Gaussians, tolerance: float = 0.0, antialiased: bool = True) -> CudaRenderer:
         from tests.emulator import emulated

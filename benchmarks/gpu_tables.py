@@ -11,6 +11,7 @@ from gpu_fit import Fit
 from gpu_reach import Target
 from gpu_render import Effort, Likeness, Rendering
 from gpu_sections import Section
+from gpu_town import Town
 from gpu_training import Stepping, Training
 from record import print_markdown
 
@@ -84,6 +85,14 @@ TABLES: dict[type, Columns] = {
         "views a step": lambda r: str(r.views_a_step),
         "views/s of the fit (slowest to fastest)": lambda r: str(r.views_per_second),
         "slopes, cosine with the CPU's": lambda r: f"{r.cosine:.6f}",
+        "GiB": lambda r: f"{r.memory_bytes / GIB:.1f}",
+    },
+    Town: {
+        "blocks": lambda r: f"{r.blocks}, {r.gaussians:,} Gaussians",
+        "detail": lambda r: tolerance_name(r.tolerance),
+        "cameras": lambda r: f"{r.batch:,}",
+        "frames/s (slowest to fastest)": lambda r: str(r.frames_per_second),
+        "with one block": lambda r: str(r.block_frames_per_second),
         "GiB": lambda r: f"{r.memory_bytes / GIB:.1f}",
     },
     Section: {

@@ -82,22 +82,15 @@ def pack_model(
     """
 
 def flat_scene(
-    means: Tensor,  # [N, 3] float32, metres, world frame
-    axes: Tensor,  # [N, 3, 3] float32, Σ = A Aᵀ
-    opacities: Tensor,  # [N] float32
-    sh: Tensor,  # [N, (degree + 1)², 3] float32
-    degree: int,
+    packed: dict[str, NDArray[Any]],  # the arrays of pack_model, made for this background
     background: tuple[float, float, float],
-    levels: dict[str, NDArray[np.float32] | NDArray[np.uint32]] | None,  # those of build_levels; None draws exactly
     antialiased: bool,
     tolerance: float,  # pixels
-    first_slot: int,  # where the scene begins in the arrays of several, a multiple of 16
-    first_cluster: int,
 ) -> dict[str, Any]:
-    """The scene as ``cuda/render.cu`` reads it; ``cuda/tile.h`` describes the arrays.
+    """A model as ``cuda/render.cu`` reads it; ``cuda/tile.h`` describes the arrays.
 
     Raises:
-        ValueError: for levels of other Gaussians.
+        ValueError: for arrays that are not those of ``pack_model``.
     """
 
 class Collider:

@@ -2,7 +2,6 @@
 // sorted keys hold.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
-#include <nanobind/stl/optional.h>
 
 #include <algorithm>
 #include <cmath>
@@ -13,7 +12,7 @@
 #include "bindings.h"
 #include "flat_scene.h"
 #include "half.h"
-#include "levels_binding.h"
+#include "packed.h"
 #include "scene.h"
 #include "threads.h"
 
@@ -77,32 +76,23 @@ nb::ndarray<nb::numpy, uint8_t> bytes_of(const T* items, size_t count) {
     return to_numpy(std::move(bytes), {count, sizeof(T)});
 }
 
-// The clusters of a tree, renumbered to follow those of other trees.
-std::vector<Cluster> clusters_behind(const SceneView& view, uint32_t first_slot, uint32_t first_cluster) {
-    std::vector<Cluster> clusters(view.clusters, view.clusters + view.cluster_count);
-    for (Cluster& cluster : clusters) cluster.first_group += first_slot / GROUP, cluster.skip += first_cluster;
-    return clusters;
+// How many indices the Gaussians of a scene have: one more than the largest.
+size_t indices_of(const SceneView& view, size_t capacity) {
+    return capacity == 0 ? 0 : 1 + size_t(*std::max_element(view.original_index, view.original_index + capacity));
 }
 
-nb::dict flat_scene(Tensor<const float, -1, 3> means, Tensor<const float, -1, 3, 3> axes,
-                    Tensor<const float, -1> opacities, Tensor<const float, -1, -1, 3> sh, int degree,
-                    std::array<float, 3> background, std::optional<nb::dict> levels, bool antialiased,
-                    float tolerance, uint32_t first_slot, uint32_t first_cluster) {
-    const GaussianArrays gaussians{means.data(), axes.data(), opacities.data(), sh.data(), means.shape(0), degree};
-    const Levels tree = levels ? levels_of(*levels, gaussians) : build_levels(gaussians, CLUSTER, GROUP, false);
-    const Scene scene(gaussians, tree, background, antialiased);
+nb::dict flat_scene(const nb::dict& packed, std::array<float, 3> background, bool antialiased, float tolerance) {
+    const Scene scene = from_arrays(packed, background);
     const SceneView view = scene.view(0.0f);
-    const size_t capacity = scene.capacity();
-    const size_t all = gaussians.count + tree.opacities.size();
+    const size_t capacity = scene.capacity(), all = indices_of(view, capacity);
     FlatScene flat(view, capacity, all, antialiased);
-    const std::vector<Cluster> clusters = clusters_behind(view, first_slot, first_cluster);
     nb::dict out;
     out["spheres"] = to_numpy(std::move(flat.spheres), {capacity, size_t(SPHERE)});
     out["shapes"] = to_numpy(std::move(flat.shapes), {all, size_t(SHAPE)});
-    out["colors"] = to_numpy(std::move(flat.colors), {all, size_t(color_stride(degree))});
+    out["colors"] = to_numpy(std::move(flat.colors), {all, size_t(color_stride(view.degree))});
     out["indices"] = to_numpy(std::move(flat.indices), {capacity});
     out["tolerance"] = held_tolerance(tolerance, antialiased);
-    out["clusters"] = bytes_of(clusters.data(), clusters.size());
+    out["clusters"] = bytes_of(view.clusters, view.cluster_count);
     out["group_bounds"] = bytes_of(view.group_bounds, view.cluster_count);
     return out;
 }
@@ -110,9 +100,8 @@ nb::dict flat_scene(Tensor<const float, -1, 3> means, Tensor<const float, -1, 3,
 }  // namespace
 
 void bind_flat_scene(nb::module_& m) {
-    m.def("flat_scene", &flat_scene, nb::arg("means"), nb::arg("axes"), nb::arg("opacities"), nb::arg("sh"),
-          nb::arg("degree"), nb::arg("background"), nb::arg("levels").none(),
-          nb::arg("antialiased"), nb::arg("tolerance"), nb::arg("first_slot"), nb::arg("first_cluster"));
+    m.def("flat_scene", &flat_scene, nb::arg("packed"), nb::arg("background"), nb::arg("antialiased"),
+          nb::arg("tolerance"));
 }
 
 }  // namespace splatrl

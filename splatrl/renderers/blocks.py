@@ -1,27 +1,20 @@
 """The renderer for CPUs in scenes that are larger than memory: blocks are read when a camera needs them."""
 
-import json
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
-from hashlib import blake2b
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from tqdm import tqdm
 
 from splatrl.cameras import Cameras
-from splatrl.files import cache_dir
-from splatrl.native.threads import threads_of
 from splatrl.renderers.base import RenderOutput, checked_background
-from splatrl.renderers.lod import LEVELS_VERSION
 from splatrl.renderers.native import Effort, NativeRenderer, checked_cameras, empty_pixels, in_models
-from splatrl.renderers.packed import PACKED_VERSION, packed_bytes, packed_model, top_of
+from splatrl.renderers.packed import packed_bytes, top_of
+from splatrl.renderers.packed_blocks import Packing, for_each_block
 from splatrl.renderers.parts import ABSENT, Parts, in_scenes
 from splatrl.scenes.blocks import Block, BlockScene
 from splatrl.scenes.cache import Arrays, cached_arrays
@@ -40,14 +33,12 @@ class _Kept(NamedTuple):
 
     Attributes:
         block: the block.
-        name: of its arrays in the cache.
         bounds: [6] float32, those of its root, as in ``packed``.
         error: metres, the largest of the nodes that end its top; infinite where it has none.
         bytes: that the whole model takes.
     """
 
     block: Block
-    name: str
     bounds: NDArray[np.float32]
     error: float
     bytes: int
@@ -100,9 +91,7 @@ class BlockRenderer(NativeRenderer):
         budget: float = 2e9,
     ) -> None:
         require_number("renderer.budget", budget, 1)
-        self._pack = partial(
-            packed_model, merge=tolerance > 0.0, background=checked_background(background), antialiased=antialiased
-        )
+        self._packing = Packing(tolerance > 0.0, checked_background(background), antialiased)
         self._drawing = threading.Lock()  # what is in memory must not change while something is drawn
         self._held: OrderedDict[int, int] = OrderedDict()  # slots of whole blocks, least recently used first: bytes
         self._whole: dict[int, _Kept] = {}  # by slot
@@ -134,41 +123,32 @@ class BlockRenderer(NativeRenderer):
             self._models_at.append(self._slots)
             self._slots += 1
             return
-        names = [self._name(block) for block in model.blocks]
-        known = all((cache_dir() / f"top-{name}.npz").is_file() for name in names)
-        with ThreadPoolExecutor(threads_of(None)) as pool:
-            tops = pool.map(self._top, model.blocks, names)
-            bar = tqdm(tops, "blocks", len(names), unit="block", disable=known, dynamic_ncols=True)
-            for number, (top, kept) in enumerate(bar):
-                slot = self._slots + 2 * number
-                self._core.put_model(slot, top or None)
-                self._core.put_model(slot + 1, None)
-                self._tops += packed_bytes(top)
-                self._whole[slot + 1] = kept
-        every = [self._whole[self._slots + 2 * number + 1] for number in range(len(names))]
+        files = [self._top_file(block) for block in model.blocks]
+        for number, (top, kept) in enumerate(for_each_block(self._top, model.blocks, files)):
+            slot = self._slots + 2 * number
+            self._core.put_model(slot, top or None)
+            self._core.put_model(slot + 1, None)
+            self._tops += packed_bytes(top)
+            self._whole[slot + 1] = kept
+        every = [self._whole[self._slots + 2 * number + 1] for number in range(len(files))]
         bounds, errors = np.stack([kept.bounds for kept in every]), np.array([kept.error for kept in every], np.float32)
         self._models_at.append(_Stack(self._slots, every, bounds, errors))
-        self._slots += 2 * len(names)
+        self._slots += 2 * len(files)
 
-    def _name(self, block: Block) -> str:
-        """Of a block in the cache, by all that its arrays depend on."""
-        recipe = [PACKED_VERSION, LEVELS_VERSION, TOP_GROUPS, self._pack.keywords, block.digest]
-        return blake2b(json.dumps(recipe).encode(), digest_size=16).hexdigest()
+    def _top_file(self, block: Block) -> str:
+        return f"top-{TOP_GROUPS}-{self._packing.name(block)}"
 
-    def _top(self, block: Block, name: str) -> tuple[Arrays, _Kept]:
+    def _top(self, block: Block) -> tuple[Arrays, _Kept]:
         """The top of a block, without arrays where every Gaussian is drawn, and what is known of it."""
 
         def build() -> Arrays:
-            whole = self._packed(block, name)
-            top, error = top_of(whole, TOP_GROUPS) if self._pack.keywords["merge"] else ({}, float("inf"))
+            whole = self._packing.packed(block)
+            top, error = top_of(whole, TOP_GROUPS) if self._packing.merge else ({}, float("inf"))
             return top | {"root": whole["bounds"][0], "error": np.array(error), "size": np.array(packed_bytes(whole))}
 
-        top = cached_arrays(f"top-{name}", build)
-        kept = _Kept(block, name, top.pop("root"), float(top.pop("error")), int(top.pop("size")))
+        top = cached_arrays(self._top_file(block), build)
+        kept = _Kept(block, top.pop("root"), float(top.pop("error")), int(top.pop("size")))
         return top, kept
-
-    def _packed(self, block: Block, name: str) -> Arrays:
-        return cached_arrays(f"packed-{name}", lambda: self._pack(block.read()))
 
     def _rendered(self, cameras: Cameras, parts: Parts | None) -> RenderOutput:
         shape = (len(cameras), cameras.height, cameras.width)
@@ -225,7 +205,7 @@ class BlockRenderer(NativeRenderer):
                     break
                 self._core.put_model(oldest, None)
                 del self._held[oldest]
-            self._core.put_model(slot, self._packed(kept.block, kept.name))
+            self._core.put_model(slot, self._packing.packed(kept.block))
             self._held[slot] = kept.bytes
 
     def _placed_blocks(self, cameras: Cameras, parts: Parts) -> Parts:
@@ -263,7 +243,7 @@ class BlockRenderer(NativeRenderer):
     ) -> None:
         """Let a camera do with the tops of all blocks but the nearest that fit into memory."""
         whole = np.flatnonzero(needs == WHOLE)
-        if not self._pack.keywords["merge"]:
+        if not self._packing.merge:
             raise ValueError(
                 f"renderer.budget: expected at least {int(sizes[whole].sum()):,} bytes for the {len(whole)} blocks "
                 f"that a camera sees with tolerance=0, got {self._room:,}"

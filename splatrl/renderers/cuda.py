@@ -12,7 +12,7 @@ from splatrl.faults import FaultFlag
 from splatrl.native.cuda.kernels import CudaKernels, Kernels, Load
 from splatrl.native.cuda.turns import Turns
 from splatrl.renderers.base import RenderOutput, checked_background, checked_only, models_of
-from splatrl.renderers.cuda_models import MOST_INDICES, CudaModels, degree_of
+from splatrl.renderers.cuda_models import MOST_INDICES, CudaModels, Packer
 from splatrl.renderers.cuda_parts import MOST_PARTS, CudaParts, require_few_parts_of
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
@@ -43,6 +43,10 @@ def kernel_defines(antialiased: bool, sh_degree: int, levels: bool, parts: bool 
     }
 
 
+LEAST_KEYS = 2**15
+"""Room for candidates of a tile that every block has: half a megabyte."""
+
+
 class _Views(ctypes.Structure):
     """``Views`` of cuda/tile.h."""
 
@@ -56,7 +60,7 @@ class _Workspace(ctypes.Structure):
     """``Workspace`` of cuda/tile.h."""
 
     _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("keys", "nodes", "next_tile", "fault", "efforts")),
+        *((name, ctypes.c_void_p) for name in ("keys", "nodes", "next_tile", "chosen", "left", "fault", "efforts")),
         ("key_capacity", ctypes.c_int),
         ("node_capacity", ctypes.c_int),
     )
@@ -69,12 +73,24 @@ class _Images(ctypes.Structure):
 
 
 class _Working(NamedTuple):
-    """Working memory of blocks: keys [blocks, 2, key_capacity] int64, nodes [blocks, 3, node_capacity] int32."""
+    """Working memory of blocks.
+
+    Attributes:
+        keys: int64, enough for [blocks, 2, key_capacity] and for [1, 2, most_keys].
+        nodes: [blocks, 3, node_capacity] int32.
+        key_capacity: what a block has room for where all are at work.
+        most_keys: what the tile with the most candidates needs, which only few blocks at a time have room for.
+    """
 
     keys: Tensor
     nodes: Tensor
     key_capacity: int
-    node_capacity: int
+    most_keys: int
+
+    @property
+    def few_blocks(self) -> int:
+        """How many blocks have room for any tile."""
+        return min(len(self.nodes), len(self.keys) // (2 * self.most_keys))
 
 
 class CudaRenderer:
@@ -88,20 +104,22 @@ class CudaRenderer:
     A camera whose pose is not rigid, or whose K has a skew or no positive focal lengths, gives a black image. A part
     whose pose is not rigid, or whose model does not exist, shows nothing; a row whose parts together have more
     Gaussians than fit shows the background. ``raise_faults`` reports all three. A row has at most 128 parts, with at
-    most 2²⁴ Gaussians in all, merged ones included.
+    most 2²⁸ Gaussians in all, merged ones included. A ``BlockScene`` is one model, and all of it is kept on the device:
+    its blocks are drawn at the levels of detail of each, as ``BlockRenderer`` draws them.
 
     Args:
-        scene: a scene, whose levels of detail are kept in its cache; or Gaussians; or several such models, which the
-            parts of a row choose from. Values are copied.
+        scene: a scene, whose levels of detail are kept in its cache, in blocks or not; or Gaussians; or several such
+            models, which the parts of a row choose from. Values are copied.
         antialiased: keep the energy of Gaussians smaller than a pixel; False is the classic 3DGS image.
         background: colour behind the Gaussians, in [0, 1].
         tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
         device: a CUDA device.
-        memory: upper bound on working memory, bytes: with less, fewer tiles are drawn at a time. None takes a quarter
-            of the device's memory.
-        most_gaussians: upper bound on the Gaussians of a row's parts together, merged ones not counted. Working memory
-            has room for this many in each tile in flight, or for M times the largest model where that is less: the
-            host does not read which models the M parts are.
+        memory: upper bound on working memory, bytes; None takes a quarter of the device's memory. With less, more tiles
+            have candidates for which most blocks of threads have no room, and are drawn later by a few that have. The
+            most that a tile can have is always taken: 16 bytes for each Gaussian.
+        most_gaussians: upper bound on the Gaussians of a row's parts together, merged ones not counted. The most that
+            a tile can have are this many, or M times those of the largest model where that is less: the host does not
+            read which models the M parts are.
         load: loads the kernels; None compiles them for ``device``.
 
     Raises:
@@ -120,15 +138,15 @@ class CudaRenderer:
         most_gaussians: int = MOST_INDICES,
         load: Load | None = None,
     ) -> None:
-        scenes, colour = models_of(scene), checked_background(background)
         if not 1 <= most_gaussians <= MOST_INDICES:
             raise ValueError(f"most_gaussians: expected at least 1, at most {MOST_INDICES:,}, got {most_gaussians:,}")
+        packer = Packer(models_of(scene), antialiased, checked_background(background), tolerance)
         self._load = load or (lambda source, defines: CudaKernels(source, device, defines))
-        self._settings = antialiased, degree_of(scenes), tolerance > 0
+        self._settings = antialiased, packer.sh_degree, tolerance > 0
         self._kernels = self._load("render", kernel_defines(*self._settings))
         self._parts: tuple[Kernels, CudaParts] | None = None  # loaded when there are parts
         self.device = self._kernels.device
-        self._models = CudaModels(scenes, antialiased, colour, tolerance, self.device)
+        self._models = CudaModels(packer, self.device)
         self._most_gaussians = most_gaussians
         self._memory = self._kernels.memory // 4 if memory is None else memory
         self._faults = FaultFlag(self.device)
@@ -192,15 +210,24 @@ class CudaRenderer:
         mask = None if only is None else self._here(checked_only(only, cameras), torch.bool)
         kernels = self._kernels if parts is None else self._for_parts()[0]
         places = None if parts is None else self._for_parts()[1].places(poses, parts, mask)
-        working, next_tile = self._working_for(parts), self._zeros(1, dtype=torch.int32)
+        working = self._working_for(parts)
         numbers = (len(cameras), cameras.width, cameras.height, 0 if parts is None else parts.model.shape[1])
         views = _Views(*(_address(value) for value in (poses, K, mask, places)), *numbers)
-        memory = (working.keys, working.nodes, next_tile, self._faults.flag, efforts)
-        workspace = _Workspace(*(_address(part) for part in memory), working.key_capacity, working.node_capacity)
         tiles = len(cameras) * -(-cameras.height // TILE) * -(-cameras.width // TILE)
-        blocks, arguments = min(len(working.keys), tiles), (self._models.arrays, views, workspace, images)
+        left = self._zeros(1 + tiles, dtype=torch.int32) if working.key_capacity < working.most_keys else None
+
+        def launch(blocks: int, key_capacity: int, chosen: Tensor | None, left: Tensor | None) -> None:
+            next_tile = self._zeros(1, dtype=torch.int32)
+            memory = (working.keys, working.nodes, next_tile, chosen, left, self._faults.flag, efforts)
+            addresses = (_address(part) for part in memory)
+            workspace = _Workspace(*addresses, key_capacity, working.nodes.shape[2])
+            arguments = self._models.arrays, views, workspace, images
+            kernels.launch(kernel, min(blocks, tiles), BLOCK_THREADS, *arguments, shared=SHARED_BYTES)
+
         with self._turns.taken():
-            kernels.launch(kernel, blocks, BLOCK_THREADS, *arguments, shared=SHARED_BYTES)
+            launch(len(working.nodes), working.key_capacity, None, left)
+            if left is not None:  # tiles that had no room, by as many blocks as have room for any
+                launch(working.few_blocks, working.most_keys, left, None)
 
     def _for_parts(self) -> tuple[Kernels, CudaParts]:
         """The kernels that draw rows with parts, and what places the parts."""
@@ -213,17 +240,18 @@ class CudaRenderer:
         """Keys and nodes for as many blocks as the device holds at a time, or as the memory allows."""
         columns = None if parts is None else parts.model.shape[1]
         if columns not in self._working:
-            kernels, key_capacity = self._kernels, self._models.models[0].gaussians
+            kernels, most_keys = self._kernels, self._models.models[0].gaussians
             if parts is not None:
                 kernels, placing = self._for_parts()
-                key_capacity = placing.capacity(parts)
+                most_keys = placing.capacity(parts)
             node_capacity = max(1, columns or 1) * self._models.clusters
-            needed = 16 * key_capacity + 12 * node_capacity
             resident = kernels.multiprocessors * kernels.resident("draw_pixels", BLOCK_THREADS, SHARED_BYTES)
-            blocks = max(1, min(resident, self._memory // needed))
-            keys = torch.empty(blocks, 2, key_capacity, dtype=torch.int64, device=self.device)
+            room = (self._memory // resident - 12 * node_capacity) // 16
+            key_capacity = min(most_keys, max(LEAST_KEYS, room))
+            blocks = max(1, min(resident, self._memory // (16 * key_capacity + 12 * node_capacity)))
+            keys = torch.empty(2 * max(blocks * key_capacity, most_keys), dtype=torch.int64, device=self.device)
             nodes = torch.empty(blocks, 3, node_capacity, dtype=torch.int32, device=self.device)
-            self._working[columns] = _Working(keys, nodes, key_capacity, node_capacity)
+            self._working[columns] = _Working(keys, nodes, key_capacity, most_keys)
         return self._working[columns]
 
     def _here(self, value: Tensor, dtype: torch.dtype) -> Tensor:

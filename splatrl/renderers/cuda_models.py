@@ -1,26 +1,33 @@
 """The models of a renderer as CUDA kernels read them: one after another in the same arrays."""
 
 import ctypes
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.native import _core
 from splatrl.native.cuda.kernels import uploaded
 from splatrl.renderers.base import gaussians_of
-from splatrl.renderers.lod import gaussian_arrays, levels_for
+from splatrl.renderers.cuda_trees import CLUSTER, Tree, joined, moved
+from splatrl.renderers.lod import checked_tolerance, gaussian_arrays, levels_for
+from splatrl.renderers.packed import packed_arrays
+from splatrl.renderers.packed_blocks import Packing, for_each_block
+from splatrl.scenes.blocks import Block, BlockScene
 from splatrl.scenes.cache import Arrays
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
-MOST_INDICES = 2**24
-"""The most Gaussians, merged ones included, that the index in a key can address."""
+MOST_INDICES = 2**28
+"""The most Gaussians, merged ones included, that the index in a key can address: ``INDEX_BITS`` of cuda/tile.h."""
 MOST_CLUSTERS = 2**25
 """The most nodes of all models' trees: as many as ``Node`` of cuda/candidates.h can address."""
+GROUP = 16
+"""Slots of a group, of which nodes have some each."""
 
 
 class _SceneArrays(ctypes.Structure):
@@ -42,14 +49,66 @@ class Model(NamedTuple):
     gaussians: int
 
 
-class CudaModels:
-    """Models on a device, with everything that kernels need to know about them.
+class Packer:
+    """Packs the models of a renderer, all with harmonics of the highest degree among them.
 
     Args:
-        scenes: the models.
+        scenes: the models; blocks that are new are packed into the cache, side by side.
         antialiased: whether images are antialiased.
         background: colour behind the Gaussians.
         tolerance: pixels by which level of detail may displace what is shown; 0 renders every Gaussian.
+
+    Attributes:
+        sh_degree: that highest degree.
+
+    Raises:
+        ValueError: for Gaussians that cannot be drawn, or a tolerance that is negative or not finite.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene | Gaussians],
+        antialiased: bool,
+        background: tuple[float, float, float],
+        tolerance: float,
+    ) -> None:
+        self.scenes, self.antialiased, self.background = scenes, antialiased, background
+        self.tolerance = checked_tolerance(tolerance)
+        self._packing = Packing(tolerance > 0.0, background, antialiased)
+        self._degrees = {block: degree for scene in scenes for block, degree in self._degrees_of(scene)}
+        whole = [gaussians_of(scene).sh_degree for scene in scenes if not isinstance(scene, BlockScene)]
+        self.sh_degree = max([*whole, *self._degrees.values()])
+
+    def _degrees_of(self, scene: Scene | Gaussians) -> Iterator[tuple[Block, int]]:
+        """The degree of each block, as it is packed."""
+        if isinstance(scene, BlockScene):
+            files = [f"packed-{self._packing.name(block)}" for block in scene.blocks]
+            yield from zip(scene.blocks, for_each_block(self._degree_of, scene.blocks, files), strict=True)
+
+    def _degree_of(self, block: Block) -> int:
+        return math.isqrt(self._packing.packed(block)["colors"].shape[1] // 3) - 1
+
+    def packed(self, scene: Scene | Gaussians) -> Iterator[Arrays]:
+        """A model as ``packed_model`` packs it; a scene in blocks block by block."""
+        if isinstance(scene, BlockScene):
+            for block in scene.blocks:
+                more = self._degrees[block] < self.sh_degree
+                packing = replace(self._packing, sh_degree=self.sh_degree) if more else self._packing
+                yield packing.packed(block)
+        else:
+            arrays = gaussian_arrays(gaussians_of(scene))
+            levels = levels_for(scene, arrays, self.tolerance)
+            yield packed_arrays(arrays, levels, self.sh_degree, self.background, self.antialiased)
+
+
+class CudaModels:
+    """Models on a device, with everything that kernels need to know about them.
+
+    The blocks of a scene are one model, with a tree over their trees and their Gaussians in the order of the blocks;
+    one of them at a time is in main memory.
+
+    Args:
+        packer: of the models.
         device: where they are kept.
 
     Attributes:
@@ -60,79 +119,52 @@ class CudaModels:
         gaussians: how many the largest model has, merged ones not counted.
 
     Raises:
-        ValueError: for Gaussians that are not finite or too many, or a tolerance that is negative or not finite.
+        ValueError: for Gaussians that cannot be drawn or too many.
     """
 
-    def __init__(
-        self,
-        scenes: Sequence[Scene | Gaussians],
-        antialiased: bool,
-        background: tuple[float, float, float],
-        tolerance: float,
-        device: torch.device,
-    ) -> None:
-        degree, flats = degree_of(scenes), list[dict[str, Any]]()
+    def __init__(self, packer: Packer, device: torch.device) -> None:
         self.models, self.clusters = list[Model](), 0
-        slots = clusters = indices = 0
-        for scene in scenes:
-            arrays, levels = _of_degree(degree, scene, tolerance)
-            flat = _core.flat_scene(
-                **arrays,
-                degree=degree,
-                background=background,
-                levels=levels,
-                antialiased=antialiased,
-                tolerance=tolerance,
-                first_slot=slots,
-                first_cluster=clusters,
-            )
-            size = len(flat["shapes"])
-            self.models.append(Model(clusters, indices, size, gaussians_of(scene).numel()))
-            self.clusters = max(self.clusters, len(flat["clusters"]))
-            slots, clusters, indices = slots + len(flat["indices"]), clusters + len(flat["clusters"]), indices + size
-            values = {"background": background, "tolerance": flat.pop("tolerance")}
-            flats.append(flat)
-        _require_room(self.models, clusters)
+        self._uploaded: dict[str, list[Tensor]] = {}
+        self._device, self._slots, self._clusters = device, 0, 0
+        for scene in packer.scenes:
+            self._add(packer, scene)
         self.gaussians = max(model.gaussians for model in self.models)
         self.table = torch.tensor(self.models, dtype=torch.int32, device=device)
-        self._kept = {name: uploaded(_joined(flats, name), device) for name in flats[0]}
-        self.arrays = _SceneArrays(**{name: value.data_ptr() for name, value in self._kept.items()}, **values)
+        self._kept = {name: _one(self._uploaded.pop(name)) for name in list(self._uploaded)}
+        addresses = {name: value.data_ptr() for name, value in self._kept.items()}
+        self.arrays = _SceneArrays(**addresses, background=packer.background, tolerance=self._tolerance)
+
+    def _add(self, packer: Packer, scene: Scene | Gaussians) -> None:
+        """Add a model behind the others."""
+        last = self.models[-1] if self.models else Model(0, 0, 0, 0)
+        trees, size, gaussians = list[Tree](), 0, 0
+        for packed in packer.packed(scene):
+            flat = _core.flat_scene(packed, packer.background, packer.antialiased, packer.tolerance)
+            self._tolerance = flat.pop("tolerance")
+            clusters = flat.pop("clusters").view(CLUSTER)[:, 0]
+            trees.append(Tree(moved(clusters, 0, self._slots // GROUP), flat.pop("group_bounds")))
+            flat["indices"] += np.uint32(size)
+            size, self._slots = size + len(flat["shapes"]), self._slots + len(flat["indices"])
+            gaussians += 1 + int(packed["indices"][: len(packed["geometry"])].max())
+            if size > MOST_INDICES:
+                most, blocks = f"{MOST_INDICES:,} Gaussians, merged ones included", f" in its first {len(trees)} blocks"
+                got = f"{size:,}{blocks if isinstance(scene, BlockScene) else ''}"
+                raise ValueError(f"scene[{len(self.models)}]: expected at most {most}, got {got}")
+            self._upload(flat)
+        tree = joined(trees)
+        self.models.append(Model(self._clusters, last.first_index + last.size, size, gaussians))
+        clusters = moved(tree.clusters, self._clusters)
+        self._upload({"clusters": clusters.view(np.uint8), "group_bounds": tree.group_bounds})
+        self._clusters += len(clusters)
+        self.clusters = max(self.clusters, len(clusters))
+        if self._clusters > MOST_CLUSTERS:
+            raise ValueError(f"scene: expected at most {MOST_CLUSTERS:,} nodes in the trees of all models, got more")
+
+    def _upload(self, flat: Arrays) -> None:
+        for name, values in flat.items():
+            self._uploaded.setdefault(name, []).append(uploaded(values, self._device))
 
 
-def _require_room(models: Sequence[Model], clusters: int) -> None:
-    """Refuse models with more Gaussians or tree nodes than keys and nodes have bits to number."""
-    sizes = [model.size for model in models]
-    if max(sizes) > MOST_INDICES:
-        number, most = sizes.index(max(sizes)), f"{MOST_INDICES:,} Gaussians, merged ones included"
-        raise ValueError(f"scene[{number}]: expected at most {most}, got {max(sizes):,}")
-    if clusters > MOST_CLUSTERS:
-        raise ValueError(
-            f"scene: expected at most {MOST_CLUSTERS:,} nodes in the trees of all models, got {clusters:,}"
-        )
-
-
-def degree_of(scenes: Sequence[Scene | Gaussians]) -> int:
-    """The largest degree of any model's harmonics, which kernels are compiled for."""
-    return max(gaussians_of(scene).sh_degree for scene in scenes)
-
-
-def _of_degree(degree: int, scene: Scene | Gaussians, tolerance: float) -> tuple[dict[str, Tensor], Arrays | None]:
-    """A model and its levels of detail, with harmonics padded by zeros up to a degree."""
-    arrays = gaussian_arrays(gaussians_of(scene))
-    levels, harmonics = levels_for(scene, arrays, tolerance), arrays["sh"].shape[1]
-    missing = (degree + 1) ** 2 - harmonics
-    if missing > 0:
-        arrays = arrays | {"sh": torch.nn.functional.pad(arrays["sh"], (0, 0, 0, missing))}
-        if levels is not None:
-            levels = levels | {"sh": _padded(levels["sh"], harmonics, missing)}
-    return arrays, levels
-
-
-def _padded(sh: NDArray[np.float32], harmonics: int, missing: int) -> NDArray[np.float32]:
-    """Flat colours of ``harmonics`` coefficients each, with ``missing`` zeros appended to each."""
-    return np.pad(sh.reshape(-1, harmonics, 3), ((0, 0), (0, missing), (0, 0))).reshape(-1)
-
-
-def _joined(flats: Sequence[Mapping[str, NDArray[Any]]], name: str) -> NDArray[Any]:
-    """One array of all models, without a copy where there is one model."""
-    return flats[0][name] if len(flats) == 1 else np.concatenate([flat[name] for flat in flats])
+def _one(pieces: list[Tensor]) -> Tensor:
+    """The pieces of an array in one, without a copy where there is one."""
+    return pieces[0] if len(pieces) == 1 else torch.cat(pieces)

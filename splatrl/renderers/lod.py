@@ -57,13 +57,22 @@ def levels_for(scene: Scene | Gaussians, arrays: Mapping[str, Tensor], tolerance
     Raises:
         ValueError: for a tolerance that is negative or not finite.
     """
-    if not 0.0 <= tolerance < float("inf"):
-        raise ValueError(f"tolerance: expected pixels, at least 0 and finite, got {tolerance}")
-    if tolerance == 0.0:
+    if checked_tolerance(tolerance) == 0.0:
         return None
     if isinstance(scene, Scene):
         return cached_levels(scene, arrays)
     return build_levels(arrays, gaussians_of(scene).sh_degree)
+
+
+def checked_tolerance(tolerance: float) -> float:
+    """A tolerance in pixels as it is.
+
+    Raises:
+        ValueError: for one that is negative or not finite.
+    """
+    if not 0.0 <= tolerance < float("inf"):
+        raise ValueError(f"tolerance: expected pixels, at least 0 and finite, got {tolerance}")
+    return tolerance
 
 
 def build_levels(arrays: Mapping[str, Tensor], degree: int) -> Arrays:

@@ -15,10 +15,13 @@ The arrays, of C nodes of the tree in preorder, and of G groups of 16 Gaussians,
 """
 
 import heapq
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import pad
 
 from splatrl.native import _core
 from splatrl.renderers.lod import build_levels, gaussian_arrays
@@ -32,7 +35,7 @@ HUGE_PAGE = 2**21
 
 
 def packed_model(
-    gaussians: Gaussians, merge: bool, background: tuple[float, float, float], antialiased: bool
+    gaussians: Gaussians, merge: bool, background: tuple[float, float, float], antialiased: bool, sh_degree: int = 0
 ) -> Arrays:
     """Pack Gaussians, with a tree over them.
 
@@ -41,16 +44,34 @@ def packed_model(
         merge: whether inner nodes hold merged Gaussians, for levels of detail.
         background: colour that the renderer draws on, which colours are relative to.
         antialiased: how it draws.
+        sh_degree: the least of the harmonics; those of a lower one are filled up with zeros.
 
     Raises:
         ValueError: for Gaussians that cannot be drawn.
     """
-    arrays = gaussian_arrays(gaussians)
-    levels = build_levels(arrays, gaussians.sh_degree) if merge else None
-    packed = _core.pack_model(
-        **arrays, degree=gaussians.sh_degree, levels=levels, background=background, antialiased=antialiased
+    arrays, degree = gaussian_arrays(gaussians), gaussians.sh_degree
+    levels = build_levels(arrays, degree) if merge else None
+    return packed_arrays(arrays, levels, max(degree, sh_degree), background, antialiased)
+
+
+def packed_arrays(
+    arrays: Mapping[str, Tensor],
+    levels: Arrays | None,
+    degree: int,
+    background: tuple[float, float, float],
+    antialiased: bool,
+) -> Arrays:
+    """Pack ``gaussian_arrays`` and their levels, with harmonics filled up to a degree; see ``packed_model``."""
+    harmonics = arrays["sh"].shape[1]
+    missing = (degree + 1) ** 2 - harmonics
+    if missing > 0:
+        arrays = {**arrays, "sh": pad(arrays["sh"], (0, 0, 0, missing))}
+        if levels is not None:
+            sh = levels["sh"].reshape(-1, harmonics, 3)
+            levels = levels | {"sh": np.pad(sh, ((0, 0), (0, missing), (0, 0))).reshape(-1)}
+    return dict(
+        _core.pack_model(**arrays, degree=degree, levels=levels, background=background, antialiased=antialiased)
     )
-    return dict(packed)
 
 
 def packed_bytes(arrays: Arrays) -> int:

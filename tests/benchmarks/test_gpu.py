@@ -30,6 +30,7 @@ EVERYTHING = {
     "stepping",
     "training",
     "fit",
+    "town",
     "target",
 }
 

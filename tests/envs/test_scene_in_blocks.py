@@ -10,7 +10,7 @@ from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs.world import World
-from splatrl.renderers import BlockRenderer
+from splatrl.renderers import BlockRenderer, CudaRenderer
 from splatrl.scenes import read_scene
 from splatrl.scenes.description import read_description
 from splatrl.scenes.splitting import write_split
@@ -93,3 +93,23 @@ def test_scenes_in_blocks_and_others_share_a_batch(folders: tuple[Path, Path]) -
     swapped["scene"] = 1 - start["scene"]
     here, there = (env.reset(given, set_state=True)["pixels"] for given in (start, swapped))
     assert (here != there).float().mean() < 1e-3
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_robots_in_blocks_see_the_same_on_a_gpu(folders: tuple[Path, Path], many: bool) -> None:
+    whole, cut = folders
+    scene = ["scene=many", f"scene.paths=[{cut},{whole}]"] if many else [f"scene={cut}"]
+    cfg = load_config([*overrides(), *scene, "renderer.cache=null", "allow_targets=[tests]"])
+    assert cfg.renderer.cuda._target_ == "splatrl.renderers.CudaRenderer"
+    emulated = {**cfg.renderer.cuda, "_target_": "tests.renderers.test_cuda.emulated_renderer"}
+    rollouts = []
+    for node in (cfg.renderer.cpu, emulated):
+        cfg.renderer.cpu = node
+        world = build_world(cfg)
+        torch.manual_seed(0)
+        rollouts.append(world.env(4, seed=0).rollout(8, break_when_any_done=False))
+        assert isinstance(world.drawing.renderer, CudaRenderer) == (node is emulated)
+    assert torch.equal(rollouts[0]["state"], rollouts[1]["state"])
+    pixels = [rollout["pixels"].float() for rollout in rollouts]
+    assert ((pixels[0] - pixels[1]).abs() <= 1).float().mean() >= 0.999
+    assert pixels[0].std() > 10

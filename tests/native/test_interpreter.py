@@ -64,10 +64,8 @@ signal.signal(signal.SIGALRM, stop)
 arrays = gaussian_arrays(random_gaussians(0, 250_000))
 means = arrays.pop("means")
 levels = _core.build_levels(means, **arrays, degree=0)
-flat = partial(
-    _core.flat_scene, **arrays, degree=0, background=(0.0, 0.0, 0.0), antialiased=True, tolerance=0.0, first_slot=0,
-    first_cluster=0,
-)
+drawn = dict(background=(0.0, 0.0, 0.0), antialiased=True)
+pack, flat = partial(_core.pack_model, **arrays, degree=0, **drawn), partial(_core.flat_scene, **drawn, tolerance=0.0)
 add = partial(_core.Renderer(True, (0.0, 0.0, 0.0), 0.0).add_model, **arrays, degree=0)
 all_of_it = dict(first=np.zeros((1, 3), int), end=np.full((1, 3), 400), extent=3.0)  # of a grid, by one Gaussian
 fill = partial(
@@ -76,7 +74,8 @@ fill = partial(
 )
 calls = {
     "add_model": (partial(add, levels=None), means), "add_model with levels": (partial(add, levels=levels), means),
-    "flat_scene": (partial(flat, levels=None), means), "flat_scene with levels": (partial(flat, levels=levels), means),
+    "pack_model": (partial(pack, levels=None), means), "pack_model with levels": (partial(pack, levels=levels), means),
+    "flat_scene": (flat, pack(means, levels=levels)),
     "build_levels": (partial(_core.build_levels, **arrays, degree=0), means),
     "add_density": (fill, np.full((1, 3), 200.0)),
 }
@@ -94,8 +93,8 @@ for name, (call, argument) in calls.items():
 def test_long_calls_answer_signals_while_they_work() -> None:
     output, _ = (process := start("-c", STOPPED)).communicate(timeout=300)
     assert process.returncode == 0, output
-    names = "add_model", "add_model with levels", "flat_scene", "flat_scene with levels", "build_levels", "add_density"
-    assert output.splitlines() == [f"{name} stopped" for name in names]
+    models = "add_model", "add_model with levels", "pack_model", "pack_model with levels", "flat_scene"
+    assert output.splitlines() == [f"{name} stopped" for name in (*models, "build_levels", "add_density")]
 
 
 def test_daemon_threads_in_the_core_end_with_the_interpreter() -> None:

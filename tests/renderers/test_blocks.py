@@ -10,38 +10,22 @@ from torch import Tensor
 
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.geometry import axis_rotations, rigid
-from splatrl.renderers import BlockRenderer, NativeRenderer, Parts, blocks
-from splatrl.scenes import Gaussians, Scene, read_scene
+from splatrl.renderers import BlockRenderer, NativeRenderer, Parts, blocks, packed_blocks
+from splatrl.scenes import Scene
 from splatrl.scenes.blocks import BlockScene
-from splatrl.scenes.splitting import write_split
 from tests.renderers.cases import random_gaussians
+from tests.renderers.hills import SIZE, hills, in_blocks, walkers
 from tests.renderers.parts_cases import at, placed
-
-SIZE = (48, 36)
-
-
-def hilly(count: int = 12_000) -> Gaussians:
-    """A hilly place of 24 × 16 m, in which a camera that stands in it sees all ranges."""
-    g = torch.Generator().manual_seed(7)
-    cloud = random_gaussians(8, count)
-    x, y = 24 * torch.rand(count, generator=g), 16 * torch.rand(count, generator=g)
-    cloud.means = torch.stack([x, y, 0.4 * torch.sin(x) + 0.3 * torch.sin(2 * y)], 1)
-    cloud.scales = 0.04 + 0.06 * torch.rand(count, 3, generator=g)
-    cloud.sh = (torch.sin(torch.stack([x, y, x + y], 1)) + 0.3 * torch.randn(count, 3, generator=g)).unsqueeze(1)
-    return cloud
 
 
 @pytest.fixture(scope="module")
 def whole() -> Scene:
-    return Scene("hills", hilly(), ((0.0, 0.0, -1.0), (24.0, 16.0, 1.0)))
+    return hills()
 
 
 @pytest.fixture(scope="module")
 def town(whole: Scene, tmp_path_factory: pytest.TempPathFactory) -> BlockScene:
-    folder = tmp_path_factory.mktemp("town")
-    write_split(folder, whole, 4.0)
-    scene = read_scene(folder)
-    assert isinstance(scene, BlockScene)
+    scene = in_blocks(tmp_path_factory.mktemp("town"), whole, 4.0)
     assert len(scene.blocks) == 24
     return scene
 
@@ -50,16 +34,6 @@ def town(whole: Scene, tmp_path_factory: pytest.TempPathFactory) -> BlockScene:
 def small_tops(monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks of 500 Gaussians would otherwise be in memory whole."""
     monkeypatch.setattr(blocks, "TOP_GROUPS", 20)
-
-
-def walkers(seed: int = 1, batch: int = 24) -> Cameras:
-    """Cameras that stand in the place and look about."""
-    g = torch.Generator().manual_seed(seed)
-    eyes = torch.rand(batch, 3, generator=g) * torch.tensor([24.0, 16.0, 0.5]) + torch.tensor([0.0, 0.0, 0.8])
-    turns = 6.3 * torch.rand(batch, generator=g)
-    targets = eyes + torch.stack([torch.cos(turns), torch.sin(turns), torch.full((batch,), -0.15)], 1)
-    poses = [look_at(eye.tolist(), target.tolist()) for eye, target in zip(eyes, targets, strict=True)]
-    return Cameras(torch.stack(poses), intrinsics(1.3, *SIZE), *SIZE)
 
 
 def all_in_memory(town: BlockScene, cameras: Cameras, tolerance: float) -> Tensor:
@@ -228,7 +202,7 @@ def test_blocks_are_packed_once(town: BlockScene, tmp_path: Path, monkeypatch: p
     def repacked(*_: Any, **__: Any) -> None:
         raise RuntimeError("packed again")
 
-    monkeypatch.setattr(blocks, "packed_model", repacked)
+    monkeypatch.setattr(packed_blocks, "packed_model", repacked)
     renderer = BlockRenderer(town, tolerance=1.0)
     renderer.pixels(walkers(batch=2))
     for damaged in tmp_path.glob("packed-*"):

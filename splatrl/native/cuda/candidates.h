@@ -58,12 +58,13 @@ SPLAT_INLINE void cull(const SceneArrays& scene, const Views& views, Shared& sha
     }
 }
 
-// 39 bits of depth, from the bits of its double-precision value: 34 of the mantissa, from 2^-7 m to 2^25 m. The highest
-// bit of a key stays free, so that sums of keys do not overflow.
+// 35 bits of depth, from the bits of its double-precision value: 30 of the mantissa, from 2^-7 m to 2^25 m, which is a
+// nanometre at one metre. The highest bit of a key stays free, so that sums of keys do not overflow.
 SPLAT_INLINE Key key_of(double depth, uint32_t index) {
-    constexpr Key NEAREST = Key(1023 - 7) << 52, FARTHEST = (Key(1) << (63 - INDEX_BITS)) - 1;
+    constexpr int DEPTH_BITS = 63 - INDEX_BITS, EXPONENT_BITS = 5, MANTISSA_BITS = 52;
+    constexpr Key NEAREST = Key(1023 - 7) << MANTISSA_BITS, FARTHEST = (Key(1) << DEPTH_BITS) - 1;
     const Key bits = bits_of(depth);
-    const Key steps = bits > NEAREST ? (bits - NEAREST) >> 18 : 0;
+    const Key steps = bits > NEAREST ? (bits - NEAREST) >> (EXPONENT_BITS + MANTISSA_BITS - DEPTH_BITS) : 0;
     return (steps < FARTHEST ? steps : FARTHEST) << INDEX_BITS | index;
 }
 
@@ -93,21 +94,22 @@ SPLAT_INLINE bool group_in_view(const SceneArrays& scene, const View& view, uint
                               bounds.members[4][group], bounds.members[5][group]) > 0.0f);
 }
 
-// Append the keys of the lanes that have one.
-SPLAT_INLINE void append(Shared& shared, Key* keys, Key key) {
+// Append the keys of the lanes that have one, as far as there is room; all are counted.
+SPLAT_INLINE void append(Shared& shared, Key* keys, uint32_t room, Key key) {
     const uint32_t found = __ballot_sync(ALL_LANES, key != NO_KEY);
     if (found == 0) return;
     uint32_t base = 0;
     if (lane() == 0) base = atomicAdd(&shared.count, uint32_t(__popc(found)));
     base = __shfl_sync(ALL_LANES, base, 0);
-    if (key != NO_KEY) keys[base + rank_in(found)] = key;
+    const uint32_t at = base + rank_in(found);
+    if (key != NO_KEY && at < room) keys[at] = key;
 }
 
 // The keys of all Gaussians that may show, from the nodes that `cull` left. Half a warp takes a node: first its groups,
 // then the sixteen Gaussians of each group in view.
-SPLAT_INLINE void find_candidates(const SceneArrays& scene, Shared& shared, const uint32_t* nodes, int capacity,
-                                  Key* keys) {
-    const uint32_t* accepted = nodes + 2 * size_t(capacity);
+SPLAT_INLINE void find_candidates(const SceneArrays& scene, const Workspace& workspace, Shared& shared,
+                                  const uint32_t* nodes, Key* keys) {
+    const uint32_t* accepted = nodes + 2 * size_t(workspace.node_capacity);
     if (thread() == 0) shared.count = 0;
     __syncthreads();
     const uint32_t half = lane() / GROUP, member = lane() % GROUP;
@@ -131,7 +133,7 @@ SPLAT_INLINE void find_candidates(const SceneArrays& scene, Shared& shared, cons
                 key = candidate(scene, shared, part, (first_group + __ffs(left) - 1) * GROUP + member);
             }
             left &= left - 1;
-            append(shared, keys, key);
+            append(shared, keys, uint32_t(workspace.key_capacity), key);
             if (key != NO_KEY) low = key < low ? key : low, high = key > high ? key : high;
         }
     }

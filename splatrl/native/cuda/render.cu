@@ -20,6 +20,9 @@ SPLAT_INLINE bool next_tile(const Views& views, const Workspace& workspace, Shar
     __syncthreads();
     if (thread() == 0) {
         shared.item = atomicAdd(workspace.next_tile, 1);
+        if (workspace.chosen != nullptr)
+            shared.item = shared.item < workspace.chosen[0] ? workspace.chosen[1 + shared.item]
+                                                            : views.batch * across * down;
         shared.row = shared.item / (across * down);
         shared.drawn = shared.row < views.batch && (views.only == nullptr || views.only[shared.row] != 0);
         if (shared.drawn) {
@@ -51,6 +54,13 @@ SPLAT_INLINE void view_parts(const Views& views, Shared& shared) {
     }
 }
 
+// Leave the tile for another launch where its candidates have no room.
+SPLAT_INLINE bool leave_tile(const Workspace& workspace, const Shared& shared) {
+    if (shared.count <= uint32_t(workspace.key_capacity)) return false;
+    if (thread() == 0) workspace.left[1 + atomicAdd(workspace.left, 1)] = shared.item;
+    return true;
+}
+
 // Add what a thread counted to the efforts of the frame.
 SPLAT_INLINE void note(const Workspace& workspace, const Shared& shared, Efforts what, uint32_t count) {
     if (count > 0) atomicAdd(workspace.efforts + size_t(shared.row) * EFFORTS + what, count);
@@ -66,7 +76,8 @@ SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const
         if (!shared.drawn) continue;
         view_parts(views, shared);  // cull waits for it
         cull(scene, views, shared, nodes, workspace.node_capacity);
-        find_candidates(scene, shared, nodes, workspace.node_capacity, keys);
+        find_candidates(scene, workspace, shared, nodes, keys);
+        if (leave_tile(workspace, shared)) continue;
         if (workspace.efforts != nullptr) note(workspace, shared, PROJECTED, thread() == 0 ? shared.count : 0);
         Pixels<WITH_DEPTH> pixels;
         pixels.begin(scene, shared.tile);

@@ -31,7 +31,7 @@ constexpr int BUCKETS = 1024;  // of a histogram of depths
 // Depth in the high bits, the index in the row, counted across its parts, in the low ones: no two keys of an image
 // are equal, so their order does not depend on the order in which they were found.
 using Key = uint64_t;
-constexpr int INDEX_BITS = 24;
+constexpr int INDEX_BITS = 28;
 constexpr Key NO_KEY = ~Key(0);
 
 // The models of a renderer, one after another. Slots are in the order of the trees, and some pad a group of sixteen.
@@ -64,6 +64,9 @@ struct Workspace {
     Key* keys;                        // [blocks, 2, key_capacity]
     uint32_t* nodes;                  // [blocks, 3, node_capacity]
     int* next_tile;                   // 0 at the start
+    const int* chosen;                // how many tiles to draw, and which; null for all
+    int* left;                        // how many tiles were left, having more candidates than there is room for keys,
+                                      // and which; null where there is always room
     int* fault;                       // the lowest row whose camera is refused
     uint32_t* efforts;                // [batch, EFFORTS] added to; null if not asked for
     int key_capacity, node_capacity;
