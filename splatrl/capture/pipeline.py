@@ -95,6 +95,8 @@ def capture(
         ImportError: without the extra ``capture``.
         ValueError: where another process works in the folder.
     """
+    if folder.resolve() == source.resolve():  # its pictures would be photos of the next capture
+        raise CaptureError(f"{folder}: expected another folder for the scene than the source; name one by --out")
     if (folder / SCENE_FILE).exists() and not settings.force:
         raise FileExistsError(f"{folder / SCENE_FILE}: already exists; name another folder by --out, or give --force")
     stages = folder / STAGES

@@ -208,6 +208,25 @@ def test_two_captures_do_not_share_a_folder(tmp_path: Path, stages: list[str]) -
     assert stages == []
 
 
+def test_a_scene_never_comes_into_the_folder_of_its_photos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folders: list[Path] = []
+
+    def stop(source: Path, folder: Path, *_: object) -> None:
+        folders.append(folder)
+        raise CaptureError("far enough")
+
+    (tmp_path / "photos").mkdir()
+    monkeypatch.setattr(pipeline, "reconstruct", stop)
+    for place, source in ((tmp_path, "photos"), (tmp_path / "photos", "."), (tmp_path / "photos", "../walk.mp4")):
+        monkeypatch.chdir(place)
+        with pytest.raises(SystemExit, match="far enough"):
+            capture.main([source])
+    assert folders == [Path("photos-scene"), Path("photos"), Path("walk")]
+    with pytest.raises(SystemExit, match=r"expected another folder for the scene than the source.* --out"):
+        capture.main([".", "--out", str(tmp_path / "photos")])
+    assert not (tmp_path / "photos" / "stages").exists()
+
+
 def test_a_capture_that_cannot_work_is_refused_with_its_cause(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
