@@ -45,7 +45,7 @@ def read_photos(
     A second call with the same source and settings reads what the first one kept.
 
     Args:
-        source: a video, or a folder of PNG and JPEG photos.
+        source: a video, or a folder of photos (PNG, JPEG, WebP).
         folder: of the capture; the images come into its sub-folder ``frames``.
         count: fewest (where the video has so many) and most images.
         longest: the most pixels along the longer side.

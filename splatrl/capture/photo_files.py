@@ -10,9 +10,9 @@ from PIL import Image
 from splatrl import images
 from splatrl.capture.base import CaptureError
 from splatrl.files import natural
-from splatrl.images import PHOTO_SUFFIXES
+from splatrl.images import PHOTO_FORMATS, PHOTO_SUFFIXES
 
-UNREAD = (".heic", ".heif", ".avif", ".dng")
+UNREAD = (".heic", ".heif", ".avif", ".dng", ".tif", ".tiff", ".jxl")
 EXIF_IFD, FOCAL_35MM, GPS_IFD = 0x8769, 0xA405, 0x8825
 DIAGONAL_35MM = math.hypot(36, 24)
 
@@ -24,14 +24,20 @@ def photos_of(folder: Path) -> list[Path]:
         folder: to look in, not in its sub-folders.
 
     Raises:
-        CaptureError: where there are none.
+        CaptureError: where there are none, or some of a kind that is not read, without the same photo as another kind.
     """
-    files = [path for path in folder.iterdir() if not path.name.startswith(".")]
+    files = [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
     found = sorted((path for path in files if path.suffix.lower() in PHOTO_SUFFIXES), key=natural)
+    read = {path.stem for path in found}
+    unread = sorted(path.name for path in files if path.suffix.lower() in UNREAD and path.stem not in read)
+    kinds = ", ".join(PHOTO_SUFFIXES)
+    if unread:
+        others = f" and {len(unread) - 1} others" if len(unread) > 1 else ""
+        raise CaptureError(f"{folder}: expected photos ({kinds}), got {unread[0]}{others}: convert them to JPEG first")
     if not found:
-        unread = [path for path in files if path.suffix.lower() in UNREAD]
-        hint = f"; {len(unread)} are {unread[0].suffix}: convert them to JPEG first" if unread else ""
-        raise CaptureError(f"{folder}: expected photos ({', '.join(PHOTO_SUFFIXES)}), found none{hint}")
+        deeper = sorted({path.parent for path in folder.glob("*/*") if path.suffix.lower() in PHOTO_SUFFIXES})
+        hint = f"; there are some in {deeper[0]}: name that folder" if deeper else ""
+        raise CaptureError(f"{folder}: expected photos ({kinds}), found none{hint}")
     return found
 
 
@@ -86,7 +92,7 @@ def gps_place(path: Path) -> tuple[float, float] | None:
 
 def _exif(path: Path, directory: int) -> dict[int, Any]:
     """What a directory of a photo's EXIF holds, by tag."""
-    with Image.open(path, formats=("PNG", "JPEG")) as image:
+    with Image.open(path, formats=PHOTO_FORMATS) as image:
         return dict(image.getexif().get_ifd(directory))
 
 

@@ -144,9 +144,29 @@ def test_photos_of_two_sizes_are_refused(tmp_path: Path) -> None:
 
 
 def test_photos_that_cannot_be_read_are_named_with_what_to_do(tmp_path: Path) -> None:
-    (tmp_path / "IMG1.HEIC").write_bytes(b"x")
-    with pytest.raises(CaptureError, match="convert them to JPEG"):
+    folder = tmp_path / "DCIM"
+    folder.mkdir()
+    (folder / "IMG1.HEIC").write_bytes(b"x")
+    with pytest.raises(CaptureError, match=r"got IMG1\.HEIC: convert them to JPEG"):
+        read_photos(folder, tmp_path / "out")
+    Image.new("RGB", (80, 60)).save(folder / "IMG2.jpg")
+    with pytest.raises(CaptureError, match=r"got IMG1\.HEIC: convert"):  # and IMG2 alone is not taken for all
+        read_photos(folder, tmp_path / "out")
+    Image.new("RGB", (80, 60)).save(folder / "IMG1.jpg")
+    assert len(read_photos(folder, tmp_path / "out").paths) == 2, "IMG1 is there as a JPEG too"
+    with pytest.raises(CaptureError, match=r"found none; there are some in .*DCIM: name that folder"):
         read_photos(tmp_path, tmp_path / "out")
+
+
+def test_photos_of_several_kinds_are_read_together(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "old.jpg").mkdir()  # no photo
+    for number, kind in enumerate(("png", "jpg", "webp", "JPEG")):
+        Image.new("RGB", (80, 60), (40 * number,) * 3).save(tmp_path / "in" / f"{number}.{kind}")
+    (tmp_path / "in" / "2.webp").rename(tmp_path / "in" / "2.jpg")  # as browsers save them
+    Image.new("RGB", (80, 60), (160,) * 3).save(tmp_path / "in" / "4.webp")
+    photos = read_photos(tmp_path / "in", tmp_path / "out")
+    assert [round(_read(path).mean() / 40) for path in photos.paths] == [0, 1, 2, 3, 4]
 
 
 def test_buckets_are_four_a_second_within_the_bounds() -> None:
