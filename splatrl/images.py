@@ -19,6 +19,8 @@ PHOTO_FORMATS = ("PNG", "JPEG", "WEBP")
 """Pillow's names of them."""
 CONTAINERS = ("mov", "matroska", "webm", "avi", "mpegts", "mpeg", "mpegvideo", "flv", "asf", "ogg", "mxf", "gif", "ivf")
 """FFmpeg's names of them. Playlists (concat, hls, dash) are absent: a script of one may name any file of the disk."""
+ORIENTATION = 0x0112
+"""The tag of EXIF."""
 MAX_PIXELS = 64 * 2**20
 """Of one image: more than any phone takes."""
 
@@ -36,6 +38,20 @@ def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True)
     """
     with _opened(path, stream, PHOTO_FORMATS) as image:
         return (ImageOps.exif_transpose(image) if upright else image).convert("RGB")
+
+
+def photo_size(path: Path) -> tuple[int, int]:
+    """Width and height of a photo once it is upright, pixels, without reading its pixels.
+
+    Args:
+        path: of a PNG, a JPEG or a WebP.
+
+    Raises:
+        ValueError: for a file that is broken, of another kind, or too large.
+    """
+    with _opened(path, None, PHOTO_FORMATS) as image:
+        lies = image.getexif().get(ORIENTATION) in (5, 6, 7, 8)
+        return (image.height, image.width) if lies else image.size
 
 
 def read_grey(path: Path) -> NDArray[Any]:

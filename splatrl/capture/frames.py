@@ -26,7 +26,7 @@ INDEX = "index.json"
 PER_SECOND = 4.0
 """Fewest frames to take of a second of video, up to the most frames that are wanted."""
 SHARPNESS_WIDTH = 480
-VERSION = 3
+VERSION = 4
 Thing = TypeVar("Thing")
 
 
@@ -35,6 +35,7 @@ class _Taken:
     image: Image.Image
     seconds: float
     gps: tuple[float, float] | None = None
+    turned: bool = False
 
 
 def read_photos(
@@ -42,7 +43,8 @@ def read_photos(
 ) -> Photos:
     """Take the sharpest frames of a video, or the photos of a folder, and keep them.
 
-    A second call with the same source and settings reads what the first one kept.
+    A second call with the same source and settings reads what the first one kept. Photos across among upright ones, or
+    the other way round, are turned to be of the size that most have.
 
     Args:
         source: a video, or a folder of photos (PNG, JPEG, WebP).
@@ -133,6 +135,7 @@ def _from_video(source: Path, count: tuple[int, int], longest: int, progress: Pr
 
 def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: Progress) -> Iterator[_Taken]:
     paths = photo_files.photos_of(source)
+    lying = photo_files.lying(paths, longest)
     groups = np.array_split(np.arange(len(paths)), min(len(paths), count[1]))
 
     def graded() -> Iterator[tuple[int, _Taken, float]]:
@@ -140,30 +143,28 @@ def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: P
             for number in group.tolist():
                 progress("photos", number, len(paths))
                 image = videos.shrunk(photo_files.read_photo(paths[number]), longest)
+                if lying[number]:
+                    image = image.transpose(Image.Transpose.ROTATE_270)  # clockwise
                 value = sharpness(np.asarray(image.convert("L"))) if len(group) > 1 else 0.0
-                yield bucket, _Taken(image, float(number), photo_files.gps_place(paths[number])), value
+                place = photo_files.gps_place(paths[number])
+                yield bucket, _Taken(image, float(number), place, lying[number]), value
 
     yield from sharpest(graded())
     progress("photos", len(paths), len(paths))
 
 
 def _write(made: Path, taken: Iterator[_Taken], source: Path, digest: str) -> None:
-    names, seconds, gps, size = [], [], [], None
+    names, seconds, gps, turned, size = [], [], [], [], (0, 0)
     for number, photo in enumerate(taken):
-        size = size or photo.image.size
-        if photo.image.size != size:
-            raise CaptureError(
-                f"{source}: expected images of one size and one camera, got {size[0]} × {size[1]} and, for image "
-                f"{number + 1}, {photo.image.size[0]} × {photo.image.size[1]}: take all upright or all across, or "
-                "remove those of the other size"
-            )
+        size = photo.image.size
         names.append(f"{number:04}.jpg")
         photo.image.convert("RGB").save(made / names[-1], quality=95, subsampling=0)
         seconds.append(photo.seconds)
         gps.append(photo.gps or (math.nan, math.nan))
-    assert size is not None
+        turned.append(photo.turned)
     focal = photo_files.focal_length(source, size) if source.is_dir() else None
     index = {"digest": digest, "names": names, "seconds": seconds, "size": size, "focal": focal, "gps": gps}
+    index |= {"turned": turned}
     (made / INDEX).write_text(json.dumps(index), "utf-8")
 
 
@@ -176,7 +177,8 @@ def _kept(kept: Path) -> Photos:
     paths = [kept / name for name in index["names"]]
     gps = torch.tensor(index["gps"], dtype=torch.float64)
     seconds = torch.tensor(index["seconds"], dtype=torch.float64)
-    return Photos(paths, width, height, seconds, K, gps=None if gps.isnan().all() else gps)
+    turned = torch.tensor(index["turned"]) if any(index["turned"]) else None
+    return Photos(paths, width, height, seconds, K, gps=None if gps.isnan().all() else gps, turned=turned)
 
 
 def _index(kept: Path) -> dict:

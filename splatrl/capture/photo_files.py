@@ -1,6 +1,7 @@
 """Photos of a folder: upright by their EXIF, with the focal length that it tells."""
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -9,11 +10,14 @@ from PIL import Image
 
 from splatrl import images
 from splatrl.capture.base import CaptureError
+from splatrl.capture.videos import shrunk_size
 from splatrl.files import natural
 from splatrl.images import PHOTO_FORMATS, PHOTO_SUFFIXES
 
 UNREAD = (".heic", ".heif", ".avif", ".dng", ".tif", ".tiff", ".jxl")
 EXIF_IFD, FOCAL_35MM, GPS_IFD = 0x8769, 0xA405, 0x8825
+NAMED = 5
+"""Photos that a message names, at most."""
 DIAGONAL_35MM = math.hypot(36, 24)
 
 
@@ -51,6 +55,30 @@ def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True)
         return images.read_photo(path, stream, upright)
     except ValueError as error:
         raise CaptureError(str(error)) from error
+
+
+def lying(paths: list[Path], longest: int) -> list[bool]:
+    """Which photos must be turned by a quarter to be of one size with most of the others.
+
+    Args:
+        paths: of all photos of a folder.
+        longest: the most pixels along the longer side of what they are scaled down to.
+
+    Raises:
+        CaptureError: where some are of another size however they are turned, or cannot be read.
+    """
+    try:
+        sizes = [shrunk_size(images.photo_size(path), longest) for path in paths]
+    except ValueError as error:
+        raise CaptureError(str(error)) from error
+    usual = Counter(sizes).most_common(1)[0][0]
+    other = [path.name for path, size in zip(paths, sizes, strict=True) if size not in (usual, usual[::-1])]
+    if other:
+        raise CaptureError(
+            f"{paths[0].parent}: expected photos of one size from one camera, got {len(other)} of another than the "
+            f"other {len(paths) - len(other)}: remove {', '.join(other[:NAMED])}{' …' if len(other) > NAMED else ''}"
+        )
+    return [size != usual for size in sizes]
 
 
 def focal_length(folder: Path, size: tuple[int, int]) -> float | None:

@@ -162,6 +162,7 @@ def _reconstruction(
         depths=tuple(photos.depths[number] for number in images) if photos.depths else (),
         seconds=photos.seconds[torch.tensor(images, dtype=torch.int64)],
         gps=None if photos.gps is None else photos.gps[torch.tensor(images, dtype=torch.int64)],
+        turned=None if photos.turned is None else photos.turned[torch.tensor(images, dtype=torch.int64)],
     )
 
 

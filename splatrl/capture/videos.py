@@ -122,8 +122,11 @@ def upright(frame: "VideoFrame", longest: int) -> Image.Image:
 
 def shrunk(image: Image.Image, longest: int) -> Image.Image:
     """An RGB image with at most ``longest`` pixels along its longer side, every pixel the mean of those it covers."""
-    scale = longest / max(image.size)
-    if scale >= 1:
-        return image
-    width, height = (max(1, round(side * scale)) for side in image.size)
-    return image.resize((width, height), Image.Resampling.BOX)
+    size = shrunk_size(image.size, longest)
+    return image if size == image.size else image.resize(size, Image.Resampling.BOX)
+
+
+def shrunk_size(size: tuple[int, int], longest: int) -> tuple[int, int]:
+    """Width and height that an image of another has once it is ``shrunk``, pixels."""
+    scale = min(1.0, longest / max(size))
+    return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))

@@ -135,12 +135,28 @@ def test_photos_tell_where_they_were_taken(tmp_path: Path) -> None:
     assert read_photos(tmp_path / "in", tmp_path / "out").gps is None
 
 
-def test_photos_of_two_sizes_are_refused(tmp_path: Path) -> None:
+def test_photos_of_another_size_are_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
-    for name, size in (("a.png", (60, 80)), ("b.png", (80, 60))):
+    for name, size in (("a.png", (60, 80)), ("b.png", (60, 90)), ("c.png", (60, 80)), ("d.png", (60, 80))):
         Image.new("RGB", size).save(tmp_path / "in" / name)
-    with pytest.raises(CaptureError, match="one size"):
+    with pytest.raises(CaptureError, match=r"of one size.* got 1 of another than the other 3: remove b\.png$"):
         read_photos(tmp_path / "in", tmp_path / "out")
+
+
+def test_photos_across_among_upright_ones_lie_on_their_side(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    image = np.full((60, 80, 3), 60, np.uint8)
+    image[:15, :20] = 250  # top left
+    for name, turn, orientation in (("a", 0, 1), ("b", 90, 6), ("c", 90, 1), ("d", 0, 1)):  # b is across too, by EXIF
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        Image.fromarray(image).rotate(turn, expand=True).save(tmp_path / "in" / f"{name}.png", exif=exif)
+    photos = read_photos(tmp_path / "in", tmp_path / "out")
+    assert (photos.width, photos.height) == (80, 60)
+    assert photos.turned is not None and photos.turned.tolist() == [False, False, True, False]
+    for number, path in enumerate(photos.paths):
+        assert _read(path)[5, 5, 0] > 200, number  # c was turned counter-clockwise, and is turned back
+    assert read_photos(tmp_path / "in", tmp_path / "out").turned is not None, "what was kept says so too"
 
 
 def test_photos_that_cannot_be_read_are_named_with_what_to_do(tmp_path: Path) -> None:

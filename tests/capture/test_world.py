@@ -134,6 +134,22 @@ def test_reflections_below_the_floor_do_not_draw_it_down() -> None:
     assert abs(ground.height) < 0.05 and ground.up[2] > math.cos(math.radians(1.0))
 
 
+def test_images_on_their_side_say_how_the_camera_was_held() -> None:
+    upright = walk()
+    lies = torch.arange(len(upright.paths)) % 5 < 3
+    poses = upright.camera_to_world.clone()
+    poses[lies, :3, 0], poses[lies, :3, 1] = -upright.camera_to_world[lies, :3, 1], upright.camera_to_world[lies, :3, 0]
+    flat = torch.zeros(30, 3, dtype=torch.float64)  # no floor that would tell
+    flat[:, 0] = torch.linspace(-1, 1, 30)
+    few = {"points": flat, "colors": upright.colors[:30], "seen_point": torch.zeros(0), "seen_by": torch.zeros(0)}
+    given = replace(upright, camera_to_world=poses, turned=lies, **few)
+    placed, expected = (place(found, marker=None) for found in (given, replace(upright, **few)))
+    torch.testing.assert_close(placed.world_from_capture, expected.world_from_capture)
+    assert placed.up_from == "cameras" and not torch.allclose(
+        place(replace(given, turned=None), marker=None).world_from_capture, expected.world_from_capture, atol=0.1
+    )
+
+
 def test_cameras_that_all_look_one_way_still_have_an_up() -> None:
     poses = walk().camera_to_world.numpy()[:1].repeat(5, 0)
     own = -poses[0, :3, 1]
