@@ -172,3 +172,12 @@ def test_an_interrupt_kills_the_child_and_a_failure_shows_its_last_lines(
             os.kill(child[0], 0)
     with pytest.raises(CaptureError, match="no more rays"):
         run_child("child_of_a_test", tmp_path / "fail", lambda *_: None)
+
+
+def test_a_full_disk_is_told_from_other_failures_of_the_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "crashing.py").write_text(
+        "print('SQLite error: database or disk is full')\nfor _ in range(50): print('@ 0x7f74c90a71f5')\nexit(1)\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(OSError, match=r"cannot write: No space left on device: '.*job'$"):
+        run_child("crashing", tmp_path / "job", lambda *_: None)
