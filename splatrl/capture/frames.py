@@ -154,18 +154,31 @@ def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: P
 
 
 def _write(made: Path, taken: Iterator[_Taken], source: Path, digest: str) -> None:
-    names, seconds, gps, turned, size = [], [], [], [], (0, 0)
+    names, seconds, gps, turned = [], [], [], []
+    rows, columns = np.zeros(1), np.zeros(1)
     for number, photo in enumerate(taken):
-        size = photo.image.size
+        grey = np.asarray(photo.image.convert("L"))
+        rows, columns = np.maximum(rows, grey.max(1)), np.maximum(columns, grey.max(0))
         names.append(f"{number:04}.jpg")
         photo.image.convert("RGB").save(made / names[-1], quality=95, subsampling=0)
         seconds.append(photo.seconds)
         gps.append(photo.gps or (math.nan, math.nan))
         turned.append(photo.turned)
+    size = (len(columns), len(rows))
+    if not source.is_dir():
+        size = _without_bars([made / name for name in names], videos.within_bars(rows, columns))
     focal = photo_files.focal_length(source, size) if source.is_dir() else None
     index = {"digest": digest, "names": names, "seconds": seconds, "size": size, "focal": focal, "gps": gps}
     index |= {"turned": turned}
     (made / INDEX).write_text(json.dumps(index), "utf-8")
+
+
+def _without_bars(paths: list[Path], inside: tuple[int, int, int, int]) -> tuple[int, int]:
+    """Crop images to what is within black bars, if there are any; returns the size that they then have."""
+    left, upper, right, lower = inside
+    for path in paths if (left, upper) != (0, 0) else ():
+        photo_files.read_photo(path).crop(inside).save(path, quality=95, subsampling=0)
+    return right - left, lower - upper
 
 
 def _kept(kept: Path) -> Photos:

@@ -1,5 +1,6 @@
 """Frames of a video and when they are shown, upright."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from av.container import InputContainer
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".m2ts", ".ts", ".3gp", ".mpg", ".wmv")
+
+BLACK, THINNEST, EDGE = 24, 0.01, 0.005
+"""Grey level of a bar at most, its least share of the image's side, and the share beside it that its edge blurs."""
 
 
 @contextmanager
@@ -130,3 +134,26 @@ def shrunk_size(size: tuple[int, int], longest: int) -> tuple[int, int]:
     """Width and height that an image of another has once it is ``shrunk``, pixels."""
     scale = min(1.0, longest / max(size))
     return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
+
+
+def within_bars(rows: np.ndarray, columns: np.ndarray) -> tuple[int, int, int, int]:
+    """What is left of images without black bars, as editors and messengers put on two sides to change a film's shape.
+
+    The same is taken from two opposite sides, so that the middle of the image stays where the lens looked.
+
+    Args:
+        rows: [H] the brightest grey level of each row, in any of the images.
+        columns: [W] likewise.
+
+    Returns:
+        Left, upper, right and lower edge, pixels.
+    """
+
+    def edges(brightest: np.ndarray) -> tuple[int, int]:
+        size, lit = len(brightest), np.flatnonzero(brightest > BLACK)
+        width = int(min(lit[0], size - 1 - lit[-1])) if len(lit) else 0
+        cut = width + math.ceil(EDGE * size) if width >= THINNEST * size else 0
+        return (cut, size - cut) if size - 2 * cut >= 16 else (0, size)
+
+    (upper, lower), (left, right) = edges(rows), edges(columns)
+    return left, upper, right, lower

@@ -50,6 +50,20 @@ def test_a_frame_of_a_turned_phone_is_upright_and_scaled(tmp_path: Path) -> None
     assert shown[10, 110, 0] > 200 and shown[10, 10, 0] < 100 and shown[150, 110, 0] < 100
 
 
+def test_black_bars_around_a_film_are_cut_off(tmp_path: Path) -> None:
+    inner = _images(4)  # 320 × 240
+    framed = [np.pad(image, ((0, 0), (64, 64), (0, 0))) for image in inner]
+    write_video(tmp_path / "a.mp4", framed)
+    photos = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(4, 4))
+    assert photos.height == 240 and 310 <= photos.width < 320
+    cut = (320 - photos.width) // 2
+    for image, path in zip(inner, photos.paths, strict=True):
+        assert np.abs(_read(path) - image[:, cut:-cut]).mean() < 12
+    dark = [np.pad(image[100:], ((100, 0), (0, 0), (0, 0))) for image in inner]  # a night sky is no bar
+    write_video(tmp_path / "b.mp4", dark)
+    assert read_photos(tmp_path / "b.mp4", tmp_path / "dark", count=(4, 4)).height == 240
+
+
 def test_a_second_call_reads_what_the_first_kept_and_other_settings_do_not(tmp_path: Path) -> None:
     write_video(tmp_path / "a.mp4", _images(8))
     first = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(4, 4))
