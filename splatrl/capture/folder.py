@@ -5,6 +5,7 @@ import secrets
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,7 @@ def write_scene(
         area = survey_area(gaussians, placed, known)
         found = suggest(seen_by_cameras(placed), area)
         quality = check(gaussians, placed, held_out, fresh, area, found)
+        quality = replace(quality, problems=tuple(problems(placed, found, quality)))
         draw_cameras(placed, area, fresh / CAMERAS)
         if found.goals:
             draw_goals(gaussians, found.goals, area.robot_height, fresh / GOALS)
@@ -73,7 +75,7 @@ def write_scene(
         proposals = _proposals(placed, area, found, quality)
         write_description(fresh, splat, name, FRAME, area.bounds, proposals=proposals)
         pictures = [file for file in (COMPARISON, MAP, GOALS, CAMERAS) if (fresh / file).exists()]
-        page = report_page(name, placed, area, found, quality, [*notes, *problems(placed, found, quality)], pictures)
+        page = report_page(name, placed, area, found, quality, [*notes, *quality.problems], pictures)
         (fresh / REPORT).write_text(page, encoding="utf-8")
     return quality
 

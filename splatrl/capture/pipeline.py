@@ -181,7 +181,7 @@ def build_scene(
     unseen = held_out(len(placed.reconstruction.paths)).tolist()
     far, splat = depths.far(frame), settings.splat
     quality = write_scene(folder, gaussians, placed, unseen, None, notes, settings.force, far, splat)
-    say(f"check       {_words(quality)}")
+    say("\n".join([f"check       {_words(quality)}", *(f"            {problem}" for problem in quality.problems)]))
     return quality
 
 

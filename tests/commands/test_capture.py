@@ -201,6 +201,16 @@ def test_a_disk_that_is_full_is_one_line_that_names_the_file(
     assert not list(tmp_path.rglob("*.tmp")) and not (tmp_path / "garden" / "scene.yaml").exists()
 
 
+@pytest.mark.usefixtures("bare_report")
+def test_what_the_report_finds_wrong_is_said_too(
+    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("splatrl.capture.folder.problems", lambda *_: ["The sky fell."])
+    capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
+    assert "of the camera's path is free\n            The sky fell.\n" in capsys.readouterr().out
+    assert "The sky fell." in (tmp_path / "garden" / "report.html").read_text()
+
+
 def test_two_captures_do_not_share_a_folder(tmp_path: Path, stages: list[str]) -> None:
     (tmp_path / "garden" / "stages").mkdir(parents=True)
     with alone_in(tmp_path / "garden" / "stages"), pytest.raises(SystemExit, match="another process works there"):
