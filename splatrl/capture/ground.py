@@ -61,7 +61,7 @@ def find_ground(camera_to_world: Floats, points: Floats, recorded_up: Floats | N
     up = cameras_up(camera_to_world) if recorded_up is None else recorded_up / np.linalg.norm(recorded_up)
     heights = points @ up
     sample = points[heights <= np.quantile(heights, LOWEST)]
-    level, count = _level(sample @ up, centers @ up)
+    level, count = lowest_level(sample @ up, centers @ up)
     up_from: UpFrom = "cameras" if recorded_up is None else "recorded"
     above = float(np.median(centers @ up)) - level
     found = _floor(points, sample, up, TOLERANCE * above) if recorded_up is None else None
@@ -98,8 +98,13 @@ def cameras_up(camera_to_world: Floats) -> Floats:
     return up if up @ own >= 0 else -up
 
 
-def _level(heights: Floats, cameras: Floats) -> tuple[float, int]:
-    """The height at which most of the lowest points lie with few below it, and how many lie there."""
+def lowest_level(heights: Floats, cameras: Floats) -> tuple[float, int]:
+    """The height at which most of the lowest points lie with few below it, and how many lie there.
+
+    Args:
+        heights: [P] of the lowest points.
+        cameras: [N] of the cameras above them.
+    """
     thickness = TOLERANCE * max(float(np.median(cameras) - np.median(heights)), 1e-9)
     order = np.sort(heights)
     candidates = order[:: max(1, len(order) // 2000)]
