@@ -17,7 +17,7 @@ from splatrl.capture.optional import needed
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.undistort import undistorted
 
-VERSION = 5
+VERSION = 6
 DIGEST = "digest.txt"
 
 
