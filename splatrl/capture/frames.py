@@ -54,11 +54,11 @@ def read_photos(
         progress: told about every frame or photo.
 
     Returns:
-        The images in the order in which they were taken; K where all photos' EXIF agree on a focal length (a first
-        guess: it is rounded to a millimetre), and where it says that they were taken.
+        The images in the order in which they were taken; K where EXIF tells a focal length (a first guess: it is
+        rounded to a millimetre), and where it says that they were taken.
 
     Raises:
-        CaptureError: where the source cannot be read or its images are not of one size.
+        CaptureError: where the source cannot be read or its images are not of one size and one lens.
         ValueError: for settings that make no sense.
     """
     if not 1 <= count[0] <= count[1]:

@@ -3,7 +3,9 @@
 import math
 from collections import Counter
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
+from statistics import median_low
 from typing import Any, BinaryIO
 
 from PIL import Image
@@ -18,6 +20,8 @@ UNREAD = (".heic", ".heif", ".avif", ".dng", ".tif", ".tiff", ".jxl")
 EXIF_IFD, FOCAL_35MM, GPS_IFD = 0x8769, 0xA405, 0x8825
 NAMED = 5
 """Photos that a message names, at most."""
+ONE_LENS = 0.1
+"""Share by which focal lengths of one lens differ at most: by their rounding, and the focus."""
 DIAGONAL_35MM = math.hypot(36, 24)
 
 
@@ -76,31 +80,40 @@ def lying(paths: list[Path], longest: int) -> list[bool]:
     if other:
         raise CaptureError(
             f"{paths[0].parent}: expected photos of one size from one camera, got {len(other)} of another than the "
-            f"other {len(paths) - len(other)}: remove {', '.join(other[:NAMED])}{' …' if len(other) > NAMED else ''}"
+            f"other {len(paths) - len(other)}: remove {_named(other)}"
         )
     return [size != usual for size in sizes]
 
 
 def focal_length(folder: Path, size: tuple[int, int]) -> float | None:
-    """The focal length that the EXIF of every photo tells, where all agree.
+    """The focal length that the EXIF of photos tells.
 
     Args:
         folder: of photos.
         size: width and height of the images that it is for, pixels.
 
     Returns:
-        Pixels; None where a photo does not tell it, or two differ.
+        Pixels; None where no photo tells it.
+
+    Raises:
+        CaptureError: where photos were taken with several lenses, or zoomed.
     """
-    told = set()
+    told: dict[str, float] = {}
     for path in photos_of(folder):
-        try:
-            told.add(_exif(path, EXIF_IFD).get(FOCAL_35MM))
-        except (OSError, SyntaxError, ValueError):
-            return None
-    millimetres = told.pop() if len(told) == 1 else None
-    if not isinstance(millimetres, int | float) or not millimetres > 0:
+        with suppress(OSError, SyntaxError, ValueError):
+            millimetres = _exif(path, EXIF_IFD).get(FOCAL_35MM)
+            if isinstance(millimetres, int | float) and millimetres > 0:
+                told[path.name] = float(millimetres)
+    if not told:
         return None
-    return float(millimetres) / DIAGONAL_35MM * math.hypot(*size)
+    usual = median_low(told.values())
+    other = {name: millimetres for name, millimetres in told.items() if abs(millimetres / usual - 1) > ONE_LENS}
+    if other:
+        raise CaptureError(
+            f"{folder}: expected photos through one lens without zoom, got {usual:g} mm (by EXIF, of 35 mm film) and "
+            f"{next(iter(other.values())):g} mm in {len(other)}: remove {_named(list(other))}"
+        )
+    return usual / DIAGONAL_35MM * math.hypot(*size)
 
 
 def gps_place(path: Path) -> tuple[float, float] | None:
@@ -116,6 +129,10 @@ def gps_place(path: Path) -> tuple[float, float] | None:
     except (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError):
         return None
     return (latitude, longitude) if abs(latitude) <= 90 and abs(longitude) <= 180 else None
+
+
+def _named(names: list[str]) -> str:
+    return ", ".join(names[:NAMED]) + (" …" if len(names) > NAMED else "")
 
 
 def _exif(path: Path, directory: int) -> dict[int, Any]:

@@ -130,6 +130,20 @@ def test_photos_come_upright_in_the_order_of_their_numbers_with_the_focal_length
     assert photos.K[:2, 2].tolist() == [30, 40]
 
 
+def test_photos_through_several_lenses_are_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    for number, millimetres in enumerate((26, 27, None, 26, 13)):
+        exif = Image.Exif()
+        if millimetres:
+            exif.get_ifd(0x8769)[0xA405] = millimetres
+        Image.new("RGB", (80, 60)).save(tmp_path / "in" / f"{number}.jpg", exif=exif)
+    with pytest.raises(CaptureError, match=r"one lens without zoom, got 26 mm .* and 13 mm in 1: remove 4\.jpg$"):
+        read_photos(tmp_path / "in", tmp_path / "out")
+    (tmp_path / "in" / "4.jpg").unlink()
+    K = read_photos(tmp_path / "in", tmp_path / "out").K
+    assert K is not None and K[0, 0].item() == pytest.approx(26 / np.hypot(36, 24) * 100)
+
+
 def test_photos_tell_where_they_were_taken(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     image = Image.new("RGB", (80, 60))
