@@ -168,8 +168,15 @@ def _write(made: Path, taken: Iterator[_Taken], source: Path, digest: str) -> No
     if not source.is_dir():
         size = _without_bars([made / name for name in names], videos.within_bars(rows, columns))
     focal = photo_files.focal_length(source, size) if source.is_dir() else None
-    index = {"digest": digest, "names": names, "seconds": seconds, "size": size, "focal": focal, "gps": gps}
-    index |= {"turned": turned}
+    index = {
+        "digest": digest,
+        "names": names,
+        "seconds": seconds,
+        "size": size,
+        "focal": focal,
+        "gps": gps,
+        "turned": turned,
+    }
     (made / INDEX).write_text(json.dumps(index), "utf-8")
 
 
