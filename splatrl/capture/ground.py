@@ -23,6 +23,9 @@ DRAWS = 1500
 NEAR, LOW = 0.06, 0.15
 """Of the points so near to a floor, in heights of the cameras, this share is below what people measure a height from:
 points lie on the blades of a lawn and the pile of a carpet, and are off to both sides."""
+LYING = (3.0, 0.1)
+"""The cameras' own up spreads in a plane so many times as far as their right axes, and at least so far, where a film
+lies on its side; upright films have 0.03 to 0.4 times and up to 0.13."""
 ERROR_DEG: dict[UpFrom, float] = {"recorded": 1.0, "floor": 1.5, "cameras": 5.0}
 """Largest error found in trials, by what told up; a narrow choice of headings makes that of the cameras larger."""
 
@@ -96,6 +99,21 @@ def cameras_up(camera_to_world: Floats) -> Floats:
         weights = 1.0 / np.maximum(np.abs(right @ up), 0.02)
     up = up / np.linalg.norm(up)
     return up if up @ own >= 0 else -up
+
+
+def on_its_side(camera_to_world: Floats) -> bool:
+    """Whether the images lie on their side, as a phone's film does that was begun while it pointed downwards.
+
+    Who turns around with an upright camera turns its right axis through the horizontal plane, and hardly its up.
+
+    Args:
+        camera_to_world: [N, 4, 4], OpenCV camera axes, in any frame.
+    """
+    right, own = (
+        float(np.linalg.eigvalsh(axes.T @ axes / len(axes))[1])
+        for axes in (camera_to_world[:, :3, 0], camera_to_world[:, :3, 1])
+    )
+    return own > max(LYING[0] * right, LYING[1])
 
 
 def lowest_level(heights: Floats, cameras: Floats) -> tuple[float, int]:

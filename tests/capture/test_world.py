@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from splatrl.capture.base import CaptureError
-from splatrl.capture.ground import cameras_up, find_ground
+from splatrl.capture.ground import cameras_up, find_ground, on_its_side
 from splatrl.capture.scale import Click, Distance, ScaleFrom, clicked_point
 from splatrl.capture.world import Placed, place, wall_direction
 from tests.capture.walks import ABOVE, CAMERAS, K, strewn, walk, without_points
@@ -148,6 +148,15 @@ def test_images_on_their_side_say_how_the_camera_was_held() -> None:
     assert placed.up_from == "cameras" and not torch.allclose(
         place(replace(given, turned=None), marker=None).world_from_capture, expected.world_from_capture, atol=0.1
     )
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_film_on_its_side_is_told_from_an_upright_one(side: float) -> None:
+    upright = walk().camera_to_world.numpy()
+    lying = upright.copy()
+    lying[:, :3, 0], lying[:, :3, 1] = side * upright[:, :3, 1], -side * upright[:, :3, 0]
+    assert on_its_side(lying) and not on_its_side(upright)
+    assert not on_its_side(lying[:1].repeat(9, 0)), "who never turns leaves it open"
 
 
 def test_cameras_that_all_look_one_way_still_have_an_up() -> None:

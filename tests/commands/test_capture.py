@@ -246,6 +246,15 @@ def test_a_capture_that_cannot_work_is_refused_with_its_cause(
     assert stages == ["frames"] and not (tmp_path / "night" / "scene.yaml").exists()
 
 
+def test_a_film_on_its_side_is_refused_before_the_fit(
+    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "on_its_side", lambda poses: True)
+    with pytest.raises(SystemExit, match=r"splatrl-capture: lies on its side: .* -display_rotation 90 .* --force"):
+        capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
+    assert stages == ["frames", "poses"]
+
+
 def test_a_fault_of_a_stage_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*arguments: object) -> Photos:
         raise CaptureError("walk.mp4: expected a video, found no stream of images")
