@@ -118,6 +118,7 @@ def sharpest(graded: Iterable[tuple[int, Thing, float]]) -> Iterator[Thing]:
 def _from_video(source: Path, count: tuple[int, int], longest: int, progress: Progress) -> Iterator[_Taken]:
     times = videos.packet_times(source)
     ends, start, found = buckets(times, count), float(times[0]), False
+    transfer = videos.transfer_of(source)
 
     def graded() -> Iterator[tuple[int, "VideoFrame", float]]:
         for number, (seconds, frame) in enumerate(videos.frames(source)):
@@ -127,7 +128,7 @@ def _from_video(source: Path, count: tuple[int, int], longest: int, progress: Pr
 
     for best in sharpest(graded()):
         found = True
-        yield _Taken(videos.upright(best, longest), float(best.time) - start)
+        yield _Taken(videos.upright(best, longest, transfer), float(best.time) - start)
     if not found:
         raise CaptureError(f"{source}: expected frames, could decode none")
     progress("frames", len(times), len(times))

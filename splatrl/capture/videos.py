@@ -11,6 +11,7 @@ from PIL import Image
 
 from splatrl import images
 from splatrl.capture.base import CaptureError
+from splatrl.capture.high_range import UNKNOWN, usual_range
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -50,6 +51,19 @@ def size(path: Path) -> tuple[int, int]:
     """
     with open_video(path) as container:
         return container.streams.video[0].width, container.streams.video[0].height
+
+
+def transfer_of(path: Path) -> int:
+    """FFmpeg's number of the function by which a video's values stand for light.
+
+    Args:
+        path: of the video.
+
+    Raises:
+        CaptureError: as by ``open_video``.
+    """
+    with open_video(path) as container:
+        return int(container.streams.video[0].codec_context.color_trc)
 
 
 def packet_times(path: Path) -> np.ndarray:
@@ -111,17 +125,18 @@ def grey(frame: "VideoFrame", longest: int) -> np.ndarray:
     return small.to_ndarray()
 
 
-def upright(frame: "VideoFrame", longest: int) -> Image.Image:
-    """The image of a frame, turned as the phone was held and scaled down by area.
+def upright(frame: "VideoFrame", longest: int, transfer: int = UNKNOWN) -> Image.Image:
+    """The image of a frame, turned as the phone was held, scaled down by area, in the usual range of brightness.
 
     Args:
         frame: as decoded.
         longest: the most pixels along the longer side.
+        transfer: of the video, as ``transfer_of`` tells it.
     """
     image = frame.to_image()
     if frame.rotation:
         image = image.rotate(frame.rotation, expand=True)
-    return shrunk(image, longest)
+    return usual_range(shrunk(image, longest), transfer)
 
 
 def shrunk(image: Image.Image, longest: int) -> Image.Image:
