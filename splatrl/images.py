@@ -14,9 +14,13 @@ from splatrl.files import refusing
 if TYPE_CHECKING:
     from av.container import InputContainer
 
-PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
+PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
+PHOTO_FORMATS = ("PNG", "JPEG", "WEBP")
+"""Pillow's names of them."""
 CONTAINERS = ("mov", "matroska", "webm", "avi", "mpegts", "mpeg", "mpegvideo", "flv", "asf", "ogg", "mxf", "gif", "ivf")
 """FFmpeg's names of them. Playlists (concat, hls, dash) are absent: a script of one may name any file of the disk."""
+ORIENTATION = 0x0112
+"""The tag of EXIF."""
 MAX_PIXELS = 64 * 2**20
 """Of one image: more than any phone takes."""
 
@@ -25,15 +29,29 @@ def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True)
     """Read a photo, RGB.
 
     Args:
-        path: of a PNG or a JPEG.
+        path: of a PNG, a JPEG or a WebP.
         stream: to read from, such as an entry of an archive, which ``path`` then only names.
         upright: whether to turn it as its EXIF says; False leaves it as the intrinsics of a recording describe it.
 
     Raises:
         ValueError: for a file that is broken, of another kind, or too large.
     """
-    with _opened(path, stream, ("PNG", "JPEG")) as image:
+    with _opened(path, stream, PHOTO_FORMATS) as image:
         return (ImageOps.exif_transpose(image) if upright else image).convert("RGB")
+
+
+def photo_size(path: Path) -> tuple[int, int]:
+    """Width and height of a photo once it is upright, pixels, without reading its pixels.
+
+    Args:
+        path: of a PNG, a JPEG or a WebP.
+
+    Raises:
+        ValueError: for a file that is broken, of another kind, or too large.
+    """
+    with _opened(path, None, PHOTO_FORMATS) as image:
+        lies = image.getexif().get(ORIENTATION) in (5, 6, 7, 8)
+        return (image.height, image.width) if lies else image.size
 
 
 def read_grey(path: Path) -> NDArray[Any]:

@@ -27,6 +27,8 @@ class Photos:
         depths: N files of measured depth, uint16 PNG in millimetres, 0 where there is none; empty without a sensor.
         metric: whether the unit of ``camera_to_world`` is the metre.
         gps: [N, 2] float64, latitude and longitude of each in degrees, NaN where unknown; None where nothing says so.
+        turned: [N] bool, whether an image lies on its side, a quarter clockwise, to be as wide as others; None where
+            none does.
     """
 
     paths: list[Path]
@@ -39,6 +41,7 @@ class Photos:
     depths: tuple[Path, ...] = ()
     metric: bool = False
     gps: Tensor | None = None
+    turned: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ class Reconstruction:
         depth_unit: of one count in these files, in the unit of the frame.
         seconds: [N] float64, when each image was taken, as in ``Photos``; None where nothing says so.
         gps: [N, 2] float64, as in ``Photos``.
+        turned: [N] bool, as in ``Photos``.
     """
 
     paths: list[Path]
@@ -76,6 +80,7 @@ class Reconstruction:
     depth_unit: float = 0.001
     seconds: Tensor | None = None
     gps: Tensor | None = None
+    turned: Tensor | None = None
 
     def K_at(self, width: int, height: int) -> Tensor:
         """The intrinsics [3, 3] float64 for these images at another size."""

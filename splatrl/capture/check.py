@@ -41,6 +41,7 @@ class Quality:
         solid: voxels.
         floating: solid voxels that many cameras saw through.
         voxel_size: metres.
+        problems: what is wrong with it, a sentence each, where that was asked.
     """
 
     psnr: float | None
@@ -52,12 +53,12 @@ class Quality:
     solid: int
     floating: int
     voxel_size: float
+    problems: tuple[str, ...] = ()
 
     def figures(self) -> dict[str, float | int | None]:
-        """The attributes by name, short enough to read."""
-        return {
-            name: float(f"{value:.4g}") if isinstance(value, float) else value for name, value in asdict(self).items()
-        }
+        """The numbers by name, short enough to read."""
+        numbers = {name: value for name, value in asdict(self).items() if name != "problems"}
+        return {name: float(f"{value:.4g}") if isinstance(value, float) else value for name, value in numbers.items()}
 
 
 def check(

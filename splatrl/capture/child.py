@@ -1,6 +1,7 @@
 """A stage in a process of its own: its progress is passed on, and it never outlives the caller."""
 
 import contextlib
+import errno
 import json
 import os
 import queue
@@ -17,6 +18,8 @@ from splatrl.capture.progress import Progress
 
 COLMAP_TELLS = {"extract": re.compile(r"Processed file \[(\d+)/(\d+)\]"), "match": re.compile(r"block \[(\d+)/(\d+)")}
 KEPT_LINES = 12
+FULL = re.compile(r"disk is full|No space left", re.IGNORECASE)
+"""What SQLite and the system say; the lines of COLMAP's crash that follow hide it."""
 
 
 def run_child(module: str, folder: Path, progress: Progress) -> None:
@@ -29,6 +32,7 @@ def run_child(module: str, folder: Path, progress: Progress) -> None:
 
     Raises:
         CaptureError: where the process fails, with its last lines.
+        OSError: where it fails for want of room on the disk.
     """
     command = [sys.executable, "-m", module, str(folder)]
     process = subprocess.Popen(
@@ -46,10 +50,12 @@ def run_child(module: str, folder: Path, progress: Progress) -> None:
     reader = threading.Thread(target=_read, args=(process.stdout, lines), daemon=True)
     reader.start()
     last: deque[str] = deque(maxlen=KEPT_LINES)
+    full = False
     try:
         while (line := _next(lines)) is not None:
             if not _pass_on(line, progress):
                 last.append(line.rstrip())
+                full |= bool(FULL.search(line))
         code = process.wait()
     finally:
         process.kill()
@@ -57,6 +63,8 @@ def run_child(module: str, folder: Path, progress: Progress) -> None:
         process.stdin.close()
         reader.join(1)
         process.stdout.close()
+    if code and full:
+        raise OSError(errno.ENOSPC, f"cannot write: {os.strerror(errno.ENOSPC)}", str(folder))
     if code:
         raise CaptureError(f"{module} failed with code {code}:\n" + "\n".join(last))
 

@@ -5,6 +5,7 @@ import secrets
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from torch import Tensor
 
 from splatrl.capture.area import SOLID, Area, survey_area
 from splatrl.capture.check import COMPARISON, MAP, Quality, check
+from splatrl.capture.drift import lost_scale
 from splatrl.capture.page import report_page
 from splatrl.capture.pictures import GOALS, draw_cameras, draw_goals
 from splatrl.capture.suggestions import Suggestions, place_proposals, seen_by_cameras, suggest
@@ -64,6 +66,7 @@ def write_scene(
         area = survey_area(gaussians, placed, known)
         found = suggest(seen_by_cameras(placed), area)
         quality = check(gaussians, placed, held_out, fresh, area, found)
+        quality = replace(quality, problems=tuple(problems(placed, found, quality)))
         draw_cameras(placed, area, fresh / CAMERAS)
         if found.goals:
             draw_goals(gaussians, found.goals, area.robot_height, fresh / GOALS)
@@ -73,7 +76,7 @@ def write_scene(
         proposals = _proposals(placed, area, found, quality)
         write_description(fresh, splat, name, FRAME, area.bounds, proposals=proposals)
         pictures = [file for file in (COMPARISON, MAP, GOALS, CAMERAS) if (fresh / file).exists()]
-        page = report_page(name, placed, area, found, quality, [*notes, *problems(placed, found, quality)], pictures)
+        page = report_page(name, placed, area, found, quality, [*notes, *quality.problems], pictures)
         (fresh / REPORT).write_text(page, encoding="utf-8")
     return quality
 
@@ -96,7 +99,8 @@ def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
         "No image was held out, so nothing says how good the pictures are.": quality.held_out == 0,
         "No pose on the path is free and sees something: give landmarks.goal yourself.": not found.goals,
     }
-    return [text for text, wrong in checks.items() if wrong]
+    drift = lost_scale(placed)
+    return [*([drift] if drift else []), *(text for text, wrong in checks.items() if wrong)]
 
 
 def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality) -> dict[str, Any]:

@@ -26,7 +26,7 @@ INDEX = "index.json"
 PER_SECOND = 4.0
 """Fewest frames to take of a second of video, up to the most frames that are wanted."""
 SHARPNESS_WIDTH = 480
-VERSION = 3
+VERSION = 4
 Thing = TypeVar("Thing")
 
 
@@ -35,6 +35,7 @@ class _Taken:
     image: Image.Image
     seconds: float
     gps: tuple[float, float] | None = None
+    turned: bool = False
 
 
 def read_photos(
@@ -42,21 +43,22 @@ def read_photos(
 ) -> Photos:
     """Take the sharpest frames of a video, or the photos of a folder, and keep them.
 
-    A second call with the same source and settings reads what the first one kept.
+    A second call with the same source and settings reads what the first one kept. Photos across among upright ones, or
+    the other way round, are turned to be of the size that most have.
 
     Args:
-        source: a video, or a folder of PNG and JPEG photos.
+        source: a video, or a folder of photos (PNG, JPEG, WebP).
         folder: of the capture; the images come into its sub-folder ``frames``.
         count: fewest (where the video has so many) and most images.
         longest: the most pixels along the longer side.
         progress: told about every frame or photo.
 
     Returns:
-        The images in the order in which they were taken; K where all photos' EXIF agree on a focal length (a first
-        guess: it is rounded to a millimetre), and where it says that they were taken.
+        The images in the order in which they were taken; K where EXIF tells a focal length (a first guess: it is
+        rounded to a millimetre), and where it says that they were taken.
 
     Raises:
-        CaptureError: where the source cannot be read or its images are not of one size.
+        CaptureError: where the source cannot be read or its images are not of one size and one lens.
         ValueError: for settings that make no sense.
     """
     if not 1 <= count[0] <= count[1]:
@@ -116,6 +118,7 @@ def sharpest(graded: Iterable[tuple[int, Thing, float]]) -> Iterator[Thing]:
 def _from_video(source: Path, count: tuple[int, int], longest: int, progress: Progress) -> Iterator[_Taken]:
     times = videos.packet_times(source)
     ends, start, found = buckets(times, count), float(times[0]), False
+    transfer = videos.transfer_of(source)
 
     def graded() -> Iterator[tuple[int, "VideoFrame", float]]:
         for number, (seconds, frame) in enumerate(videos.frames(source)):
@@ -125,7 +128,7 @@ def _from_video(source: Path, count: tuple[int, int], longest: int, progress: Pr
 
     for best in sharpest(graded()):
         found = True
-        yield _Taken(videos.upright(best, longest), float(best.time) - start)
+        yield _Taken(videos.upright(best, longest, transfer), float(best.time) - start)
     if not found:
         raise CaptureError(f"{source}: expected frames, could decode none")
     progress("frames", len(times), len(times))
@@ -133,6 +136,7 @@ def _from_video(source: Path, count: tuple[int, int], longest: int, progress: Pr
 
 def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: Progress) -> Iterator[_Taken]:
     paths = photo_files.photos_of(source)
+    lying = photo_files.lying(paths, longest)
     groups = np.array_split(np.arange(len(paths)), min(len(paths), count[1]))
 
     def graded() -> Iterator[tuple[int, _Taken, float]]:
@@ -140,31 +144,49 @@ def _from_folder(source: Path, count: tuple[int, int], longest: int, progress: P
             for number in group.tolist():
                 progress("photos", number, len(paths))
                 image = videos.shrunk(photo_files.read_photo(paths[number]), longest)
+                if lying[number]:
+                    image = image.transpose(Image.Transpose.ROTATE_270)  # clockwise
                 value = sharpness(np.asarray(image.convert("L"))) if len(group) > 1 else 0.0
-                yield bucket, _Taken(image, float(number), photo_files.gps_place(paths[number])), value
+                place = photo_files.gps_place(paths[number])
+                yield bucket, _Taken(image, float(number), place, lying[number]), value
 
     yield from sharpest(graded())
     progress("photos", len(paths), len(paths))
 
 
 def _write(made: Path, taken: Iterator[_Taken], source: Path, digest: str) -> None:
-    names, seconds, gps, size = [], [], [], None
+    names, seconds, gps, turned = [], [], [], []
+    rows, columns = np.zeros(1), np.zeros(1)
     for number, photo in enumerate(taken):
-        size = size or photo.image.size
-        if photo.image.size != size:
-            raise CaptureError(
-                f"{source}: expected images of one size and one camera, got {size[0]} × {size[1]} and, for image "
-                f"{number + 1}, {photo.image.size[0]} × {photo.image.size[1]}: take all upright or all across, or "
-                "remove those of the other size"
-            )
+        grey = np.asarray(photo.image.convert("L"))
+        rows, columns = np.maximum(rows, grey.max(1)), np.maximum(columns, grey.max(0))
         names.append(f"{number:04}.jpg")
         photo.image.convert("RGB").save(made / names[-1], quality=95, subsampling=0)
         seconds.append(photo.seconds)
         gps.append(photo.gps or (math.nan, math.nan))
-    assert size is not None
+        turned.append(photo.turned)
+    size = (len(columns), len(rows))
+    if not source.is_dir():
+        size = _without_bars([made / name for name in names], videos.within_bars(rows, columns))
     focal = photo_files.focal_length(source, size) if source.is_dir() else None
-    index = {"digest": digest, "names": names, "seconds": seconds, "size": size, "focal": focal, "gps": gps}
+    index = {
+        "digest": digest,
+        "names": names,
+        "seconds": seconds,
+        "size": size,
+        "focal": focal,
+        "gps": gps,
+        "turned": turned,
+    }
     (made / INDEX).write_text(json.dumps(index), "utf-8")
+
+
+def _without_bars(paths: list[Path], inside: tuple[int, int, int, int]) -> tuple[int, int]:
+    """Crop images to what is within black bars, if there are any; returns the size that they then have."""
+    left, upper, right, lower = inside
+    for path in paths if (left, upper) != (0, 0) else ():
+        photo_files.read_photo(path).crop(inside).save(path, quality=95, subsampling=0)
+    return right - left, lower - upper
 
 
 def _kept(kept: Path) -> Photos:
@@ -176,7 +198,8 @@ def _kept(kept: Path) -> Photos:
     paths = [kept / name for name in index["names"]]
     gps = torch.tensor(index["gps"], dtype=torch.float64)
     seconds = torch.tensor(index["seconds"], dtype=torch.float64)
-    return Photos(paths, width, height, seconds, K, gps=None if gps.isnan().all() else gps)
+    turned = torch.tensor(index["turned"]) if any(index["turned"]) else None
+    return Photos(paths, width, height, seconds, K, gps=None if gps.isnan().all() else gps, turned=turned)
 
 
 def _index(kept: Path) -> dict:

@@ -23,6 +23,9 @@ DRAWS = 1500
 NEAR, LOW = 0.06, 0.15
 """Of the points so near to a floor, in heights of the cameras, this share is below what people measure a height from:
 points lie on the blades of a lawn and the pile of a carpet, and are off to both sides."""
+LYING = (3.0, 0.1)
+"""The cameras' own up spreads in a plane so many times as far as their right axes, and at least so far, where a film
+lies on its side; upright films have 0.03 to 0.4 times and up to 0.13."""
 ERROR_DEG: dict[UpFrom, float] = {"recorded": 1.0, "floor": 1.5, "cameras": 5.0}
 """Largest error found in trials, by what told up; a narrow choice of headings makes that of the cameras larger."""
 
@@ -61,7 +64,7 @@ def find_ground(camera_to_world: Floats, points: Floats, recorded_up: Floats | N
     up = cameras_up(camera_to_world) if recorded_up is None else recorded_up / np.linalg.norm(recorded_up)
     heights = points @ up
     sample = points[heights <= np.quantile(heights, LOWEST)]
-    level, count = _level(sample @ up, centers @ up)
+    level, count = lowest_level(sample @ up, centers @ up)
     up_from: UpFrom = "cameras" if recorded_up is None else "recorded"
     above = float(np.median(centers @ up)) - level
     found = _floor(points, sample, up, TOLERANCE * above) if recorded_up is None else None
@@ -98,8 +101,28 @@ def cameras_up(camera_to_world: Floats) -> Floats:
     return up if up @ own >= 0 else -up
 
 
-def _level(heights: Floats, cameras: Floats) -> tuple[float, int]:
-    """The height at which most of the lowest points lie with few below it, and how many lie there."""
+def on_its_side(camera_to_world: Floats) -> bool:
+    """Whether the images lie on their side, as a phone's film does that was begun while it pointed downwards.
+
+    Who turns around with an upright camera turns its right axis through the horizontal plane, and hardly its up.
+
+    Args:
+        camera_to_world: [N, 4, 4], OpenCV camera axes, in any frame.
+    """
+    right, own = (
+        float(np.linalg.eigvalsh(axes.T @ axes / len(axes))[1])
+        for axes in (camera_to_world[:, :3, 0], camera_to_world[:, :3, 1])
+    )
+    return own > max(LYING[0] * right, LYING[1])
+
+
+def lowest_level(heights: Floats, cameras: Floats) -> tuple[float, int]:
+    """The height at which most of the lowest points lie with few below it, and how many lie there.
+
+    Args:
+        heights: [P] of the lowest points.
+        cameras: [N] of the cameras above them.
+    """
     thickness = TOLERANCE * max(float(np.median(cameras) - np.median(heights)), 1e-9)
     order = np.sort(heights)
     candidates = order[:: max(1, len(order) // 2000)]

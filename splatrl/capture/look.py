@@ -20,7 +20,8 @@ FEW = 40
 MIN_BRIGHTNESS = 25.0
 MIN_KEYPOINTS = 200
 MIN_VERIFIED = 0.8
-MAX_TURNED = 0.5
+MAX_TURNED = 0.8
+"""Films that pan for seven seconds at each of four places, with some steps between, have 0.65 and are captured well."""
 MIN_SHIFT = 0.02
 MIN_ANGLE = math.radians(3)
 

@@ -16,7 +16,7 @@ from splatrl.capture.world import Placed
 from splatrl.collision.pictures import FREE, SOLID
 from splatrl.envs.robot import Robot
 from splatrl.evaluation.chart import font
-from splatrl.evaluation.topdown import footprint, top_down
+from splatrl.evaluation.topdown import DEPTH, footprint, top_down
 from splatrl.files import replacing
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes.gaussians import Gaussians
@@ -113,7 +113,8 @@ def draw_map(
         thing: x, y, z of a place to mark.
     """
     lower, upper = area.bounds[0][:2], area.bounds[1][:2]
-    ground = top_down(gaussians, lower, upper, area.robot_height + 0.3)
+    cut = area.robot_height + 0.3
+    ground = top_down(gaussians, lower, upper, cut, depth=cut + DEPTH)  # the floor is at 0, far below a drone
     solid = footprint(area.occupancy, area.robot_height - BODY, area.robot_height + BODY, ground).numpy()
     cameras, points = (
         placed.reconstruction.camera_to_world[:, :3, 3].numpy(),

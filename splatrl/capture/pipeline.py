@@ -21,6 +21,7 @@ from splatrl.capture.fit_pictures import Frame, frame_of
 from splatrl.capture.floaters import without_floaters
 from splatrl.capture.folder import write_scene
 from splatrl.capture.frames import read_photos
+from splatrl.capture.ground import on_its_side
 from splatrl.capture.look import look
 from splatrl.capture.marker import MARKER_SIDE
 from splatrl.capture.poses import find_poses
@@ -29,7 +30,7 @@ from splatrl.capture.recordings import is_recording, read_recording
 from splatrl.capture.resolution import Resolution
 from splatrl.capture.scale import Distance
 from splatrl.capture.stereo import Depths, find_depths
-from splatrl.capture.world import Placed, place
+from splatrl.capture.world import Placed, held_poses, place
 from splatrl.files import alone_in, remove_stale, replacing
 from splatrl.native import _core
 from splatrl.scenes import Gaussians, read_gaussians, write_gaussians
@@ -39,6 +40,10 @@ VERSION = 2
 """Of what the stages keep: raise it when the same settings give another result."""
 STAGES = "stages"
 """Sub-folder of a capture in which stages keep what they have made; it can be deleted once the scene is there."""
+LIES = (
+    "lies on its side: expected upright images, got up to the left or to the right. Turn it in an editor, or by "
+    "`ffmpeg -display_rotation 90 -i FILM -c copy TURNED.mp4` (or 270), and capture that."
+)
 
 
 @dataclass(frozen=True)
@@ -95,6 +100,8 @@ def capture(
         ImportError: without the extra ``capture``.
         ValueError: where another process works in the folder.
     """
+    if folder.resolve() == source.resolve():  # its pictures would be photos of the next capture
+        raise CaptureError(f"{folder}: expected another folder for the scene than the source; name one by --out")
     if (folder / SCENE_FILE).exists() and not settings.force:
         raise FileExistsError(f"{folder / SCENE_FILE}: already exists; name another folder by --out, or give --force")
     stages = folder / STAGES
@@ -140,6 +147,8 @@ def reconstruct(
     notes = [] if known else _first_look(photos, settings.force, progress, say)
     found = with_measured_points(find_poses(photos, stages, settings.seed, progress))
     say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points")
+    if photos.up is None and on_its_side(held_poses(found)):
+        notes.append(_unless_forced(LIES, settings.force, "poses", say))
     placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
     say(f"world       up by {placed.up_from}, scale by {placed.scale_from}, camera {placed.camera_height:.2f} m high")
     return placed, notes
@@ -179,7 +188,7 @@ def build_scene(
     unseen = held_out(len(placed.reconstruction.paths)).tolist()
     far, splat = depths.far(frame), settings.splat
     quality = write_scene(folder, gaussians, placed, unseen, None, notes, settings.force, far, splat)
-    say(f"check       {_words(quality)}")
+    say("\n".join([f"check       {_words(quality)}", *(f"            {problem}" for problem in quality.problems)]))
     return quality
 
 
@@ -190,10 +199,15 @@ def _first_look(photos: Photos, force: bool, progress: Progress, say: Callable[[
     if cause is None:
         say("look        nothing speaks against it")
         return []
+    return [_unless_forced(cause, force, "look", say)]
+
+
+def _unless_forced(cause: str, force: bool, stage: str, say: Callable[[str], object]) -> str:
+    """What the report says of a capture that cannot work, where it is made all the same."""
     if not force:
         raise CaptureError(f"{cause} --force goes on all the same.")
-    say(f"look        {cause}")
-    return [cause]
+    say(f"{stage:<11} {cause}")
+    return cause
 
 
 def _depths(placed: Placed, frame: Frame, stages: Path, progress: Progress) -> Depths:

@@ -17,7 +17,7 @@ from splatrl.capture.optional import needed
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.undistort import undistorted
 
-VERSION = 5
+VERSION = 6
 DIGEST = "digest.txt"
 
 
@@ -162,6 +162,7 @@ def _reconstruction(
         depths=tuple(photos.depths[number] for number in images) if photos.depths else (),
         seconds=photos.seconds[torch.tensor(images, dtype=torch.int64)],
         gps=None if photos.gps is None else photos.gps[torch.tensor(images, dtype=torch.int64)],
+        turned=None if photos.turned is None else photos.turned[torch.tensor(images, dtype=torch.int64)],
     )
 
 

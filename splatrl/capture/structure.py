@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from splatrl.capture.loops import loop_pairs
 from splatrl.files import replacing
@@ -30,6 +32,9 @@ FEW, FAINTER = 1000, 0.0008
 LEAST_INLIERS, LEAST_SHARE, TRIALS = 15, 0.15, 10
 """Features, and their share, that must agree with a pose, and how often one is sought; COLMAP's 30, 0.25 and 3 leave
 out images of bare places, whose neighbours on the way then break off too."""
+SHARED = 10
+"""Points that two images of a model must share to hold together: COLMAP leaves images in a model, anywhere, when it has
+taken away all points that joined them to the others."""
 ENOUGH = 0.8
 """Share of images whose pose must be found; where image after image reaches fewer, all are sought at once."""
 NARROWER = (1.0, 0.75)
@@ -198,7 +203,7 @@ def _map(pycolmap: Any, folder: Path, job: Job, options: Any) -> Any:
     )
     found = _largest([*models.values()])
     for share in (1.0,) if job.fixed else NARROWER:
-        if found is not None and found.num_reg_images() >= ENOUGH * len(job.names):
+        if len(_joined(found)) >= ENOUGH * len(job.names):
             break
         found = _largest([found, *_map_at_once(pycolmap, folder, job, options.min_model_size, share)])
     return found
@@ -232,8 +237,21 @@ def _map_at_once(pycolmap: Any, folder: Path, job: Job, least: int, share: float
 
 
 def _largest(models: list[Any]) -> Any:
-    """The one with the most images, the first of equals; None where there is none."""
-    return max((model for model in models if model is not None), key=lambda model: model.num_reg_images(), default=None)
+    """The one with the most images that hold together, the first of equals; None where there is none."""
+    return max((model for model in models if model is not None), key=lambda model: len(_joined(model)), default=None)
+
+
+def _joined(model: Any) -> set[int]:
+    """The images, by COLMAP's numbers, of the largest part of a model that holds together."""
+    if model is None:
+        return set()
+    images = np.array(sorted(image.image_id for image in model.images.values() if image.has_pose), np.int64)
+    tracks = [{element.image_id for element in point.track.elements} for point in model.points3D.values()]
+    rows = np.searchsorted(images, [number for track in tracks for number in track])
+    columns = np.repeat(np.arange(len(tracks)), [len(track) for track in tracks])
+    sees = csr_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(len(images), len(tracks)))
+    parts = connected_components((sees @ sees.T).toarray() >= SHARED, directed=False)[1]
+    return set(images[parts == np.bincount(parts).argmax()].tolist()) if len(images) else set()
 
 
 def _triangulate(pycolmap: Any, folder: Path, job: Job, options: Any) -> Any:
@@ -254,15 +272,24 @@ def _triangulate(pycolmap: Any, folder: Path, job: Job, options: Any) -> Any:
 
 
 def _keep(folder: Path, job: Job, model: Any) -> None:
-    found = {} if model is None else {image.name: image for image in model.images.values() if image.has_pose}
+    if model is None:
+        found = {}
+    elif job.camera_to_world is not None:
+        found = {image.name: image for image in model.images.values()}
+    else:
+        found = {model.images[number].name: model.images[number] for number in _joined(model)}
     images = [number for number, name in enumerate(job.names) if name in found]
     camera_to_world = np.zeros((len(images), 4, 4))
     for row, number in enumerate(images):
         camera_to_world[row, :3] = found[job.names[number]].cam_from_world().inverse().matrix()
         camera_to_world[row, 3, 3] = 1
     rows = {found[job.names[number]].image_id: row for row, number in enumerate(images)}
-    points = [] if model is None else [point for _, point in sorted(model.points3D.items())]
-    sightings = [sorted({rows[e.image_id] for e in point.track.elements}) for point in points]
+    points, sightings = [], []
+    for _, point in [] if model is None else sorted(model.points3D.items()):
+        cameras = sorted({rows[e.image_id] for e in point.track.elements if e.image_id in rows})
+        if len(cameras) > 1:
+            points.append(point)
+            sightings.append(cameras)
     with replacing(folder / MODEL) as stream:
         np.savez(
             stream,

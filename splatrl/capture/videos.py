@@ -1,5 +1,6 @@
 """Frames of a video and when they are shown, upright."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,12 +11,16 @@ from PIL import Image
 
 from splatrl import images
 from splatrl.capture.base import CaptureError
+from splatrl.capture.high_range import UNKNOWN, usual_range
 
 if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".m2ts", ".ts", ".3gp", ".mpg", ".wmv")
+
+BLACK, THINNEST, EDGE = 24, 0.01, 0.005
+"""Grey level of a bar at most, its least share of the image's side, and the share beside it that its edge blurs."""
 
 
 @contextmanager
@@ -46,6 +51,19 @@ def size(path: Path) -> tuple[int, int]:
     """
     with open_video(path) as container:
         return container.streams.video[0].width, container.streams.video[0].height
+
+
+def transfer_of(path: Path) -> int:
+    """FFmpeg's number of the function by which a video's values stand for light.
+
+    Args:
+        path: of the video.
+
+    Raises:
+        CaptureError: as by ``open_video``.
+    """
+    with open_video(path) as container:
+        return int(container.streams.video[0].codec_context.color_trc)
 
 
 def packet_times(path: Path) -> np.ndarray:
@@ -107,23 +125,50 @@ def grey(frame: "VideoFrame", longest: int) -> np.ndarray:
     return small.to_ndarray()
 
 
-def upright(frame: "VideoFrame", longest: int) -> Image.Image:
-    """The image of a frame, turned as the phone was held and scaled down by area.
+def upright(frame: "VideoFrame", longest: int, transfer: int = UNKNOWN) -> Image.Image:
+    """The image of a frame, turned as the phone was held, scaled down by area, in the usual range of brightness.
 
     Args:
         frame: as decoded.
         longest: the most pixels along the longer side.
+        transfer: of the video, as ``transfer_of`` tells it.
     """
     image = frame.to_image()
     if frame.rotation:
         image = image.rotate(frame.rotation, expand=True)
-    return shrunk(image, longest)
+    return usual_range(shrunk(image, longest), transfer)
 
 
 def shrunk(image: Image.Image, longest: int) -> Image.Image:
     """An RGB image with at most ``longest`` pixels along its longer side, every pixel the mean of those it covers."""
-    scale = longest / max(image.size)
-    if scale >= 1:
-        return image
-    width, height = (max(1, round(side * scale)) for side in image.size)
-    return image.resize((width, height), Image.Resampling.BOX)
+    size = shrunk_size(image.size, longest)
+    return image if size == image.size else image.resize(size, Image.Resampling.BOX)
+
+
+def shrunk_size(size: tuple[int, int], longest: int) -> tuple[int, int]:
+    """Width and height that an image of another has once it is ``shrunk``, pixels."""
+    scale = min(1.0, longest / max(size))
+    return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
+
+
+def within_bars(rows: np.ndarray, columns: np.ndarray) -> tuple[int, int, int, int]:
+    """What is left of images without black bars, as editors and messengers put on two sides to change a film's shape.
+
+    The same is taken from two opposite sides, so that the middle of the image stays where the lens looked.
+
+    Args:
+        rows: [H] the brightest grey level of each row, in any of the images.
+        columns: [W] likewise.
+
+    Returns:
+        Left, upper, right and lower edge, pixels.
+    """
+
+    def edges(brightest: np.ndarray) -> tuple[int, int]:
+        size, lit = len(brightest), np.flatnonzero(brightest > BLACK)
+        width = int(min(lit[0], size - 1 - lit[-1])) if len(lit) else 0
+        cut = width + math.ceil(EDGE * size) if width >= THINNEST * size else 0
+        return (cut, size - cut) if size - 2 * cut >= 16 else (0, size)
+
+    (upper, lower), (left, right) = edges(rows), edges(columns)
+    return left, upper, right, lower

@@ -88,7 +88,7 @@ def place(
         raise CaptureError(
             f"expected at least 2 cameras and 20 points to find the floor, got {len(poses)} and {len(points)}"
         )
-    ground = find_ground(poses, points, None if up is None else up.double().numpy())
+    ground = find_ground(held_poses(reconstruction), points, None if up is None else up.double().numpy())
     above = mean_height(poses[:, :3, 3] @ ground.up, reconstruction.seconds) - ground.height
     if not above > 0:
         raise CaptureError("found no floor below the cameras; film so that the floor is seen")
@@ -134,6 +134,15 @@ def moved(reconstruction: Reconstruction, transform: Floats) -> Reconstruction:
     poses[:, :3, 3] = poses[:, :3, 3] @ linear.T + shift
     points = reconstruction.points @ linear.T + shift
     return replace(reconstruction, camera_to_world=poses, points=points, depth_unit=scale * reconstruction.depth_unit)
+
+
+def held_poses(reconstruction: Reconstruction) -> Floats:
+    """Poses [N, 4, 4] of the cameras as they were held: as if ``Photos.turned`` had turned none."""
+    poses: Floats = reconstruction.camera_to_world.numpy().copy()
+    if reconstruction.turned is not None:
+        lies = reconstruction.turned.numpy()
+        poses[lies, :3, :2] = poses[lies][:, :3, [1, 0]] * [1.0, -1.0]
+    return poses
 
 
 def _scale(

@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> None:
         print(f"{options.marker}: print it at its true size, and lay it where the camera sees it")
         return
     source = options.source.expanduser()
-    folder, splat = scene_folder((options.out or Path(source.stem)).expanduser())
+    folder, splat = scene_folder((options.out or _beside(source)).expanduser())
     try:
         device = chosen_device(options.device)
         print(device_line(device))
@@ -40,6 +40,12 @@ def run(options: argparse.Namespace) -> None:
         print("\nstopped; the same command continues", file=sys.stderr)
         sys.exit(INTERRUPTED)
     print(f"report in {folder / 'report.html'}\ntrain in it: splatrl-train scene={folder}/")
+
+
+def _beside(source: Path) -> Path:
+    """A folder here with the source's name, and never the source itself, where the pictures would join its photos."""
+    named = Path(source.resolve().stem)
+    return named.with_name(f"{named.name}-scene") if named.resolve() == source.resolve() else named
 
 
 def _settings(options: argparse.Namespace, side: float, splat: str, device: str) -> CaptureSettings:

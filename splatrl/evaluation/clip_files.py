@@ -1,6 +1,6 @@
 """Labelled clips on disk, filmed or recorded; they are read as untrusted data and written atomically.
 
-A folder of clips holds, for each clip, a sub-folder of images (PNG or JPEG, in the order of the numbers in their names)
+A folder of clips holds, for each clip, a sub-folder of photos (PNG, JPEG or WebP, in the order of their numbers)
 with ``actions.csv``, or a video (``name.mp4`` or ``name.mov``) with ``name.csv`` beside it. The CSV has the columns
 ``frame,action``: frames count from 0, and actions are names, joined by ``|`` where any of several is right. Frames
 that are not listed are shown to the policy but not scored.

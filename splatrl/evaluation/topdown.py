@@ -23,7 +23,7 @@ Window = tuple[list[float], list[float]]
 DISTANCE = 500.0
 """Camera height in lengths of the window: a metre of height then shifts a point by at most 1.5 millimetres."""
 DEPTH = 10.0
-"""Anything more than this many metres below the cut is left out, such as the lower half of a sky dome."""
+"""Anything more than this many metres below the cut is left out, such as the lower half of a sky dome, by default."""
 MARGIN = 0.4
 """How far a map reaches beyond the outermost pose, metres, at least."""
 AROUND = 0.25
@@ -75,6 +75,7 @@ def top_down(
     below: float,
     size: int = 720,
     make_renderer: Callable[[Gaussians], Renderer] = NativeRenderer,
+    depth: float = DEPTH,
 ) -> TopDown:
     """Render a window of a scene from straight above, in a nearly orthographic view.
 
@@ -89,6 +90,7 @@ def top_down(
         size: longer side of the picture, pixels. The shorter side is rounded up to a whole number of pixels, and the
             window grows with it, about its centre.
         make_renderer: the renderer's class, or anything that turns Gaussians into a renderer.
+        depth: what lies more than this many metres below the cut is left out.
 
     Raises:
         ValueError: for a window without area or with nothing in it.
@@ -100,7 +102,7 @@ def top_down(
     metres = side / size  # per pixel
     width, height = (max(1, math.ceil(length / metres - 1e-6)) for length in (right - left, top - bottom))
     x, y = 0.5 * (left + right), 0.5 * (bottom + top)
-    shown = _floor(gaussians, (x, y), (right - left + 2 * side, top - bottom + 2 * side), side, below)
+    shown = _floor(gaussians, (x, y), (right - left + 2 * side, top - bottom + 2 * side), side, below, depth)
     if not shown.any():
         raise ValueError(f"top_down: expected Gaussians below {below} m in the window, got none")
     distance = DISTANCE * side
@@ -141,12 +143,17 @@ def map_window(
 
 
 def _floor(
-    gaussians: Gaussians, center: tuple[float, float], size: tuple[float, float], widest: float, below: float
+    gaussians: Gaussians,
+    center: tuple[float, float],
+    size: tuple[float, float],
+    widest: float,
+    below: float,
+    depth: float,
 ) -> Tensor:
     means = gaussians.means
     beside = (means[:, :2] - means.new_tensor(center)).abs() <= 0.5 * means.new_tensor(size)
     small = gaussians.scales.amax(1) <= widest
-    return beside.all(1) & small & (means[:, 2] < below) & (means[:, 2] > below - DEPTH)
+    return beside.all(1) & small & (means[:, 2] < below) & (means[:, 2] > below - depth)
 
 
 def footprint(occupancy: Occupancy, low: float, high: float, ground: TopDown) -> Tensor:

@@ -44,6 +44,15 @@ def test_the_maps_fill_their_picture_however_long_the_place(longer: float, tmp_p
     assert empty.mean() < 0.5
 
 
+def test_the_map_shows_the_ground_far_below_a_drone(tmp_path: Path) -> None:
+    placed = tiny_capture(tmp_path / "images")
+    area = replace(survey_area(tiny_gaussians(), placed), robot_height=40.0)
+    draw_map(tiny_gaussians(), placed, area, np.ones(CAMERAS, bool), tmp_path / "map.png")
+    with Image.open(tmp_path / "map.png") as image:
+        red, green, blue = np.asarray(image.convert("RGB"), int)[:, : image.width // 2].transpose(2, 0, 1)
+    assert (red > 2 * np.maximum(green, blue)).mean() > 0.001, "the red thing"
+
+
 def test_a_darker_photo_is_forgiven_by_the_corrected_figures_alone(tmp_path: Path) -> None:
     quality = check(tiny_gaussians(), tiny_capture(tmp_path / "images", exposure=0.7), HELD_OUT, tmp_path)
     assert quality.psnr is not None and quality.psnr_corrected is not None

@@ -50,6 +50,20 @@ def test_a_frame_of_a_turned_phone_is_upright_and_scaled(tmp_path: Path) -> None
     assert shown[10, 110, 0] > 200 and shown[10, 10, 0] < 100 and shown[150, 110, 0] < 100
 
 
+def test_black_bars_around_a_film_are_cut_off(tmp_path: Path) -> None:
+    inner = _images(4)  # 320 × 240
+    framed = [np.pad(image, ((0, 0), (64, 64), (0, 0))) for image in inner]
+    write_video(tmp_path / "a.mp4", framed)
+    photos = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(4, 4))
+    assert photos.height == 240 and 310 <= photos.width < 320
+    cut = (320 - photos.width) // 2
+    for image, path in zip(inner, photos.paths, strict=True):
+        assert np.abs(_read(path) - image[:, cut:-cut]).mean() < 12
+    dark = [np.pad(image[100:], ((100, 0), (0, 0), (0, 0))) for image in inner]  # a night sky is no bar
+    write_video(tmp_path / "b.mp4", dark)
+    assert read_photos(tmp_path / "b.mp4", tmp_path / "dark", count=(4, 4)).height == 240
+
+
 def test_a_second_call_reads_what_the_first_kept_and_other_settings_do_not(tmp_path: Path) -> None:
     write_video(tmp_path / "a.mp4", _images(8))
     first = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(4, 4))
@@ -116,6 +130,20 @@ def test_photos_come_upright_in_the_order_of_their_numbers_with_the_focal_length
     assert photos.K[:2, 2].tolist() == [30, 40]
 
 
+def test_photos_through_several_lenses_are_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    for number, millimetres in enumerate((26, 27, None, 26, 13)):
+        exif = Image.Exif()
+        if millimetres:
+            exif.get_ifd(0x8769)[0xA405] = millimetres
+        Image.new("RGB", (80, 60)).save(tmp_path / "in" / f"{number}.jpg", exif=exif)
+    with pytest.raises(CaptureError, match=r"one lens without zoom, got 26 mm .* and 13 mm in 1: remove 4\.jpg$"):
+        read_photos(tmp_path / "in", tmp_path / "out")
+    (tmp_path / "in" / "4.jpg").unlink()
+    K = read_photos(tmp_path / "in", tmp_path / "out").K
+    assert K is not None and K[0, 0].item() == pytest.approx(26 / np.hypot(36, 24) * 100)
+
+
 def test_photos_tell_where_they_were_taken(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     image = Image.new("RGB", (80, 60))
@@ -135,18 +163,54 @@ def test_photos_tell_where_they_were_taken(tmp_path: Path) -> None:
     assert read_photos(tmp_path / "in", tmp_path / "out").gps is None
 
 
-def test_photos_of_two_sizes_are_refused(tmp_path: Path) -> None:
+def test_photos_of_another_size_are_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
-    for name, size in (("a.png", (60, 80)), ("b.png", (80, 60))):
+    for name, size in (("a.png", (60, 80)), ("b.png", (60, 90)), ("c.png", (60, 80)), ("d.png", (60, 80))):
         Image.new("RGB", size).save(tmp_path / "in" / name)
-    with pytest.raises(CaptureError, match="one size"):
+    with pytest.raises(CaptureError, match=r"of one size.* got 1 of another than the other 3: remove b\.png$"):
         read_photos(tmp_path / "in", tmp_path / "out")
 
 
+def test_photos_across_among_upright_ones_lie_on_their_side(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    image = np.full((60, 80, 3), 60, np.uint8)
+    image[:15, :20] = 250  # top left
+    for name, turn, orientation in (("a", 0, 1), ("b", 90, 6), ("c", 90, 1), ("d", 0, 1)):  # b is across too, by EXIF
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        Image.fromarray(image).rotate(turn, expand=True).save(tmp_path / "in" / f"{name}.png", exif=exif)
+    photos = read_photos(tmp_path / "in", tmp_path / "out")
+    assert (photos.width, photos.height) == (80, 60)
+    assert photos.turned is not None and photos.turned.tolist() == [False, False, True, False]
+    for number, path in enumerate(photos.paths):
+        assert _read(path)[5, 5, 0] > 200, number  # c was turned counter-clockwise, and is turned back
+    assert read_photos(tmp_path / "in", tmp_path / "out").turned is not None, "what was kept says so too"
+
+
 def test_photos_that_cannot_be_read_are_named_with_what_to_do(tmp_path: Path) -> None:
-    (tmp_path / "IMG1.HEIC").write_bytes(b"x")
-    with pytest.raises(CaptureError, match="convert them to JPEG"):
+    folder = tmp_path / "DCIM"
+    folder.mkdir()
+    (folder / "IMG1.HEIC").write_bytes(b"x")
+    with pytest.raises(CaptureError, match=r"got IMG1\.HEIC: convert them to JPEG"):
+        read_photos(folder, tmp_path / "out")
+    Image.new("RGB", (80, 60)).save(folder / "IMG2.jpg")
+    with pytest.raises(CaptureError, match=r"got IMG1\.HEIC: convert"):  # and IMG2 alone is not taken for all
+        read_photos(folder, tmp_path / "out")
+    Image.new("RGB", (80, 60)).save(folder / "IMG1.jpg")
+    assert len(read_photos(folder, tmp_path / "out").paths) == 2, "IMG1 is there as a JPEG too"
+    with pytest.raises(CaptureError, match=r"found none; there are some in .*DCIM: name that folder"):
         read_photos(tmp_path, tmp_path / "out")
+
+
+def test_photos_of_several_kinds_are_read_together(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "old.jpg").mkdir()  # no photo
+    for number, kind in enumerate(("png", "jpg", "webp", "JPEG")):
+        Image.new("RGB", (80, 60), (40 * number,) * 3).save(tmp_path / "in" / f"{number}.{kind}")
+    (tmp_path / "in" / "2.webp").rename(tmp_path / "in" / "2.jpg")  # as browsers save them
+    Image.new("RGB", (80, 60), (160,) * 3).save(tmp_path / "in" / "4.webp")
+    photos = read_photos(tmp_path / "in", tmp_path / "out")
+    assert [round(_read(path).mean() / 40) for path in photos.paths] == [0, 1, 2, 3, 4]
 
 
 def test_buckets_are_four_a_second_within_the_bounds() -> None:

@@ -6,6 +6,7 @@ import signal
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from splatrl.capture.base import CaptureError
 from splatrl.capture.child import run_child
 from splatrl.capture.optional import needed
 from splatrl.capture.poses import find_poses, missing_runs
-from splatrl.capture.structure import MODEL, Job, pairs, run, write_job
+from splatrl.capture.structure import MODEL, SHARED, Job, _keep, pairs, run, write_job
 from tests.capture import ray_cast
 from tests.capture.ray_cast import HALF, photos_of, walk
 
@@ -121,6 +122,32 @@ def test_images_that_no_pair_of_them_begins_are_posed_at_once(
     assert all(np.array_equal(models[0][key], models[-1][key]) for key in models[0])
 
 
+def _model(tracks: list[list[int]], count: int) -> SimpleNamespace:
+    """What COLMAP would return of images 1 to count, named a, b, …, and points by the images that see them."""
+    pose = SimpleNamespace(inverse=lambda: SimpleNamespace(matrix=lambda: np.eye(4)[:3]))
+    image = {"has_pose": True, "cam_from_world": lambda: pose}
+    images = {i: SimpleNamespace(image_id=i, name=chr(96 + i), **image) for i in range(1, count + 1)}
+    points = {}
+    for number, track in enumerate(tracks):
+        elements = [SimpleNamespace(image_id=i) for i in track]
+        points[number] = SimpleNamespace(xyz=[number, 0, 0], color=[0] * 3, track=SimpleNamespace(elements=elements))
+    lens = {"focal_length_x": 1, "focal_length_y": 1, "principal_point_x": 1, "principal_point_y": 1}
+    camera = SimpleNamespace(model=SimpleNamespace(name="PINHOLE"), params=[1] * 4, **lens)
+    return SimpleNamespace(images=images, points3D=points, cameras={1: camera})
+
+
+def test_of_images_that_share_no_points_the_larger_part_is_kept(tmp_path: Path) -> None:
+    tracks = [[1, 2]] * SHARED + [[2, 3]] * (SHARED - 1) + [[3, 4, 5]] * SHARED
+    model, names = _model(tracks, 5), list("abcde")
+    _keep(tmp_path, Job("", names, 8, 6), model)
+    kept = read_arrays(tmp_path / MODEL)
+    assert kept["images"].tolist() == [2, 3, 4]
+    assert kept["points"][:, 0].tolist() == [*range(2 * SHARED - 1, 3 * SHARED - 1)]
+    assert kept["seen_by"].tolist() == [0, 1, 2] * SHARED
+    _keep(tmp_path, Job("", names, 8, 6, camera_to_world=[np.eye(4).tolist()] * 5), model)
+    assert len(read_arrays(tmp_path / MODEL)["images"]) == 5, "known poses need no points to hold together"
+
+
 def test_known_poses_without_intrinsics_are_refused(tmp_path: Path) -> None:
     photos = photos_of(tmp_path / "in", [room_image(walk(1)[0])])
     with pytest.raises(ValueError, match="expected intrinsics"):
@@ -172,3 +199,12 @@ def test_an_interrupt_kills_the_child_and_a_failure_shows_its_last_lines(
             os.kill(child[0], 0)
     with pytest.raises(CaptureError, match="no more rays"):
         run_child("child_of_a_test", tmp_path / "fail", lambda *_: None)
+
+
+def test_a_full_disk_is_told_from_other_failures_of_the_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "crashing.py").write_text(
+        "print('SQLite error: database or disk is full')\nfor _ in range(50): print('@ 0x7f74c90a71f5')\nexit(1)\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(OSError, match=r"cannot write: No space left on device: '.*job'$"):
+        run_child("crashing", tmp_path / "job", lambda *_: None)

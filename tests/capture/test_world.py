@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from splatrl.capture.base import CaptureError
-from splatrl.capture.ground import cameras_up, find_ground
+from splatrl.capture.ground import cameras_up, find_ground, on_its_side
 from splatrl.capture.scale import Click, Distance, ScaleFrom, clicked_point
 from splatrl.capture.world import Placed, place, wall_direction
 from tests.capture.walks import ABOVE, CAMERAS, K, strewn, walk, without_points
@@ -132,6 +132,31 @@ def test_reflections_below_the_floor_do_not_draw_it_down() -> None:
     mirrored = points[(points[:, 2] > 0.1) & (points[:, 2] < 0.6)][::12] * torch.tensor([1.0, 1.0, -1.0])
     ground = find_ground(walk().camera_to_world.numpy(), torch.cat([points, mirrored]).numpy())
     assert abs(ground.height) < 0.05 and ground.up[2] > math.cos(math.radians(1.0))
+
+
+def test_images_on_their_side_say_how_the_camera_was_held() -> None:
+    upright = walk()
+    lies = torch.arange(len(upright.paths)) % 5 < 3
+    poses = upright.camera_to_world.clone()
+    poses[lies, :3, 0], poses[lies, :3, 1] = -upright.camera_to_world[lies, :3, 1], upright.camera_to_world[lies, :3, 0]
+    flat = torch.zeros(30, 3, dtype=torch.float64)  # no floor that would tell
+    flat[:, 0] = torch.linspace(-1, 1, 30)
+    few = {"points": flat, "colors": upright.colors[:30], "seen_point": torch.zeros(0), "seen_by": torch.zeros(0)}
+    given = replace(upright, camera_to_world=poses, turned=lies, **few)
+    placed, expected = (place(found, marker=None) for found in (given, replace(upright, **few)))
+    torch.testing.assert_close(placed.world_from_capture, expected.world_from_capture)
+    assert placed.up_from == "cameras" and not torch.allclose(
+        place(replace(given, turned=None), marker=None).world_from_capture, expected.world_from_capture, atol=0.1
+    )
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_film_on_its_side_is_told_from_an_upright_one(side: float) -> None:
+    upright = walk().camera_to_world.numpy()
+    lying = upright.copy()
+    lying[:, :3, 0], lying[:, :3, 1] = side * upright[:, :3, 1], -side * upright[:, :3, 0]
+    assert on_its_side(lying) and not on_its_side(upright)
+    assert not on_its_side(lying[:1].repeat(9, 0)), "who never turns leaves it open"
 
 
 def test_cameras_that_all_look_one_way_still_have_an_up() -> None:

@@ -201,11 +201,40 @@ def test_a_disk_that_is_full_is_one_line_that_names_the_file(
     assert not list(tmp_path.rglob("*.tmp")) and not (tmp_path / "garden" / "scene.yaml").exists()
 
 
+@pytest.mark.usefixtures("bare_report")
+def test_what_the_report_finds_wrong_is_said_too(
+    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("splatrl.capture.folder.problems", lambda *_: ["The sky fell."])
+    capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
+    assert "of the camera's path is free\n            The sky fell.\n" in capsys.readouterr().out
+    assert "The sky fell." in (tmp_path / "garden" / "report.html").read_text()
+
+
 def test_two_captures_do_not_share_a_folder(tmp_path: Path, stages: list[str]) -> None:
     (tmp_path / "garden" / "stages").mkdir(parents=True)
     with alone_in(tmp_path / "garden" / "stages"), pytest.raises(SystemExit, match="another process works there"):
         capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
     assert stages == []
+
+
+def test_a_scene_never_comes_into_the_folder_of_its_photos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folders: list[Path] = []
+
+    def stop(source: Path, folder: Path, *_: object) -> None:
+        folders.append(folder)
+        raise CaptureError("far enough")
+
+    (tmp_path / "photos").mkdir()
+    monkeypatch.setattr(pipeline, "reconstruct", stop)
+    for place, source in ((tmp_path, "photos"), (tmp_path / "photos", "."), (tmp_path / "photos", "../walk.mp4")):
+        monkeypatch.chdir(place)
+        with pytest.raises(SystemExit, match="far enough"):
+            capture.main([source])
+    assert folders == [Path("photos-scene"), Path("photos"), Path("walk")]
+    with pytest.raises(SystemExit, match=r"expected another folder for the scene than the source.* --out"):
+        capture.main([".", "--out", str(tmp_path / "photos")])
+    assert not (tmp_path / "photos" / "stages").exists()
 
 
 def test_a_capture_that_cannot_work_is_refused_with_its_cause(
@@ -215,6 +244,15 @@ def test_a_capture_that_cannot_work_is_refused_with_its_cause(
     with pytest.raises(SystemExit, match=r"splatrl-capture: .*dark.* --force"):
         capture.main(["night.mp4", "--out", str(tmp_path / "night"), *QUICK])
     assert stages == ["frames"] and not (tmp_path / "night" / "scene.yaml").exists()
+
+
+def test_a_film_on_its_side_is_refused_before_the_fit(
+    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "on_its_side", lambda poses: True)
+    with pytest.raises(SystemExit, match=r"splatrl-capture: lies on its side: .* -display_rotation 90 .* --force"):
+        capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
+    assert stages == ["frames", "poses"]
 
 
 def test_a_fault_of_a_stage_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -117,7 +117,7 @@ class FilePicture:
     """An image in a file of its own.
 
     Args:
-        path: of a PNG or a JPEG.
+        path: of a PNG, a JPEG or a WebP.
         opened: opens what to read instead, such as an entry of an archive, which the path then only names.
     """
 

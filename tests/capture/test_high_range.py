@@ -1,0 +1,47 @@
+"""Films of high dynamic range come in the colours that they mean."""
+
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from splatrl.capture.frames import read_photos
+from splatrl.capture.high_range import HLG, PQ, UNKNOWN, usual_range
+
+FROM_SRGB = np.array([[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0114], [0.0164, 0.0880, 0.8956]])
+MEANT = np.array([[200, 60, 60], [60, 180, 60], [60, 60, 200], [255, 255, 255], [60, 60, 60], [200, 150, 110]])
+
+
+def _signal(light: np.ndarray, transfer: int) -> np.ndarray:
+    """What a camera writes of light, of which 1 is paper white (ITU-R BT.2100)."""
+    if transfer == PQ:
+        root = (light * 203 / 10_000) ** 0.1593017578125
+        return ((0.8359375 + 18.8515625 * root) / (1 + 18.6875 * root)) ** 78.84375
+    scene = light * 0.26496
+    above = 0.17883277 * np.log(np.maximum(12 * scene - 0.28466892, 1e-9)) + 0.55991073
+    return np.where(scene <= 1 / 12, np.sqrt(3 * scene), above)
+
+
+@pytest.mark.parametrize("transfer", [HLG, PQ])
+def test_colours_of_a_high_range_are_those_that_were_meant(transfer: int) -> None:
+    written = _signal((MEANT / 255.0) ** 2.2 @ FROM_SRGB.T, transfer)
+    image = Image.fromarray((255 * written).round().astype(np.uint8)[None])
+    assert np.abs(np.asarray(usual_range(image, transfer))[0].astype(int) - MEANT).max() <= 8
+    assert np.abs(np.asarray(image)[0].astype(int) - MEANT).max() > 40
+    assert usual_range(image, 1) is image
+
+
+@pytest.mark.parametrize(("transfer", "shown"), [(UNKNOWN, 173), (HLG, 220)])
+def test_a_film_says_of_itself_which_range_it_has(transfer: int, shown: int, tmp_path: Path) -> None:
+    with av.open(str(tmp_path / "a.mp4"), "w") as container:
+        stream = container.add_stream("h264", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.codec_context.color_trc = transfer
+        for _ in range(3):
+            grey = np.full((48, 64, 3), 173, np.uint8)  # paper white, a little darkened, in HLG
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(grey, format="rgb24")))
+        container.mux(stream.encode())
+    photos = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(3, 3))
+    assert np.asarray(Image.open(photos.paths[0])).mean() == pytest.approx(shown, abs=4)
