@@ -98,7 +98,9 @@ def _check_common(places: Sequence[DictConfig]) -> None:
 def _resolved(cfg: DictConfig, key: str) -> Iterator[tuple[str, Any]]:
     """Dotted keys and values of a node, with references followed."""
     node = OmegaConf.select(cfg, key)
-    return flat(OmegaConf.to_container(node, resolve=True), key) if isinstance(node, DictConfig) else iter(())
+    plain = OmegaConf.to_container(node, resolve=True) if isinstance(node, DictConfig) else {}
+    assert isinstance(plain, dict), type(plain)
+    return flat({str(name): value for name, value in plain.items()}, key)
 
 
 def _missing(node: Any, place: str = "") -> Iterator[str]:

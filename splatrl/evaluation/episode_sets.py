@@ -43,7 +43,7 @@ def write_episodes(
     state: Tensor,
     memory: Mapping[str, Tensor],
     scenes: Sequence[str],
-    height: float,
+    heights: Tensor,
     radius: float,
 ) -> None:
     """Write episodes as ``episodes.json.gz``.
@@ -56,10 +56,10 @@ def write_episodes(
         state: [N, 3] starts, x and y in metres and yaw in radians.
         memory: ``goal`` [N, 3] likewise, and ``start_distance`` [N, 1], metres of the shortest way.
         scenes: [N] names.
-        height: z of starts and goals, metres.
+        heights: [N] float32, z of each start and its goal, metres.
         radius: within which a stop is a success, metres.
     """
-    z = torch.full((len(state), 1), height, dtype=torch.float64)
+    z = heights.double().unsqueeze(1)
     goal = memory["goal"].double()
     starts, goals = (to_habitat(torch.cat([each[:, :2].double(), z], 1)).tolist() for each in (state, goal))
     yaws, far = state[:, 2].double().tolist(), memory["start_distance"].double().flatten().tolist()

@@ -285,7 +285,7 @@ def test_options_stand_before_what_a_scene_proposes_so_that_hydra_takes_both(tmp
         (["-m", "scene=many", "scene.paths=[{0}],[yard]"], "scene.paths: expected one value, got .*; start a command"),
         (
             ["-m", "scene=yards", "scene.count=1,2"],
-            "scene.count: expected one value, got 1,2; start a command for each",
+            "scene.count: expected one value, got 1,2; start a command",
         ),
     ],
 )

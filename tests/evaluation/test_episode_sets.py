@@ -21,7 +21,7 @@ MEMORY = {
 
 def written(folder: Path) -> Path:
     path = folder / "episodes.json.gz"
-    write_episodes(path, STATE, MEMORY, ["yard", "kitchen"], 0.4, 0.2)
+    write_episodes(path, STATE, MEMORY, ["yard", "kitchen"], torch.tensor([0.4, 1.05]), 0.2)
     return path
 
 
@@ -36,6 +36,11 @@ def test_a_file_has_habitats_fields_in_habitats_frame(tmp_path: Path) -> None:
     assert first["start_rotation"] == pytest.approx([0.0, math.sin(0.25), 0.0, math.cos(0.25)])
     assert first["goals"] == [{"position": pytest.approx([1.0, 0.4, -3.0]), "radius": 0.2}]
     assert first["info"]["geodesic_distance"] == pytest.approx(4.5)
+
+
+def test_a_start_and_its_goal_are_as_high_as_the_robot_in_their_scene(tmp_path: Path) -> None:
+    for height, row in zip((0.4, 1.05), content(written(tmp_path))["episodes"], strict=True):
+        assert row["start_position"][1] == row["goals"][0]["position"][1] == pytest.approx(height)
 
 
 def test_what_is_written_is_read_back_and_has_the_same_bytes_each_time(tmp_path: Path) -> None:
