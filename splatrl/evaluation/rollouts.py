@@ -131,8 +131,12 @@ def given_episodes(world: World | Worlds, path: Path) -> tuple[World | Worlds, C
     for number, (name, one) in enumerate(zip(world.names, world.worlds, strict=True)):
         mine = (scene == number).nonzero().squeeze(1)
         blocked = one.plan.checker.collides(one.task.motion.body_to_world(state[mine]))
-        if blocked.any() or not one.task.motion.inside(state[mine]).all():
-            raise ValueError(f"{path}: expected starts where the robot fits, got others in scene {name}")
+        wrong = mine[blocked | ~one.task.motion.inside(state[mine])].tolist()
+        if wrong:
+            place = [round(value, 3) for value in state[wrong[0], :2].tolist()]
+            raise ValueError(
+                f"{path}: episode {wrong[0]}: expected a start where the robot fits, got {place} in scene {name}"
+            )
     task = copy.copy(task)
     task._modules = dict(task._modules)
     try:

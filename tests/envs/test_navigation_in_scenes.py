@@ -82,3 +82,7 @@ def test_scenes_of_one_name_keep_their_episodes_apart(tmp_path: Path) -> None:
     save_episodes(path, world, chosen, 0.2)
     _, again = given_episodes(world, path)
     assert again.scene is not None and again.scene.tolist() == [0, 0, 0, 1, 1, 1]
+    chosen.state[4, 0] = 100.0
+    save_episodes(path, world, chosen, 0.2)
+    with pytest.raises(ValueError, match=r"gz: episode 4: expected a start .* got \[100.0, .*\] in scene garden-2"):
+        given_episodes(world, path)

@@ -86,32 +86,32 @@ def test_a_wrong_episode_is_refused_in_one_line_by_its_field(key: str, value: An
 
 
 @pytest.mark.parametrize(
-    "data",
+    ("data", "match"),
     [
-        b"",
-        b"no gzip",
-        gzip.compress(b"{"),
-        gzip.compress(b"[]"),
-        gzip.compress(b'{"episodes": []}'),
-        gzip.compress(b'{"episodes": [1]}'),
-        gzip.compress(b"[" * 100_000),
-        gzip.compress(b'{"episodes": [{}]}')[:-9],
+        (b"", "expected a whole gzip file of .* got one that is cut short"),
+        (b"no gzip", "expected a gzip file, got Error -3"),
+        (gzip.compress(b"{"), "expected JSON, got"),
+        (gzip.compress(b"[]"), "episodes: expected 1 to 200,000 of them, got no list"),
+        (gzip.compress(b'{"episodes": []}'), "episodes: expected 1 to 200,000 of them, got 0"),
+        (gzip.compress(b'{"episodes": [1]}'), "episode 0: expected keys and values"),
+        (gzip.compress(b"[" * 100_000), "expected JSON, got"),
+        (gzip.compress(b'{"episodes": [{}]}')[:-9], "expected a whole gzip file of .* got one that is cut short"),
     ],
     ids=["empty", "text", "cut", "list", "none", "number", "nested", "truncated"],
 )
-def test_a_damaged_file_is_refused_in_one_line(data: bytes, tmp_path: Path) -> None:
+def test_a_damaged_file_is_refused_in_one_line(data: bytes, match: str, tmp_path: Path) -> None:
     path = tmp_path / "episodes.json.gz"
     path.write_bytes(data)
-    with pytest.raises(ValueError, match=r"episodes\.json\.gz") as caught:
+    with pytest.raises(ValueError, match=rf"episodes\.json\.gz: {match}") as caught:
         read_episodes(path, ["yard"])
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(caught.value) and str(caught.value).count("expected") == 1
 
 
 def test_a_file_that_unpacks_to_more_than_it_may_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(episode_sets, "MOST_BYTES", 1000)
     path = tmp_path / "episodes.json.gz"
     path.write_bytes(gzip.compress(b" " * 100_000 + b'{"episodes": []}'))
-    with pytest.raises(ValueError, match="at most 1,000 bytes"):
+    with pytest.raises(ValueError, match="at most 1,000 bytes unpacked, got more"):
         read_episodes(path, ["yard"])
 
 
