@@ -59,6 +59,8 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
             raise ValueError(f"scene: expected one scene, got {path}; type scene=many 'scene.paths={path}'")
         elif key == "scene" and Path(path).suffix and "," not in path and path not in options("scene"):
             raise ValueError(f"scene: expected {', '.join(options('scene'))} or a path that exists, got {path}")
+        elif key == "scene" and path in options("scene"):
+            result.append(f"scene={path}")  # quoted or not
         else:
             result.append(override)
     if "scene=many" in result:
