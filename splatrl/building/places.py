@@ -147,6 +147,8 @@ def _key(key: str) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
+        if str(error).startswith(f"{key}."):  # it names its own
+            raise
         raise ValueError(f"{key}: {error}") from error
 
 

@@ -64,6 +64,9 @@ def test_what_is_wrong_with_one_of_several_scenes_names_it(tmp_path: Path) -> No
         check_config(load_config(words))
     with pytest.raises(ValueError, match=f"{west}: scene: expected free poses, got 200 poses"):
         build_world(load_config([*words, "robot.height=0.04"]))
+    with pytest.raises(ValueError, match=r"goals/west: task\.goals: expected at most"):
+        (tmp_path / "goals").mkdir()
+        build_world(load_config([*in_both(tmp_path / "goals", "pointnav"), "task.goals=90000"]))
 
 
 @pytest.mark.parametrize(
