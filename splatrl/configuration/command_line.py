@@ -151,7 +151,8 @@ def _check_overrides(name: str, overrides: Sequence[Override], sweeps: bool) -> 
     groups = [override for override in overrides if is_group(override.key_or_group)]
     for override in groups:
         for choice in _choices(override):
-            _check_choice(override.key_or_group, choice)
+            for one in choice.strip("[]").split(","):  # sensors are a list
+                _check_choice(override.key_or_group, one.strip())
     chosen = [f"{str(override.input_line).partition('=')[0]}={_choices(override)[0]}" for override in groups]
     try:
         known = composed(chosen, name)
@@ -188,7 +189,7 @@ def _choices(override: Override) -> list[str]:
 def _check_choice(key: str, choice: str) -> None:
     group = key.partition("@")[0]
     valid = options(group)
-    if choice in valid or choice in ("null", "") or choice.startswith("["):
+    if choice in valid or choice in ("null", ""):
         return
     near = difflib.get_close_matches(choice.lower(), valid, 1)
     hint = f"; did you mean {key}={near[0]}?" if near else ""

@@ -279,6 +279,7 @@ def test_options_stand_before_what_a_scene_proposes_so_that_hydra_takes_both(tmp
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        (["sensors=[lidar,sonar]"], "sensors: expected one of compass, .*, got sonar"),
         (["scene={0},{0}"], "scene: expected one value, got .*; type scene=many 'scene.paths=.* for several, or -m"),
         (["scene=[{0},{0}]"], "scene: expected one scene, got .*; type scene=many 'scene.paths="),
         (["-m", "scene=backyard,{0}"], "scene: expected names of configs in a sweep, got the path .*; start a command"),
@@ -289,7 +290,7 @@ def test_options_stand_before_what_a_scene_proposes_so_that_hydra_takes_both(tmp
         ),
     ],
 )
-def test_several_scenes_where_one_is_expected_say_what_to_type(words: list[str], message: str, tmp_path: Path) -> None:
+def test_lists_that_cannot_be_meant_say_what_to_type(words: list[str], message: str, tmp_path: Path) -> None:
     (tmp_path / "blocks.yaml").touch()
     with pytest.raises(SystemExit, match=message):
         command_line("train", [word.format(tmp_path) for word in words])
