@@ -12,10 +12,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import splatrl
-from splatrl.configuration import options
+from splatrl.configuration import load_config, options
 from splatrl.envs import GymnasiumEnv, GymnasiumVectorEnv
 from splatrl.gymnasium_ids import TASKS, gymnasium_id
 from tests.tiny import tiny_overrides
+from tests.two_rooms import in_both
 
 
 def room(folder: Path, task: str = "grid") -> dict[str, Any]:
@@ -48,6 +49,17 @@ def test_a_named_env_is_the_one_that_the_library_makes(tmp_path: Path) -> None:
     seen, info = env.reset()
     expected, told = GymnasiumEnv(splatrl.make_env(tiny_overrides(tmp_path), [1], seed=3)).reset()
     assert np.array_equal(seen, expected) and np.array_equal(info["state"], told["state"])
+
+
+def test_several_scenes_and_generated_ones_are_scenes_too(tmp_path: Path) -> None:
+    both = in_both(tmp_path)
+    chosen = [each for each in both if not each.startswith(("task=", "scene="))]
+    envs = gymnasium.make_vec("splatrl/Grid-v0", num_envs=8, scene="many", overrides=chosen)
+    assert isinstance(envs, GymnasiumVectorEnv)
+    seen, _ = envs.reset(seed=0)
+    expected, _ = GymnasiumVectorEnv(splatrl.make_env(both, [8])).reset(seed=0)
+    assert np.array_equal(seen, expected)
+    assert load_config(["scene='yard'", "scene.seed=3"]) == load_config(["scene=yard", "scene.seed=3"])
 
 
 def test_a_batch_is_one_env_that_steps_all_robots(tmp_path: Path) -> None:

@@ -56,13 +56,25 @@ class Place(NamedTuple):
         return World(scene, occupancy, checker, drawing, robot, task, paths, transforms, device, made_by, sensors)
 
 
-def build_places(configs: Sequence[DictConfig], device: torch.device) -> list[Place]:
-    """Build the scenes of some configs, several side by side and with a progress bar."""
+def build_places(configs: Sequence[DictConfig], device: torch.device, names: Sequence[str]) -> list[Place]:
+    """Build the scenes of some configs, several side by side and with a progress bar.
+
+    Args:
+        configs: each with one scene.
+        device: of what moves and draws robots.
+        names: what was typed for each of several, for messages.
+    """
     if len(configs) == 1:
         return [_build_place(configs[0], device)]
     with ThreadPoolExecutor(threads_of(None)) as pool:
-        places = pool.map(partial(_build_place, device=device), configs)
+        places = pool.map(partial(_build_one_of_several, device=device), names, configs)
         return list(tqdm(places, "scenes", len(configs), unit="scene", dynamic_ncols=True))
+
+
+def _build_one_of_several(name: str, cfg: DictConfig, device: torch.device) -> Place:
+    """Build one of several scenes, whose name stands before what is wrong in it."""
+    with _key(name):
+        return _build_place(cfg, device)
 
 
 def _build_place(cfg: DictConfig, device: torch.device) -> Place:
@@ -135,6 +147,8 @@ def _key(key: str) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
+        if str(error).startswith(f"{key}."):  # it names its own
+            raise
         raise ValueError(f"{key}: {error}") from error
 
 

@@ -9,7 +9,7 @@ from torchrl.envs import Transform
 
 from splatrl.building.places import build_places, constructor
 from splatrl.collision.several import SeveralCheckers
-from splatrl.configuration import check_config, place_configs, with_absolute_paths
+from splatrl.configuration import check_config, place_configs, place_names, with_absolute_paths
 from splatrl.device import chosen_device
 from splatrl.envs.drawing import Drawing
 from splatrl.envs.world import World, Worlds
@@ -34,7 +34,7 @@ def build_world(cfg: DictConfig) -> World | Worlds:
         cfg = cfg.copy()
         cfg.device = str(device)  # the value of ${device} in nodes
     configs = place_configs(cfg)
-    places = build_places(configs, device)
+    places = build_places(configs, device, place_names(cfg))
     scenes = [place.scene for place in places]
     drawn = [*scenes, *places[0].task.models]
     renderer = constructor(configs[0], "renderer", device)(drawn[0] if len(drawn) == 1 else drawn)

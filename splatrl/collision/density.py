@@ -144,9 +144,10 @@ def _voxels(
     part: _Ellipsoids, within: NDArray[np.float64], resolution: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
     """Which Gaussians reach into a box [2, 3], and for those the key of the first voxel and one past the last."""
-    lower, upper = within
-    first = np.floor(np.maximum(part.means - part.reach, lower) / resolution).astype(np.int64)
-    end = np.ceil(np.minimum(part.means + part.reach, upper) / resolution).astype(np.int64)
+    (lower, upper), beyond = within, 2 * resolution  # where no voxel of the box is: a floater's key may have no int64
+    least = np.minimum(np.maximum(part.means - part.reach, lower), upper + beyond)
+    most = np.maximum(np.minimum(part.means + part.reach, upper), lower - beyond)
+    first, end = np.floor(least / resolution).astype(np.int64), np.ceil(most / resolution).astype(np.int64)
     inside = (end > first).all(1)
     return inside, first[inside], end[inside]
 

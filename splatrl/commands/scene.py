@@ -23,7 +23,7 @@ from splatrl.evaluation.scene_pictures import draw_scene, survey_occupancy
 from splatrl.evaluation.terrain_pictures import draw_terrain
 from splatrl.files import replacing
 from splatrl.physics.survey import find_terrain
-from splatrl.scenes.blocks import BLOCKS_FILE
+from splatrl.scenes.blocks import BLOCKS_FILE, is_in_blocks
 from splatrl.scenes.description import (
     SCENE_FILE,
     SMALL_SPLAT,
@@ -50,6 +50,8 @@ REACH = 0.3
 """Metres that a robot with physics reaches beyond its place and above its camera, at most, where boxes are drawn."""
 FILL = 0.2
 """Metres: openings that count as closed, as in training."""
+STILL_TO_TYPE = {"robot_height": "robot.height=0.4", "goal": "'landmarks.goal=[x,y,yaw]'"}
+"""What a person has to say where nothing was found to propose."""
 FRAME_OPTIONS = ("up", "axes", "scale", "translation", "matrix", "nerfstudio", "distance")
 
 
@@ -70,6 +72,8 @@ def look(options: argparse.Namespace) -> None:
         if value is not None and not 0.0 < value < float("inf"):
             raise ValueError(f"--{name}: expected a finite number above 0, got {value}")
     path = options.file.expanduser()
+    if is_in_blocks(path):
+        raise ValueError(f"{path}: expected a splat file or a folder with {SCENE_FILE}, got one with {BLOCKS_FILE}")
     stated = stated_frame(options)
     out = (options.out or (path if path.is_dir() else path.parent)).expanduser()
     out, splat = scene_folder(out)
@@ -92,11 +96,15 @@ def look(options: argparse.Namespace) -> None:
     standing = gaussians.transformed(world_from_splat)
     scene = Scene(path.stem, standing, robust_bounds(standing))
     drawn, floor = antialiased_beside(path), floor_height(upright, world_from_splat)
-    occupancy = draw(scene, floor, options, out, drawn)
     proposals = {} if drawn is None else {"antialiased": drawn}
     if upright.units_guess.confidence == UNKNOWN:
         proposals["metric"] = False
-    bounds, found = propose(scene, occupancy, floor, options, out, drawn is not False)
+    try:
+        occupancy = draw(scene, floor, options, out, drawn)
+        bounds, found = propose(scene, occupancy, floor, options, out, drawn is not False)
+    except ValueError as error:
+        across = max(high - low for low, high in zip(*scene.bounds, strict=True))
+        raise ValueError(f"{error}; if {across:.3g} m across is not its size, pass --scale or --distance") from error
     proposals |= found
     if options.split is not None:
         write_blocks_of(out, scene, options.split, small, bounds, proposals)
@@ -105,7 +113,8 @@ def look(options: argparse.Namespace) -> None:
     else:
         name = beside_description(path, out, gaussians)
         print(f"wrote       {write_description(out, name, scene.name, frame, bounds, options.force, proposals)}")
-    print(f"train in it: splatrl-train scene={out}/")
+    words = [word for key, word in STILL_TO_TYPE.items() if key not in proposals]
+    print(" ".join([f"train in it: splatrl-train scene={out}/", *words]))
 
 
 def propose(

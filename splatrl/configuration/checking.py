@@ -1,15 +1,15 @@
 """What a whole config has to hold before anything is built of it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from splatrl.configuration.scene_choice import place_configs
+from splatrl.configuration.scene_choice import place_configs, place_names
 from splatrl.configuration.search_path import config_loader
 from splatrl.configuration.targets import check_targets
-from splatrl.values import require_number
+from splatrl.values import flat, require_number
 
 MOST = 2**31 - 1
 WHOLE_NUMBERS = {
@@ -33,6 +33,8 @@ WHOLE_NUMBERS = {
 WORDS = {"evaluation.checkpoint": ("last", "best"), "logger.backend": ("csv", "tensorboard", "wandb")}
 """Keys that take one of a few words, which would otherwise be refused only after a training."""
 NULLABLE = ("starts.farthest", "renderer.threads")
+COMMON = ("renderer", "drawing", "around_drawing")
+"""Nodes of which an env has one, whatever scene its rows are in."""
 BY_SCENE = "or let splatrl-scene <the splat> --out <a folder> find one, and type scene=<the folder>"
 EXAMPLES = {
     "run": "run=<the folder of a training>",
@@ -61,13 +63,15 @@ def check_config(cfg: DictConfig) -> None:
     """
     if isinstance(OmegaConf.select(cfg, "scene.places"), ListConfig) and not cfg.scene.places:
         raise ValueError("scene.paths: expected some scenes, got none; type scene.paths=[garden/,yard:3]")
-    for place in place_configs(cfg):
+    places = place_configs(cfg)
+    for name, place in zip(place_names(cfg), places, strict=True):
         check_constructors(place)
         plain = OmegaConf.to_container(place, resolve=False)
         needed = sorted(_missing(plain)) or sorted(_unset_landmarks(plain))
         if needed:
-            example = EXAMPLES.get(needed[0], needed[0] + "=...")
-            raise ValueError(f"{needed[0]}: expected a value, got none; type {example}")
+            example, there = EXAMPLES.get(needed[0], needed[0] + "=..."), f" in {name}" if name else ""
+            raise ValueError(f"{needed[0]}: expected a value{there}, got none; type {example}")
+    _check_common(places)
     for key, (low, high) in WHOLE_NUMBERS.items() if "collector" in cfg else ():  # of a training
         value = OmegaConf.select(cfg, key)
         if value is not None or key not in NULLABLE:
@@ -75,6 +79,28 @@ def check_config(cfg: DictConfig) -> None:
     for key, valid in WORDS.items() if "collector" in cfg else ():
         if (value := OmegaConf.select(cfg, key)) not in valid:
             raise ValueError(f"{key}: expected one of {', '.join(valid)}, got {value}")
+
+
+def _check_common(places: Sequence[DictConfig]) -> None:
+    """Refuse scenes that are to be drawn in different ways: a batch is drawn in one call.
+
+    Raises:
+        ValueError: names the key that differs.
+    """
+    for node in COMMON:
+        drawn = [dict(_resolved(place, node)) for place in places]
+        for key in dict.fromkeys(key for values in drawn for key in values):
+            got = list(dict.fromkeys(str(values.get(key)) for values in drawn))
+            if len(got) > 1:
+                raise ValueError(f"{key}: expected the same in all scenes, got {' and '.join(got[:3])}; type {key}=...")
+
+
+def _resolved(cfg: DictConfig, key: str) -> Iterator[tuple[str, Any]]:
+    """Dotted keys and values of a node, with references followed."""
+    node = OmegaConf.select(cfg, key)
+    plain = OmegaConf.to_container(node, resolve=True) if isinstance(node, DictConfig) else {}
+    assert isinstance(plain, dict), type(plain)
+    return flat({str(name): value for name, value in plain.items()}, key)
 
 
 def _missing(node: Any, place: str = "") -> Iterator[str]:

@@ -57,7 +57,7 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
     arguments = SPELLED.get(name, list)(arguments)
     try:
         _check_words(name, arguments)
-        result = with_scene_paths(arguments, name)
+        result = _options_first(with_scene_paths(arguments, name))
         if any(argument.partition("=")[0] in OWN_CONFIG for argument in arguments):
             return result  # Hydra itself reports a key that a config of one's own does not have
         sweeps = any(argument in SWEEP for argument in arguments)
@@ -70,6 +70,13 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
     except ValueError as error:
         sys.exit(f"splatrl-{name}: {error}")
     return result
+
+
+def _options_first(words: Sequence[str]) -> list[str]:
+    """Words with Hydra's options before the overrides: its parser takes no override behind an option among them."""
+    pairs = list(zip(["", *words], words, strict=False))
+    options = [word for before, word in pairs if word.startswith("-") or before in WITH_VALUE]
+    return [*options, *(word for before, word in pairs if not (word.startswith("-") or before in WITH_VALUE))]
 
 
 def _of_evaluation(arguments: Sequence[str]) -> list[str]:
@@ -134,7 +141,8 @@ def _parsed(word: str, sweeps: bool) -> Override:
         raise UserError(f"{word}: expected {key}=value with closed brackets, and odd signs quoted") from error
     if override.is_sweep_override() and not sweeps:
         text = word.partition("=")[2]
-        raise UserError(f"{key}: expected one value, got {text}; type {key}=[{text}] for a list, or -m for a sweep")
+        several = f"scene=many 'scene.paths=[{text}]' for several" if key == "scene" else f"{key}=[{text}] for a list"
+        raise UserError(f"{key}: expected one value, got {text}; type {several}, or -m for a sweep")
     return override
 
 
@@ -143,7 +151,8 @@ def _check_overrides(name: str, overrides: Sequence[Override], sweeps: bool) -> 
     groups = [override for override in overrides if is_group(override.key_or_group)]
     for override in groups:
         for choice in _choices(override):
-            _check_choice(override.key_or_group, choice)
+            for one in choice.strip("[]").split(","):  # sensors are a list
+                _check_choice(override.key_or_group, one.strip())
     chosen = [f"{str(override.input_line).partition('=')[0]}={_choices(override)[0]}" for override in groups]
     try:
         known = composed(chosen, name)
@@ -180,10 +189,12 @@ def _choices(override: Override) -> list[str]:
 def _check_choice(key: str, choice: str) -> None:
     group = key.partition("@")[0]
     valid = options(group)
-    if choice in valid or choice in ("null", "") or choice.startswith("["):
+    if choice in valid or choice in ("null", ""):
         return
     near = difflib.get_close_matches(choice.lower(), valid, 1)
     hint = f"; did you mean {key}={near[0]}?" if near else ""
+    if group == "scene" and Path(choice).expanduser().exists():
+        raise UserError(f"{key}: expected names of configs in a sweep, got the path {choice}; start a command for each")
     paths = ", or a path that exists" if group == "scene" else ""
     raise UserError(f"{key}: expected one of {', '.join(valid)}{paths}, got {choice}{hint}")
 

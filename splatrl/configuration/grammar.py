@@ -28,10 +28,16 @@ def last_typed(overrides: Sequence[str], key: str, usual: object) -> Any:
     """The last value that was typed for a key, or the usual one.
 
     Raises:
-        HydraException: for what is not in Hydra's grammar, or is a sweep.
+        HydraException: for what is not in Hydra's grammar.
+        ValueError: for a sweep, since what follows from the value stands before all jobs of one.
     """
     given = [override for override in overrides if override.startswith(f"{key}=")]
-    return unquoted(OverridesParser.create().parse_override(given[-1]).value()) if given else usual
+    if not given:
+        return usual
+    parsed = OverridesParser.create().parse_override(given[-1])
+    if parsed.is_sweep_override():
+        raise ValueError(f"{key}: expected one value, got {given[-1].partition('=')[2]}; start a command for each")
+    return unquoted(parsed.value())
 
 
 def unquoted(value: object) -> object:

@@ -12,7 +12,7 @@ from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from splatrl.configuration.grammar import last_typed, nested, quoted, unquoted
 from splatrl.configuration.scene_overrides import scene_overrides
@@ -55,8 +55,12 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
             check_scene(Path(path).expanduser())
             result += ["scene=file", f"scene.path={quoted(path)}"]
             in_blocks |= is_in_blocks(Path(path).expanduser())
+        elif key == "scene" and path.startswith("["):
+            raise ValueError(f"scene: expected one scene, got {path}; type scene=many 'scene.paths={path}'")
         elif key == "scene" and Path(path).suffix and "," not in path and path not in options("scene"):
             raise ValueError(f"scene: expected {', '.join(options('scene'))} or a path that exists, got {path}")
+        elif key == "scene" and path in options("scene"):
+            result.append(f"scene={path}")  # quoted or not
         else:
             result.append(override)
     if "scene=many" in result:
@@ -82,6 +86,15 @@ def place_configs(cfg: DictConfig) -> list[DictConfig]:
         merged.allow_targets = cfg.allow_targets  # a place does not say whom to trust
         result.append(merged)
     return result
+
+
+def place_names(cfg: DictConfig) -> list[str]:
+    """What was typed for each of the ``place_configs`` of a config; empty where it has only one."""
+    count = len(place_configs(cfg))
+    paths = cfg.scene.get("paths") if count > 1 else None
+    if isinstance(paths, ListConfig) and len(paths) == count:
+        return [str(path) for path in paths]
+    return [f"yard:{place.scene.seed}" for place in cfg.scene.places] if count > 1 else [""]
 
 
 def _places(overrides: Sequence[str], name: str) -> list[str]:
@@ -145,7 +158,7 @@ def _yard_paths(overrides: Sequence[str]) -> list[str]:
 
 def _chosen(text: str) -> list[str]:
     """Overrides that choose one scene: the group first."""
-    known, (config, _, seed) = options("scene"), text.partition(":")
+    known, (config, _, seed) = _whole_configs(), text.partition(":")
     if config in known and seed.isdigit():
         return [f"scene={config}", f"scene.seed={seed}"]
     if text in known:
@@ -158,6 +171,12 @@ def _chosen(text: str) -> list[str]:
 
     check_scene(Path(text).expanduser())
     return ["scene=file", f"scene.path={quoted(Path(text).expanduser().absolute())}"]
+
+
+def _whole_configs() -> list[str]:
+    """The scenes' configs that say all about one scene: those of several say nothing, and others lack a path."""
+    nodes = {name: dict(flat(group_node("scene", name))) for name in options("scene")}
+    return [name for name, node in nodes.items() if "scene._target_" in node and "???" not in node.values()]
 
 
 def _proposals(overrides: Sequence[str], name: str) -> list[str]:

@@ -93,7 +93,11 @@ def ground(
     free = ~checker.collides(stand)
     free_nodes = (free if fits is None else free & fits(stand)).cpu().numpy()
     if not free_nodes.any():
-        raise ValueError("scene: expected places where the robot fits, got none; try a smaller robot.body")
+        (left, bottom), (right, top) = lower.tolist(), upper.tolist()
+        raise ValueError(
+            f"expected places where the robot fits, got none from x {left:.3g} to {right:.3g} and y {bottom:.3g} to "
+            f"{top:.3g} m; try other task.motion.lower and upper, or a smaller robot.body"
+        )
     ends: list[NDArray[np.int64]] = []
     lengths: list[NDArray[np.float64]] = []
     for way in WAYS:

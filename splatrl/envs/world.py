@@ -1,5 +1,6 @@
 """What all envs of one task share, in one scene or in several."""
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from copy import deepcopy
@@ -52,6 +53,15 @@ class EnvMaker(ABC):
     @abstractmethod
     def worlds(self) -> "tuple[World, ...]":
         """The worlds of its scenes."""
+
+    @property
+    def names(self) -> list[str]:
+        """Names of its scenes, with a number behind those that came before: garden, garden-2."""
+        names: list[str] = []
+        for world in self.worlds:
+            numbered = itertools.chain([world.name], (f"{world.name}-{number}" for number in itertools.count(2)))
+            names.append(next(name for name in numbered if name not in names))
+        return names
 
     @property
     def told(self) -> tuple[str, ...]:
@@ -177,7 +187,7 @@ class Worlds(EnvMaker):
     @property
     def name(self) -> str:
         """Names of the scenes."""
-        return ", ".join(world.name for world in self.places)
+        return ", ".join(self.names)
 
     @property
     def digest(self) -> str:

@@ -43,7 +43,7 @@ def write_episodes(
     state: Tensor,
     memory: Mapping[str, Tensor],
     scenes: Sequence[str],
-    height: float,
+    heights: Tensor,
     radius: float,
 ) -> None:
     """Write episodes as ``episodes.json.gz``.
@@ -56,10 +56,10 @@ def write_episodes(
         state: [N, 3] starts, x and y in metres and yaw in radians.
         memory: ``goal`` [N, 3] likewise, and ``start_distance`` [N, 1], metres of the shortest way.
         scenes: [N] names.
-        height: z of starts and goals, metres.
+        heights: [N] float32, z of each start and its goal, metres.
         radius: within which a stop is a success, metres.
     """
-    z = torch.full((len(state), 1), height, dtype=torch.float64)
+    z = heights.double().unsqueeze(1)
     goal = memory["goal"].double()
     starts, goals = (to_habitat(torch.cat([each[:, :2].double(), z], 1)).tolist() for each in (state, goal))
     yaws, far = state[:, 2].double().tolist(), memory["start_distance"].double().flatten().tolist()
@@ -100,25 +100,31 @@ def read_episodes(path: Path, scenes: Sequence[str]) -> tuple[Tensor, Tensor, Te
         found = parsed_json(str(path), _unpacked(path))
         rows = found.get("episodes") if isinstance(found, dict) else None
         if not isinstance(rows, list) or not 0 < len(rows) <= MOST_EPISODES:
-            raise ValueError(f"expected 1 to {MOST_EPISODES:,} episodes")
-        read = [_episode(number, row, scenes) for number, row in enumerate(rows)]
+            got = f"{len(rows):,}" if isinstance(rows, list) else "no list of them"
+            raise ValueError(f"{path}: episodes: expected 1 to {MOST_EPISODES:,} of them, got {got}")
+        read = [_episode(f"{path}: episode {number}", row, scenes) for number, row in enumerate(rows)]
     start, goal = (torch.tensor([row[which] for row in read], dtype=torch.float32) for which in (0, 1))
     return start, goal, torch.tensor([row[2] for row in read], dtype=torch.int64)
 
 
 def _unpacked(path: Path) -> bytes:
     """The text of a file, at most ``MOST_BYTES``."""
-    packed, text = path.read_bytes() if path.stat().st_size <= MOST_BYTES else b"", zlib.decompressobj(wbits=31)
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"{path}: expected at most {MOST_BYTES:,} bytes, got {path.stat().st_size:,}")
+    packed, text = path.read_bytes(), zlib.decompressobj(wbits=31)
     most = min(MOST_BYTES, INFLATION * len(packed) + SLACK)
-    content = text.decompress(packed, most)
+    try:
+        content = text.decompress(packed, most)
+    except zlib.error as error:
+        raise ValueError(f"{path}: expected a gzip file, got {error}") from error
     if not text.eof:
-        raise ValueError(f"expected a whole gzip file of at most {most:,} bytes unpacked")
+        got = "more" if len(content) == most else "one that is cut short"
+        raise ValueError(f"{path}: expected a whole gzip file of at most {most:,} bytes unpacked, got {got}")
     return content
 
 
-def _episode(number: int, row: Any, scenes: Sequence[str]) -> tuple[list[float], list[float], int]:
+def _episode(where: str, row: Any, scenes: Sequence[str]) -> tuple[list[float], list[float], int]:
     """Start, goal and scene of an episode."""
-    where = f"episode {number}"
     if not isinstance(row, dict):
         raise ValueError(f"{where}: expected keys and values")
     scene = row.get("scene_id")

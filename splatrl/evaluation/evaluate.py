@@ -10,11 +10,11 @@ from tqdm import tqdm
 
 from splatrl.envs.tasks import NavigationTask
 from splatrl.envs.world import World, Worlds
-from splatrl.evaluation.episode_sets import EPISODES, write_episodes
+from splatrl.evaluation.episode_sets import EPISODES
 from splatrl.evaluation.figures import learning_curve, scene_bars
 from splatrl.evaluation.pictures import Pictures
 from splatrl.evaluation.report import by_scene, summarise, write_json
-from splatrl.evaluation.rollouts import given_episodes, run_episodes, spread_starts
+from splatrl.evaluation.rollouts import given_episodes, run_episodes, save_episodes, spread_starts
 from splatrl.files import refusing
 
 EPISODES_IN_VIDEO = 4
@@ -94,21 +94,19 @@ def evaluate(
         "evaluated_starts": count,
         "longest_path": max(int(plan.distance[plan.start_rows].max()) for plan in plans),
     }
-    names = [one.scene.name for one in world.worlds]
+    names = world.names
     if len(names) > 1:
         summary["scenes"] = by_scene(names, sampled, argmax)
     write_json(folder / "evaluation.json", summary)
     if isinstance(world.task, NavigationTask) and settings.episodes is None:
-        scenes = [names[0 if starts.scene is None else int(starts.scene[row])] for row in range(count)]
-        height, radius = world.robot.height, world.task.success_distance
-        write_episodes(folder / EPISODES, starts.state, starts.memory, scenes, height, radius)
+        save_episodes(folder / EPISODES, world, starts, world.task.success_distance)
     files = [folder / "learning_curve.png"]
     learning_curve(checkpoint["history"], files[0])
     if len(names) > 1:
         files.append(folder / "scenes.png")
         scene_bars(names, [row["success_rate"] for row in summary["scenes"]], files[1])
     for number, one in enumerate(world.worlds[:SCENES_SHOWN]):
-        place = folder if len(names) == 1 else folder / "scenes" / f"{number}-{one.scene.name}"
+        place = folder if len(names) == 1 else folder / "scenes" / f"{number}-{names[number]}"
         place.mkdir(parents=True, exist_ok=True)
         own = one.env(EPISODES_IN_VIDEO)
         pictures = Pictures(one.scene.surroundings, one.occupancy, one.plan, own, place)

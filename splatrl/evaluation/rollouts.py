@@ -17,7 +17,7 @@ from splatrl.envs.nesting import layers
 from splatrl.envs.tasks import NavigationTask, Outcome
 from splatrl.envs.tasks.base import ChoosingTask, Memory
 from splatrl.envs.world import World, Worlds
-from splatrl.evaluation.episode_sets import places_of, read_episodes
+from splatrl.evaluation.episode_sets import places_of, read_episodes, write_episodes
 
 MEASURES = ("distance_to_goal", "start_distance", "path_length", "collisions")
 """Observations of navigation tasks from which its measures are made."""
@@ -127,12 +127,16 @@ def given_episodes(world: World | Worlds, path: Path) -> tuple[World | Worlds, C
     task = world.task
     if not isinstance(task, NavigationTask):
         raise ValueError(f"evaluation.episodes: expected a task such as task=pointnav, got {type(task).__name__}")
-    state, goal, scene = read_episodes(path, [one.name for one in world.worlds])
-    for number, one in enumerate(world.worlds):
+    state, goal, scene = read_episodes(path, world.names)
+    for number, (name, one) in enumerate(zip(world.names, world.worlds, strict=True)):
         mine = (scene == number).nonzero().squeeze(1)
         blocked = one.plan.checker.collides(one.task.motion.body_to_world(state[mine]))
-        if blocked.any() or not one.task.motion.inside(state[mine]).all():
-            raise ValueError(f"{path}: expected starts where the robot fits, got others in scene {one.name}")
+        wrong = mine[blocked | ~one.task.motion.inside(state[mine])].tolist()
+        if wrong:
+            place = [round(value, 3) for value in state[wrong[0], :2].tolist()]
+            raise ValueError(
+                f"{path}: episode {wrong[0]}: expected a start where the robot fits, got {place} in scene {name}"
+            )
     task = copy.copy(task)
     task._modules = dict(task._modules)
     try:
@@ -142,6 +146,20 @@ def given_episodes(world: World | Worlds, path: Path) -> tuple[World | Worlds, C
     memory = task.episode(state, rows, goal[:, 2:])
     chosen = Chosen(state, scene if len(world.worlds) > 1 else None, torch.zeros(len(state), dtype=torch.int64), memory)
     return replace(world, task=task, made_by=None), chosen
+
+
+def save_episodes(path: Path, world: World | Worlds, chosen: Chosen, radius: float) -> None:
+    """Write the episodes of a navigation task for ``given_episodes``.
+
+    Args:
+        path: file to write.
+        world: in which they take place.
+        chosen: with what the task remembers where each begins.
+        radius: within which a stop is a success, metres.
+    """
+    numbers = [0] * len(chosen.state) if chosen.scene is None else chosen.scene.tolist()
+    heights = torch.tensor([world.worlds[number].robot.height for number in numbers])
+    write_episodes(path, chosen.state, chosen.memory, [world.names[number] for number in numbers], heights, radius)
 
 
 def spread_starts(world: World | Worlds, most: int) -> Chosen:

@@ -20,7 +20,7 @@ from splatrl.files import checked_name, replacing
 from splatrl.scenes.description import SCENE_FILE
 from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.formats.limits import MAX_INFLATION
-from splatrl.scenes.frame import similarity
+from splatrl.scenes.frame import stated_similarity
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.proposals import PROPOSALS, check_proposals, warn_of_scale
 from splatrl.scenes.scene import Bounds, Scene, checked_bounds
@@ -238,18 +238,17 @@ def _block(folder: Path, number: int, entry: object, max_inflation: float) -> Bl
     splat = folder / checked_name(f"{where}.splat", entry.get("splat"))
     if not splat.is_file():
         raise FileNotFoundError(f"{where}.splat: expected a file in this folder, found no {splat.name}")
-    frame = entry.get("world_from_splat") or {}
     try:
-        transform = similarity(**frame) if frame else None
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{where}: {error}") from error
+        transform = stated_similarity(entry.get("world_from_splat"))
+    except ValueError as error:
+        raise ValueError(f"{where}.{error}") from error
     return Block(splat, _bounds(where, entry.get("bounds")), transform, max_inflation)
 
 
 def _bounds(where: str, corners: Any) -> Bounds:
     try:
         return checked_bounds(corners)
-    except (TypeError, ValueError) as error:
+    except ValueError as error:
         raise ValueError(f"{where}.{error}" if "[" in where else f"{where}: {error}") from error
 
 

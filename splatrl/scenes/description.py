@@ -1,6 +1,7 @@
 """``scene.yaml``, the file that says where a splat lies in the world: reading and writing it."""
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -97,7 +98,7 @@ def write_description(
         ("world_from_splat:", "the world is z up, in metres"),
         *((f"  {key}: {json.dumps(value)}", COMMENTS[key]) for key, value in frame.items()),
     ]
-    corners = [[float(f"{value:.4g}") for value in corner] for corner in bounds]
+    corners = np.round(bounds, _decimals(bounds)).tolist()
     if (np.array(corners[1]) > np.array(corners[0])).all():
         lines.append((f"bounds: {json.dumps(corners)}", "lower and upper corner of what counts, world, metres"))
     else:
@@ -110,6 +111,12 @@ def write_description(
     with replacing(path) as stream:
         stream.write(text.encode())
     return path
+
+
+def _decimals(bounds: Bounds) -> int:
+    """Decimals that tell a ten-thousandth of the longest side, wherever the scene is."""
+    longest = max(high - low for low, high in zip(*bounds, strict=True))
+    return 4 - math.floor(math.log10(longest)) if longest > 0.0 else 0
 
 
 def scene_folder(out: Path) -> tuple[Path, str]:

@@ -1,11 +1,33 @@
 """The similarity from a splat file's own frame to the world, as people write it in YAML."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
 
 AXES = {f"{sign}{axis}": (i, value) for i, axis in enumerate("xyz") for sign, value in (("", 1.0), ("-", -1.0))}
+
+
+FRAME_KEYS = ("axes", "scale", "translation", "matrix")
+"""Arguments of ``similarity``."""
+
+
+def stated_similarity(stated: object) -> Tensor | None:
+    """The similarity that a file states by the arguments' names; None where it states nothing.
+
+    Args:
+        stated: keys and values; null stands for the default, and for no keys.
+
+    Raises:
+        ValueError: for other keys, and as by ``similarity``.
+    """
+    if stated is not None and not isinstance(stated, Mapping):
+        raise ValueError(f"world_from_splat: expected keys and values, got {stated!r:.80}")
+    given = {key: value for key, value in (stated or {}).items() if value is not None}
+    unknown = [str(key) for key in given if key not in FRAME_KEYS]
+    if unknown:
+        raise ValueError(f"world_from_splat: expected the keys {', '.join(FRAME_KEYS)}, got {', '.join(unknown):.80}")
+    return similarity(**given) if given else None
 
 
 def similarity(
@@ -29,18 +51,18 @@ def similarity(
     Raises:
         ValueError: for a reflection, a non-uniform scale, or values that are neither axes nor finite numbers.
     """
+    if not _is_list(axes, 3) or not all(isinstance(axis, str) and axis in AXES for axis in axes):
+        raise ValueError(f"world_from_splat.axes: expected 3 of {', '.join(AXES)}, got {axes!r:.80}")
+    if not _is_list(translation, 3):
+        raise ValueError(f"world_from_splat.translation: expected 3 numbers, got {translation!r:.80}")
     if matrix is not None:
         if list(axes) != ["x", "y", "z"] or scale != 1.0 or list(translation) != [0.0, 0.0, 0.0]:
             raise ValueError("world_from_splat: expected a matrix, or axes, scale and translation, got both")
         return checked_similarity(matrix)
-    if len(axes) != 3 or not all(axis in AXES for axis in axes):
-        raise ValueError(f"world_from_splat.axes: expected 3 of {', '.join(AXES)}, got {list(axes)}")
     if sorted(AXES[axis][0] for axis in axes) != [0, 1, 2]:
         raise ValueError(f"world_from_splat.axes: expected each of x, y and z once, got {list(axes)}")
     if not 0.0 < _number("scale", scale) < float("inf"):
         raise ValueError(f"world_from_splat.scale: expected a finite number above 0, got {scale}")
-    if len(translation) != 3:
-        raise ValueError(f"world_from_splat.translation: expected 3 numbers, got {list(translation)}")
     transform = torch.zeros(4, 4, dtype=torch.float64)
     for row, axis in enumerate(axes):
         column, sign = AXES[axis]
@@ -52,9 +74,9 @@ def similarity(
 
 def checked_similarity(matrix: Sequence[Sequence[float]] | Tensor) -> Tensor:
     """Return a 4×4 similarity as float64; a ValueError says why a matrix is not one."""
+    if not isinstance(matrix, Tensor) and not (_is_list(matrix, 4) and all(_is_list(row, 4) for row in matrix)):
+        raise ValueError(f"world_from_splat.matrix: expected 4 rows of 4, got {matrix!r:.80}")
     rows = matrix if isinstance(matrix, Tensor) else [[_number("matrix", v) for v in row] for row in matrix]
-    if not isinstance(rows, Tensor) and [len(row) for row in rows] != [4, 4, 4, 4]:
-        raise ValueError(f"world_from_splat.matrix: expected 4 rows of 4, got {[len(row) for row in rows]}")
     transform = torch.as_tensor(rows, dtype=torch.float64).cpu()
     if transform.shape != (4, 4) or not transform.isfinite().all():
         raise ValueError(f"world_from_splat.matrix: expected 4 by 4 finite numbers, got {transform.tolist()}")
@@ -72,6 +94,11 @@ def checked_similarity(matrix: Sequence[Sequence[float]] | Tensor) -> Tensor:
             f"world_from_splat: expected a rotation, got a reflection: {linear.tolist()}; flip the sign of one axis"
         )
     return transform
+
+
+def _is_list(values: object, count: int) -> bool:
+    """Whether something is a list of so many values, and not a text."""
+    return isinstance(values, Sequence) and not isinstance(values, str) and len(values) == count
 
 
 def _number(name: str, value: object) -> float:

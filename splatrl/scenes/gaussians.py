@@ -87,6 +87,8 @@ def checked_gaussians(
         ValueError: for inconsistent shapes, a wrong number of harmonics, or when no row is usable.
     """
     count = means.shape[0]
+    if not count:
+        raise ValueError(f"{source}: expected at least one Gaussian, got none")
     expected = {"means": (count, 3), "quats": (count, 4), "scales": (count, 3), "opacities": (count,)}
     for (name, shape), value in zip(expected.items(), (means, quats, scales, opacities), strict=True):
         if value.shape != shape:

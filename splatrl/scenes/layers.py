@@ -63,7 +63,7 @@ def layer_at(points: Floats, normals: Floats, weights: Floats, normal: Floats, t
     heights = points @ normal
     flat = np.abs(normals @ normal) > ALIGNED
     mass = weights * np.where(flat, 1.0, _LOOSE)
-    low, high = np.quantile(heights, [0.002, 0.998])
+    low, high = np.quantile(heights, [0.002, 0.998]) if len(heights) > 2 else (heights.min(), heights.max())
     inside = (heights >= low) & (heights <= high)
     bins = np.floor((heights[inside] - low) / thickness * 2).astype(np.int64)  # half a thickness each
     sums = np.convolve(np.bincount(bins, mass[inside]), np.ones(4))  # both sides of the plane

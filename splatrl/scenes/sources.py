@@ -13,15 +13,13 @@ from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.formats import read_gaussians
 from splatrl.scenes.formats.limits import MAX_INFLATION
 from splatrl.scenes.formats.reading import META
-from splatrl.scenes.frame import checked_similarity, similarity
+from splatrl.scenes.frame import checked_similarity, stated_similarity
 from splatrl.scenes.nerfstudio import DATAPARSER, stands, transform_beside
 from splatrl.scenes.proposals import warn_of_scale
 from splatrl.scenes.scene import Bounds, FreeSpace, Scene, checked_bounds, robust_bounds
 from splatrl.scenes.yard import backyard_gaussians
 from splatrl.scenes.yard.layout import HALF_WIDTH
 
-FRAME_KEYS = ("axes", "scale", "translation", "matrix")
-"""Arguments of ``similarity``."""
 YARD: Bounds = ((-HALF_WIDTH, -HALF_WIDTH, 0.0), (HALF_WIDTH, HALF_WIDTH, HALF_WIDTH))
 """The backyard without the country and the sky around it."""
 
@@ -132,9 +130,5 @@ def _transform(own: Mapping[str, Any] | None, given: Mapping[str, Any] | Tensor 
     """The frame that a folder states, overridden by an argument; None where neither says anything."""
     if isinstance(given, Tensor):
         return checked_similarity(given)
-    stated = {**(own or {}), **{key: value for key, value in (given or {}).items() if value is not None}}
-    unknown = [str(key) for key in stated if key not in FRAME_KEYS]
-    if unknown:
-        raise ValueError(f"world_from_splat: expected the keys {', '.join(FRAME_KEYS)}, got {', '.join(unknown)}")
-    stated = {key: value for key, value in stated.items() if value is not None}
-    return similarity(**stated) if stated else None
+    typed = {key: value for key, value in (given or {}).items() if value is not None}
+    return stated_similarity({**(own or {}), **typed})

@@ -174,7 +174,7 @@ def test_sky_and_stray_gaussians_neither_grow_the_grid_nor_fill_it():
     room = gaussians(
         torch.rand(4000, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([3.0, 2.0, 0.1]), 0.04
     )
-    strays = gaussians([[5e5, 0.0, 0.0], [0.0, -3e6, 0.0], [1.0, 1.0, 8e4]], 0.5)
+    strays = gaussians([[5e5, 0.0, 0.0], [0.0, -3e6, 0.0], [1.0, 1.0, 8e4], [1e30, 0.0, -1e30]], 0.5)
     sky = gaussians([[1.5, 1.0, 1.0], [1.5, 1.0, 400.0]], (60.0, 80.0, 50.0))
     alone, crowded = Occupancy.from_gaussians(room), Occupancy.from_gaussians(joined(room, strays, sky))
     assert crowded.keys().tolist() == alone.keys().tolist()

@@ -218,6 +218,40 @@ def test_files_that_are_missing_or_damaged_are_one_line_of_error(tmp_path: Path)
     assert [path.name for path in tmp_path.iterdir()] == ["damaged.ply"]
 
 
+def test_a_scene_far_from_the_origin_keeps_its_bounds(tmp_path: Path, undrawn: None) -> None:
+    gaussians = world()
+    gaussians.means += torch.tensor([5000.0, -12345.0, 0.0])
+    write_gaussians(tmp_path / "far.ply", gaussians)
+    main([str(tmp_path / "far.ply"), "--axes", "x,y,z", "--out", str(tmp_path / "far")])
+    write_gaussians(tmp_path / "near.ply", world())
+    main([str(tmp_path / "near.ply"), "--axes", "x,y,z", "--out", str(tmp_path / "near")])
+    far, near = (np.array(read_description(tmp_path / name)["bounds"]) for name in ("far", "near"))
+    assert np.abs(far - near - [5000.0, -12345.0, 0.0]).max() < 0.3  # voxels begin elsewhere
+
+
+def test_what_was_not_found_stands_in_the_command_that_it_ends_with(
+    tmp_path: Path, undrawn: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gaussians = world()
+    gaussians.opacities *= 0.05  # nothing is solid
+    write_gaussians(tmp_path / "haze.ply", gaussians)
+    main([str(tmp_path / "haze.ply"), "--out", str(tmp_path / "haze")])
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.endswith("haze/ robot.height=0.4 'landmarks.goal=[x,y,yaw]'")
+
+
+def test_a_place_of_no_sensible_size_and_one_in_blocks_are_refused_in_one_line(tmp_path: Path, undrawn: None) -> None:
+    gaussians = world()
+    gaussians.means *= 5000.0
+    gaussians.scales *= 5000.0
+    write_gaussians(tmp_path / "large.ply", gaussians)
+    with pytest.raises(SystemExit, match=r"voxels.*; if .* m across is not its size, pass --scale or --distance"):
+        main([str(tmp_path / "large.ply"), "--out", str(tmp_path / "large")])
+    (tmp_path / "blocks.yaml").touch()
+    with pytest.raises(SystemExit, match=r"expected a splat file or a folder with scene.yaml, got one with blocks"):
+        main([str(tmp_path)])
+
+
 def test_it_runs_as_a_module_and_explains_itself() -> None:
     shown, _ = (program := start("-m", "splatrl.commands.scene", "--help")).communicate(60)
     assert program.returncode == 0

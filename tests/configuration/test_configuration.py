@@ -36,6 +36,7 @@ from splatrl.renderers import (
     NativeRenderer,
     ReferenceRenderer,
 )
+from splatrl.scenes import write_gaussians
 from tests.envs.devices import pretend_device
 from tests.tiny import tiny_gaussians, tiny_overrides
 
@@ -259,12 +260,40 @@ def test_a_value_that_nobody_gave_is_named(tmp_path: Path) -> None:
     "arguments",
     [
         ["-m", "seed=0,1", "curriculum=distance,none", "hydra.run.dir=x", "+extra=1", "~logger"],
-        ["scene=kitchen", "scene.path=/a/b.spz", "--cfg", "job"],
+        ["--cfg", "job", "scene=kitchen", "scene.path=/a/b.spz"],
         ["task=fps", "motion@task.motion=drive", "task.motion.time_step=0.1", "rewards@task.rewards=unit"],
     ],
 )
 def test_right_overrides_pass_sweeps_and_hydra_options_among_them(arguments: list[str]) -> None:
     assert command_line("train", arguments) == arguments
+
+
+def test_options_stand_before_what_a_scene_proposes_so_that_hydra_takes_both(tmp_path: Path) -> None:
+    write_gaussians(tmp_path / "room.ply", tiny_gaussians())
+    (tmp_path / "scene.yaml").write_text("splat: room.ply\nrobot_height: 0.5\n")
+    words = command_line("train", ["seed=0,1", "-m", f"scene={tmp_path}", "--cfg", "job"])
+    assert words[:3] == ["-m", "--cfg", "job"]
+    assert words[3:] == ["robot.height=0.5", "seed=0,1", "scene=file", f"scene.path='{tmp_path}'"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["sensors=[lidar,sonar]"], "sensors: expected one of compass, .*, got sonar"),
+        (["scene={0},{0}"], "scene: expected one value, got .*; type scene=many 'scene.paths=.* for several, or -m"),
+        (["scene=[{0},{0}]"], "scene: expected one scene, got .*; type scene=many 'scene.paths="),
+        (["-m", "scene=backyard,{0}"], "scene: expected names of configs in a sweep, got the path .*; start a command"),
+        (["-m", "scene=many", "scene.paths=[{0}],[yard]"], "scene.paths: expected one value, got .*; start a command"),
+        (
+            ["-m", "scene=yards", "scene.count=1,2"],
+            "scene.count: expected one value, got 1,2; start a command",
+        ),
+    ],
+)
+def test_lists_that_cannot_be_meant_say_what_to_type(words: list[str], message: str, tmp_path: Path) -> None:
+    (tmp_path / "blocks.yaml").touch()
+    with pytest.raises(SystemExit, match=message):
+        command_line("train", [word.format(tmp_path) for word in words])
 
 
 @pytest.fixture

@@ -40,11 +40,45 @@ def test_scenes_are_folders_files_and_configs_with_or_without_a_seed(tmp_path: P
         ("backyard", "scene.paths: expected a list .* got backyard"),
         ("[nowhere/]", "scene.paths: expected backyard, .* or a path, got nowhere/"),
         ("[backyard:x]", "scene.paths: expected .* got backyard:x"),
+        ("[yards]", r"scene.paths: expected backyard, town, yard, one of them with a seed \(yard:3\), or .* got yards"),
+        ("[kitchen]", "scene.paths: expected .* got kitchen"),  # that has no path
     ],
 )
 def test_a_wrong_list_says_what_is_expected(paths: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         check_config(load_config(["scene=many", f"scene.paths={paths}"]))
+
+
+def test_a_name_that_says_too_little_is_that_of_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    west, _ = two_rooms(tmp_path)
+    west.rename(tmp_path / "kitchen")
+    monkeypatch.chdir(tmp_path)
+    (place,) = place_configs(load_config([*overrides(), "scene=many", "scene.paths=[kitchen]"]))
+    assert place.robot.height == 0.5
+
+
+def test_what_is_wrong_with_one_of_several_scenes_names_it(tmp_path: Path) -> None:
+    words, west = in_both(tmp_path), tmp_path / "west"
+    (west / "scene.yaml").write_text("splat: room.ply\ngoal: [0.5, 1.0, 0.0]\n")
+    with pytest.raises(ValueError, match=f"robot.height: expected a value in {west}, got none"):
+        check_config(load_config(words))
+    with pytest.raises(ValueError, match=f"{west}: scene: expected free poses, got 200 poses"):
+        build_world(load_config([*words, "robot.height=0.04"]))
+    with pytest.raises(ValueError, match=r"goals/west: task\.goals: expected at most"):
+        (tmp_path / "goals").mkdir()
+        build_world(load_config([*in_both(tmp_path / "goals", "pointnav"), "task.goals=90000"]))
+
+
+@pytest.mark.parametrize(
+    ("stated", "key"), [("antialiased: false", "renderer.antialiased"), ("object_size: 0.5", "drawing.size")]
+)
+def test_scenes_that_would_be_drawn_in_different_ways_are_refused(tmp_path: Path, stated: str, key: str) -> None:
+    words = in_both(tmp_path, "apple")
+    with (tmp_path / "east" / "scene.yaml").open("a") as stream:
+        stream.write(stated + "\n")
+    with pytest.raises(ValueError, match=f"{key}: expected the same in all scenes, got .* and .*; type {key}="):
+        build_world(load_config(words))
+    check_config(load_config([*words, f"{key}=" + ("true" if "anti" in key else "0.5")]))
 
 
 def test_a_run_folder_knows_its_scenes(tmp_path: Path) -> None:

@@ -134,5 +134,5 @@ def test_too_many_goals_or_nodes_are_refused() -> None:
     with pytest.raises(ValueError, match=r"task\.cell"):
         ground(MOTION, checker(), 0.001)
     full = Occupancy.from_boxes([[-2.0, -2.0, 0.0]], [[2.0, 2.0, 1.0]], 0.05)
-    with pytest.raises(ValueError, match="expected places where the robot fits"):
+    with pytest.raises(ValueError, match=r"expected places where the robot fits, got none from x .* to .* and y"):
         ground(MOTION, checker(full), 0.05)

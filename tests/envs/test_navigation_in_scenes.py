@@ -1,5 +1,7 @@
 """Navigation and sensors with several scenes in one batch: each row is what it would be in its scene alone."""
 
+import gzip
+import json
 from pathlib import Path
 
 import pytest
@@ -11,8 +13,7 @@ import splatrl
 from splatrl.building import build_world
 from splatrl.configuration import load_config
 from splatrl.envs.world import World, Worlds
-from splatrl.evaluation.episode_sets import write_episodes
-from splatrl.evaluation.rollouts import given_episodes, run_episodes, spread_starts
+from splatrl.evaluation.rollouts import given_episodes, run_episodes, save_episodes, spread_starts
 from tests.two_rooms import in_both, overrides, two_rooms
 
 FEW = ["task.goals=5", "task.test_goals=4", "task.nearest=0.3", "task.cell=0.1", "robot.body.radius=0.1"]
@@ -53,9 +54,10 @@ def test_every_row_is_what_it_would_be_in_its_scene_alone(both: World | Worlds, 
 def test_episodes_are_drawn_in_each_scene_written_and_read_back(both: World | Worlds, tmp_path: Path) -> None:
     chosen = spread_starts(both, 6)
     assert chosen.scene is not None and chosen.scene.tolist() == [0, 0, 0, 1, 1, 1]
-    names = [one.name for one in both.worlds]
     path = tmp_path / "episodes.json.gz"
-    write_episodes(path, chosen.state, chosen.memory, [names[int(row)] for row in chosen.scene], 0.5, 0.2)
+    save_episodes(path, both, chosen, 0.2)
+    rows = json.loads(gzip.decompress(path.read_bytes()))["episodes"]
+    assert [round(row["start_position"][1], 3) for row in rows] == [0.5] * 3 + [0.65] * 3
     world, again = given_episodes(both, path)
     torch.testing.assert_close(again.memory["start_distance"], chosen.memory["start_distance"], atol=1e-4, rtol=0)
     torch.testing.assert_close(again.memory["goal"], chosen.memory["goal"], atol=1e-4, rtol=0)
@@ -67,3 +69,20 @@ def test_episodes_are_drawn_in_each_scene_written_and_read_back(both: World | Wo
     other = run_episodes(world.env(4), ahead, again.state, scene=again.scene, memory=again.memory)
     torch.testing.assert_close(one.measures["distance_to_goal"], other.measures["distance_to_goal"], atol=1e-3, rtol=0)
     assert set(one.of(1).measures) == set(one.measures) and len(one.of(1).measures["collisions"]) == 3
+
+
+def test_scenes_of_one_name_keep_their_episodes_apart(tmp_path: Path) -> None:
+    words = [*in_both(tmp_path, "pointnav"), *FEW]
+    for place in ("west", "east"):
+        with (tmp_path / place / "scene.yaml").open("a") as stream:
+            stream.write("name: garden\n")
+    world = build_world(load_config(words))
+    assert world.names == ["garden", "garden-2"]
+    chosen, path = spread_starts(world, 6), tmp_path / "episodes.json.gz"
+    save_episodes(path, world, chosen, 0.2)
+    _, again = given_episodes(world, path)
+    assert again.scene is not None and again.scene.tolist() == [0, 0, 0, 1, 1, 1]
+    chosen.state[4, 0] = 100.0
+    save_episodes(path, world, chosen, 0.2)
+    with pytest.raises(ValueError, match=r"gz: episode 4: expected a start .* got \[100.0, .*\] in scene garden-2"):
+        given_episodes(world, path)

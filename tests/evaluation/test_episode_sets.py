@@ -21,7 +21,7 @@ MEMORY = {
 
 def written(folder: Path) -> Path:
     path = folder / "episodes.json.gz"
-    write_episodes(path, STATE, MEMORY, ["yard", "kitchen"], 0.4, 0.2)
+    write_episodes(path, STATE, MEMORY, ["yard", "kitchen"], torch.tensor([0.4, 1.05]), 0.2)
     return path
 
 
@@ -36,6 +36,11 @@ def test_a_file_has_habitats_fields_in_habitats_frame(tmp_path: Path) -> None:
     assert first["start_rotation"] == pytest.approx([0.0, math.sin(0.25), 0.0, math.cos(0.25)])
     assert first["goals"] == [{"position": pytest.approx([1.0, 0.4, -3.0]), "radius": 0.2}]
     assert first["info"]["geodesic_distance"] == pytest.approx(4.5)
+
+
+def test_a_start_and_its_goal_are_as_high_as_the_robot_in_their_scene(tmp_path: Path) -> None:
+    for height, row in zip((0.4, 1.05), content(written(tmp_path))["episodes"], strict=True):
+        assert row["start_position"][1] == row["goals"][0]["position"][1] == pytest.approx(height)
 
 
 def test_what_is_written_is_read_back_and_has_the_same_bytes_each_time(tmp_path: Path) -> None:
@@ -81,32 +86,32 @@ def test_a_wrong_episode_is_refused_in_one_line_by_its_field(key: str, value: An
 
 
 @pytest.mark.parametrize(
-    "data",
+    ("data", "match"),
     [
-        b"",
-        b"no gzip",
-        gzip.compress(b"{"),
-        gzip.compress(b"[]"),
-        gzip.compress(b'{"episodes": []}'),
-        gzip.compress(b'{"episodes": [1]}'),
-        gzip.compress(b"[" * 100_000),
-        gzip.compress(b'{"episodes": [{}]}')[:-9],
+        (b"", "expected a whole gzip file of .* got one that is cut short"),
+        (b"no gzip", "expected a gzip file, got Error -3"),
+        (gzip.compress(b"{"), "expected JSON, got"),
+        (gzip.compress(b"[]"), "episodes: expected 1 to 200,000 of them, got no list"),
+        (gzip.compress(b'{"episodes": []}'), "episodes: expected 1 to 200,000 of them, got 0"),
+        (gzip.compress(b'{"episodes": [1]}'), "episode 0: expected keys and values"),
+        (gzip.compress(b"[" * 100_000), "expected JSON, got"),
+        (gzip.compress(b'{"episodes": [{}]}')[:-9], "expected a whole gzip file of .* got one that is cut short"),
     ],
     ids=["empty", "text", "cut", "list", "none", "number", "nested", "truncated"],
 )
-def test_a_damaged_file_is_refused_in_one_line(data: bytes, tmp_path: Path) -> None:
+def test_a_damaged_file_is_refused_in_one_line(data: bytes, match: str, tmp_path: Path) -> None:
     path = tmp_path / "episodes.json.gz"
     path.write_bytes(data)
-    with pytest.raises(ValueError, match=r"episodes\.json\.gz") as caught:
+    with pytest.raises(ValueError, match=rf"episodes\.json\.gz: {match}") as caught:
         read_episodes(path, ["yard"])
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(caught.value) and str(caught.value).count("expected") == 1
 
 
 def test_a_file_that_unpacks_to_more_than_it_may_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(episode_sets, "MOST_BYTES", 1000)
     path = tmp_path / "episodes.json.gz"
     path.write_bytes(gzip.compress(b" " * 100_000 + b'{"episodes": []}'))
-    with pytest.raises(ValueError, match="at most 1,000 bytes"):
+    with pytest.raises(ValueError, match="at most 1,000 bytes unpacked, got more"):
         read_episodes(path, ["yard"])
 
 

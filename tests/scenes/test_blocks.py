@@ -101,11 +101,21 @@ MALFORMED = {
         r"blocks\[0\].bounds: expected lower below upper along z",
     ),
     "no bounds": ("blocks: [{splat: a.ply}]", r"blocks\[0\].bounds: expected a lower and an upper corner"),
-    "bounds of text": (LINE.replace("1, 1, 1", "1, 1, high"), r"blocks\[0\].*could not convert"),
-    "an unknown frame": (LINE.replace("bounds", "world_from_splat: {turn: 3}, bounds"), r"blocks\[0\]: .*turn"),
+    "bounds of text": (
+        LINE.replace("1, 1, 1", "1, 1, high"),
+        r"blocks\[0\].bounds: expected a lower and an upper corner",
+    ),
+    "an unknown frame": (
+        LINE.replace("bounds", "world_from_splat: {turn: 3}, bounds"),
+        r"blocks\[0\].world_from_splat: expected the keys axes, .* got turn",
+    ),
+    "a frame of one number": (
+        LINE.replace("bounds", "world_from_splat: 3, bounds"),
+        r"blocks\[0\].world_from_splat: expected keys and values, got 3",
+    ),
     "a reflection": (
         LINE.replace("bounds", "world_from_splat: {axes: [x, y, -z]}, bounds"),
-        r"blocks\[0\]: .*reflection",
+        r"blocks\[0\].world_from_splat: .*reflection",
     ),
     "a goal of one number": (f"{LINE}\ngoal: [1]", r"goal: expected \[x, y, yaw\]"),
     "a name with a slash": (f"{LINE}\nname: a/b", r"name: expected a name, without slashes"),

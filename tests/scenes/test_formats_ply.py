@@ -1,4 +1,5 @@
 import random
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -167,6 +168,28 @@ def test_words_in_place_of_numbers_are_refused(tmp_path: Path) -> None:
     damaged = content[:body] + b"z" * (len(content) - body - 1) + b"\n"
     with pytest.raises(ValueError, match=r"a\.ply: expected the rows that the header describes"):
         read_gaussians(written(tmp_path / "a.ply", damaged))
+
+
+@pytest.mark.parametrize("degree", [0, 2])
+def test_a_file_without_gaussians_says_so(tmp_path: Path, degree: int) -> None:
+    path = tmp_path / "none.ply"
+    write_gaussians(path, sample_gaussians(4, degree)[:0])
+    with pytest.raises(ValueError, match=r"none.ply: expected at least one Gaussian, got none"):
+        read_gaussians(path)
+
+
+def test_gaussians_too_far_from_the_origin_for_single_precision_are_warned_of(tmp_path: Path) -> None:
+    gaussians, path = sample_gaussians(50, 0), tmp_path / "far.ply"
+    gaussians.scales[:] = 0.05
+    gaussians.means += torch.tensor([5e5, 5.4e6, 0.0])
+    write_gaussians(path, gaussians)
+    with pytest.warns(UserWarning, match=r"far.ply: .* 5.4e\+06 units from the origin, .* rounds places to 0.5"):
+        read_gaussians(path)
+    gaussians.means -= torch.tensor([5e5, 5.4e6 - 5e3, 0.0])
+    write_gaussians(path, gaussians)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_gaussians(path)
 
 
 def test_a_non_finite_row_is_dropped(tmp_path: Path) -> None:

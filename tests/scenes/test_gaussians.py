@@ -92,6 +92,12 @@ def test_transparent_rows_are_dropped_and_counted_apart() -> None:
         assert len(checked_gaussians("here", **values)) == 2
 
 
+def test_no_gaussians_at_all_are_refused() -> None:
+    nothing = {"means": torch.zeros(0, 3), "quats": torch.zeros(0, 4), "scales": torch.zeros(0, 3)}
+    with pytest.raises(ValueError, match="empty: expected at least one Gaussian, got none"):
+        checked_gaussians("empty", **nothing, opacities=torch.zeros(0), sh=torch.zeros(0, 1, 3))
+
+
 def test_gaussians_of_which_none_can_be_seen_are_refused() -> None:
     with pytest.raises(ValueError, match="here: expected at least one finite, visible Gaussian, got none among 5"):
         checked_gaussians("here", **{**fields(), "opacities": torch.zeros(5)})

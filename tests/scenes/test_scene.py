@@ -124,7 +124,8 @@ def test_what_is_not_there_is_named(tmp_path: Path, folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "bounds", [[(0, 0, 0)], [(0, 0), (1, 1)], [(0, 0, 0), (1, 0, 1)], [(0, 0, 0), (1, 1, math.nan)], "ab"]
+    "bounds",
+    [[(0, 0, 0)], [(0, 0), (1, 1)], [(0, 0, 0), (1, 0, 1)], [(0, 0, 0), (1, 1, math.nan)], "ab", ["abc", (0, 0, 0)]],
 )
 def test_bounds_that_bound_nothing_are_refused(splat: Path, bounds: object) -> None:
     with pytest.raises(ValueError, match="bounds: expected"):

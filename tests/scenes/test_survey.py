@@ -150,6 +150,10 @@ def test_a_single_gaussian_is_surveyed_and_guessed_without_a_claim() -> None:
     assert guess_upright(single).units_guess.confidence == "cannot be known"
 
 
+def test_two_gaussians_are_guessed_too() -> None:
+    assert guess_upright(yard()[:2]).units_guess.confidence == "cannot be known"
+
+
 def test_a_survey_counts_and_measures() -> None:
     found = survey(yard())
     assert (found.count, found.sh_degree, found.floaters) == (len(yard().means), 0, 0.0)

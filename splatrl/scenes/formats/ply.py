@@ -31,7 +31,7 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
     rest = np.array(_checked_fields(path, header), object).reshape(3, -1).T  # the file keeps channels together
     groups = (MEANS, QUATS, SCALES, ("opacity",), (*SH0, *rest.ravel()))
     means, quats, log_scales, logits, sh = vertex_columns(path, header, groups, np.float32)
-    return activated(path, means, quats, log_scales, logits[:, 0], sh.reshape(len(sh), -1, 3))
+    return activated(path, means, quats, log_scales, logits[:, 0], sh.reshape(len(sh), 1 + len(rest), 3))
 
 
 def write_ply(path: Path, gaussians: Gaussians) -> None:

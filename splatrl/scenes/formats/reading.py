@@ -2,10 +2,13 @@
 
 import os
 import pkgutil
+import warnings
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+
+import numpy as np
 
 from splatrl.files import refusing
 from splatrl.scenes.formats.limits import MAX_INFLATION
@@ -55,4 +58,18 @@ def read_gaussians(path: str | os.PathLike[str], max_inflation: float = MAX_INFL
     if path.stat().st_size == 0:
         raise ValueError(f"{path}: expected a splat file, got an empty one")
     with refusing(path, "a whole splat file"):
-        return reader(path, max_inflation)
+        gaussians = reader(path, max_inflation)
+    _warn_of_distance(path, gaussians)
+    return gaussians
+
+
+def _warn_of_distance(path: Path, gaussians: Gaussians) -> None:
+    """Warn of Gaussians so far from the origin that single precision rounds their places: georeferenced ones."""
+    away = float(gaussians.means.abs().amax(1).median())
+    step = float(np.spacing(np.float32(away)))
+    if step > float(gaussians.scales.amax(1).median()):
+        warnings.warn(
+            f"{path}: half of its Gaussians lie more than {away:.3g} units from the origin, where single precision "
+            f"rounds places to {step:.2g} and they are smaller: subtract an offset before they are written",
+            stacklevel=3,
+        )
