@@ -45,13 +45,13 @@ def run(cfg: DictConfig) -> None:
     """Evaluate the run folder ``cfg.run`` with its own config."""
     check_config(cfg)
     folder, results = Path(cfg.run), None
-    if cfg.place:
-        words = [str(word) for word in cfg.place]
-        own = config_elsewhere(folder, words, cfg.allow_targets)
+    words = [str(word) for word in cfg.place]
+    own = config_elsewhere(folder, words, cfg.allow_targets) if words else run_config(folder, cfg.allow_targets)
+    if cfg.episodes:
+        words.append(f"episodes={Path(str(cfg.episodes)).name.split('.')[0]}")
+    if words:
         results = folder / "places" / _name(words)
         results.mkdir(parents=True, exist_ok=True)
-    else:
-        own = run_config(folder, cfg.allow_targets)
     for key in ("checkpoint", "starts", "repeats", "seed", "episodes"):
         if cfg[key] is not None:
             OmegaConf.update(own, f"evaluation.{key}", cfg[key])

@@ -156,6 +156,11 @@ class Geodesics(nn.Module):
         self._keep("first_open", np.repeat(np.cumsum(nodes_of) - nodes_of, counts))
         self.for_tests = int(counts.min()) - for_training
 
+    @property
+    def longest(self) -> float:
+        """Metres of the longest of all shortest ways to a goal."""
+        return float(self.metres[self.metres.isfinite()].max())
+
     def _keep(self, name: str, values: NDArray[Any]) -> None:
         self.register_buffer(name, torch.from_numpy(values), persistent=False)
 

@@ -1,12 +1,13 @@
 """A navigation policy from training to its evaluation on a saved set of episodes."""
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
 
 from splatrl.building import build_world
-from splatrl.commands.evaluate import evaluate_run
+from splatrl.commands import evaluate
 from splatrl.commands.train import train
 from splatrl.configuration import load_config, run_config
 from tests.tiny import tiny_overrides
@@ -35,11 +36,15 @@ def test_the_report_has_habitats_measures_and_the_episodes_are_kept(run: Path) -
     assert (run / "episodes.json.gz").is_file()
 
 
-def test_the_saved_episodes_give_the_same_report_again(run: Path) -> None:
-    before = json.loads((run / "evaluation.json").read_text())
-    cfg = run_config(run)
-    cfg.evaluation.episodes = str(run / "episodes.json.gz")
-    after = evaluate_run(cfg, run)
+def test_the_saved_episodes_give_the_same_report_again_in_a_folder_of_its_own(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = (run / "evaluation.json").read_bytes()
+    words = [f"run={run}", f"episodes={run / 'episodes.json.gz'}", "video=false"]
+    monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", *words])
+    evaluate.main()
+    assert (run / "evaluation.json").read_bytes() == own
+    before, after = json.loads(own), json.loads((run / "places" / "episodes=episodes" / "evaluation.json").read_text())
     assert after["evaluated_starts"] == 6
     for key in ("success_argmax", "spl_argmax", "soft_spl_argmax", "distance_to_goal_argmax", "mean_length_argmax"):
         assert after[key] == pytest.approx(before[key], abs=1e-4), key

@@ -116,8 +116,16 @@ class NavigationTask(TaskModule):
         Args:
             checker: tells where the robot fits.
             fits: body_to_world [N, 4, 4] -> [N] bool, where robots may be besides; None is everywhere.
+
+        Raises:
+            ValueError: where the robot fits nowhere, or no way to a goal is as long as the shortest that is asked.
         """
         self.geodesics = Geodesics.drawn(ground(self.motion, checker, self.cell, fits), *self.goal_counts, self.seed)
+        longest = self.geodesics.longest
+        if longest < self.nearest:
+            raise ValueError(
+                f"task.nearest: expected at most {longest:.2f} m, the longest way there is, got {self.nearest:g}"
+            )
 
     @property
     def memory_spec(self) -> Mapping[str, TensorSpec]:

@@ -214,8 +214,16 @@ def test_episodes_for_tests_are_seeded_and_have_goals_of_their_own() -> None:
     assert all(torch.equal(one[key], again[key]) for key in one)
     assert not torch.equal(one["state"], other["state"])
     assert (one["goal_row"] >= 8).all() and (one["start_distance"] >= 0.3).all()
-    with pytest.raises(ValueError, match="found 0 of 20"):
-        task_of(nearest=50.0, farthest=60.0).episodes(paths().starts, 20, 1)
+    with pytest.raises(ValueError, match=r"found \d+ of 20"):
+        task_of(nearest=task.geodesics.longest).episodes(paths().starts[:3], 20, 1)
+
+
+def test_ways_longer_than_there_are_any_are_refused() -> None:
+    longest = task_of().geodesics.longest
+    assert 3 < longest < 9
+    task_of(nearest=longest)
+    with pytest.raises(ValueError, match=rf"task\.nearest: expected at most {longest:.2f} m, .* got 50"):
+        task_of(nearest=50.0, farthest=60.0)
 
 
 def test_an_episode_of_imagenav_shows_what_is_seen_at_the_goal() -> None:
