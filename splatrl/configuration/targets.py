@@ -6,7 +6,9 @@ from typing import Any
 from hydra.plugins.config_source import ConfigSource
 from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
-from omegaconf.errors import InterpolationToMissingValueError, OmegaConfBaseException
+from omegaconf.errors import InterpolationKeyError, InterpolationToMissingValueError, OmegaConfBaseException
+
+from splatrl.configuration.search_path import is_group
 
 MAX_VALUES = 10_000
 """Of a config whose references are followed; ours have 200."""
@@ -64,6 +66,11 @@ def _followed(node: DictConfig | ListConfig, place: str) -> Iterator[tuple[str, 
             value = node[key]
         except InterpolationToMissingValueError:
             continue  # nothing is built of it, either
+        except InterpolationKeyError as error:
+            name = str(error).partition("'")[2].partition("'")[0]
+            group = name.partition(".")[0]
+            hint = f"; choose a {group}=... that has it" if is_group(group) else ""
+            raise ValueError(f"{where}: expected {name} to be there, got none{hint}") from error
         yield where, value
         if isinstance(value, DictConfig | ListConfig):
             yield from _followed(value, where)

@@ -85,6 +85,10 @@ ERRORS = [
     (f"train {ROOM} scene.bounds=[[0,0,0],[0,0,0]]", "scene: bounds: expected lower below upper along x"),
     (f"train {ROOM} scene.world_from_splat.scale=-1", "scene: world_from_splat.scale: expected a finite number above"),
     (f"train {ROOM} curriculum.stride=0", "curriculum.stride: expected a whole number of at least 1"),
+    (
+        "train sensors=[imu]",
+        "sensors.imu.path: expected robot.path to be there, got none; choose a robot=... that has it",
+    ),
     # The other commands.
     ("evaluate", "run: expected a value, got none; type run=<the folder of a training>"),
     ("evaluate nowhere", "nowhere: expected key=value; did you mean run=nowhere?"),
