@@ -10,6 +10,7 @@ from pathlib import Path
 import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from splatrl.building import build_trainer, build_world
@@ -19,6 +20,7 @@ from splatrl.commands.faults import in_one_line
 from splatrl.configuration import (
     check_config,
     conf_dir,
+    job_config,
     quoted,
     resumed_config,
     save_config,
@@ -38,7 +40,10 @@ INTERRUPTED = 130
 @in_one_line("splatrl-train")
 def run(cfg: DictConfig) -> float:
     """Train and evaluate what a config describes, or resume a run folder; returns the success rate, for sweepers."""
-    folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
+    job = HydraConfig.get()
+    if job.mode == RunMode.MULTIRUN:
+        cfg = job_config(cfg, job.overrides.task)
+    folder = Path(cfg.resume or job.runtime.output_dir)
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: expected a run folder, found none")
     with alone_in(folder):

@@ -12,7 +12,7 @@ from splatrl.configuration.run_configs import (
     save_config,
     with_absolute_paths,
 )
-from splatrl.configuration.scene_choice import load_config, place_configs, place_names, with_scene_paths
+from splatrl.configuration.scene_choice import job_config, load_config, place_configs, place_names, with_scene_paths
 from splatrl.configuration.search_path import conf_dir, is_group, options
 
 __all__ = [
@@ -25,6 +25,7 @@ __all__ = [
     "conf_dir",
     "config_elsewhere",
     "is_group",
+    "job_config",
     "load_config",
     "options",
     "place_configs",

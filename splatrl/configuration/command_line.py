@@ -16,14 +16,13 @@ from splatrl.configuration.elsewhere import words_of_place
 from splatrl.configuration.grammar import quoted
 from splatrl.configuration.key_help import help_page
 from splatrl.configuration.run_configs import RUN_CONFIG
-from splatrl.configuration.scene_choice import load_config, with_scene_paths
+from splatrl.configuration.scene_choice import SWEEP, load_config, with_scene_paths
 from splatrl.configuration.search_path import composed, is_group, options
 
 OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
 """Options of Hydra that choose a config other than ours."""
 WITH_VALUE = (*OWN_CONFIG, "--cfg", "-c", "--package", "-p", "--info", "-i", "--experimental-rerun")
 """Options of Hydra after which a word of another kind may come."""
-SWEEP = ("-m", "--multirun")
 HELP = ("-h", "--help")
 MAIN_KEYS = {
     "train": "scene",
@@ -194,7 +193,7 @@ def _check_choice(key: str, choice: str) -> None:
     near = difflib.get_close_matches(choice.lower(), valid, 1)
     hint = f"; did you mean {key}={near[0]}?" if near else ""
     if group == "scene" and Path(choice).expanduser().exists():
-        raise UserError(f"{key}: expected names of configs in a sweep, got the path {choice}; start a command for each")
+        raise UserError(f"{key}: expected only names of configs, or only paths that exist, got {choice} among others")
     paths = ", or a path that exists" if group == "scene" else ""
     raise UserError(f"{key}: expected one of {', '.join(valid)}{paths}, got {choice}{hint}")
 

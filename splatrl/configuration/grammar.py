@@ -40,6 +40,16 @@ def last_typed(overrides: Sequence[str], key: str, usual: object) -> Any:
     return unquoted(parsed.value())
 
 
+def is_swept(overrides: Sequence[str], key: str) -> bool:
+    """Whether the last value that was typed for a key is a sweep.
+
+    Raises:
+        HydraException: for what is not in Hydra's grammar.
+    """
+    given = [override for override in overrides if override.startswith(f"{key}=")]
+    return bool(given) and OverridesParser.create().parse_override(given[-1]).is_sweep_override()
+
+
 def unquoted(value: object) -> object:
     """A value that Hydra's grammar made: a quoted text as a plain one, all else as it is."""
     return value.text if isinstance(value, QuotedString) else value

@@ -14,10 +14,13 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from splatrl.configuration.grammar import last_typed, nested, quoted, unquoted
+from splatrl.configuration.grammar import is_swept, last_typed, nested, quoted, unquoted
 from splatrl.configuration.scene_overrides import scene_overrides
 from splatrl.configuration.search_path import composed, group_choices, group_node, is_group, options
 from splatrl.values import flat, require_number
+
+SWEEP = {"-m", "--multirun"}
+"""Words that ask Hydra for a sweep."""
 
 
 def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfig:
@@ -31,8 +34,25 @@ def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfi
     return composed(with_scene_paths(overrides, name), name)
 
 
+def job_config(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
+    """The config of one job of a sweep: with what its own scene proposes, where the sweep is one over paths of scenes.
+
+    Args:
+        cfg: as Hydra composed it.
+        overrides: of the job.
+    """
+    paths = [override for override in overrides if override.startswith("scene.path=")]
+    if "scene=file" not in overrides or not paths:
+        return cfg
+    others = [override for override in overrides if override not in ("scene=file", *paths)]
+    return load_config([*others, f"scene={last_typed(paths, 'scene.path', '')}"])
+
+
 def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]:
     """Overrides in which a path after ``scene=`` is rewritten as ``scene=file scene.path=...``.
+
+    In a sweep of trainings there may be several paths, of which each job takes one, and what it proposes
+    (``job_config``).
 
     The name of a scene's config takes precedence over a file of the same name in the working folder. What the
     ``scene.yaml`` of a folder proposes for training in it stands before all other overrides, so that each of them has
@@ -55,6 +75,8 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
             check_scene(Path(path).expanduser())
             result += ["scene=file", f"scene.path={quoted(path)}"]
             in_blocks |= is_in_blocks(Path(path).expanduser())
+        elif key == "scene" and name == "train" and SWEEP.intersection(overrides) and (several := _several(value)):
+            result += ["scene=file", f"scene.path={','.join(map(quoted, several))}"]
         elif key == "scene" and path.startswith("["):
             raise ValueError(f"scene: expected one scene, got {path}; type scene=many 'scene.paths={path}'")
         elif key == "scene" and Path(path).suffix and "," not in path and path not in options("scene"):
@@ -68,6 +90,18 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
     if in_blocks and not any(override.startswith("renderer=") for override in overrides):
         result.append("renderer=blocks")
     return [*_proposals(result, name), *result, *_places(result, name)]
+
+
+def _several(value: str) -> list[str]:
+    """The paths in a list of them, if it is one."""
+    paths = [path.strip("'\"") for path in value.split(",")]
+    if not all(paths) or any(path in options("scene") or not Path(path).expanduser().exists() for path in paths):
+        return []
+    from splatrl.configuration.scene_files import check_scene
+
+    for path in paths:
+        check_scene(Path(path).expanduser())
+    return paths
 
 
 def place_configs(cfg: DictConfig) -> list[DictConfig]:
@@ -188,6 +222,8 @@ def _proposals(overrides: Sequence[str], name: str) -> list[str]:
             return scene_overrides(yard_proposals(_yard_seed(overrides)), lambda key: True)
         if "scene=file" not in overrides or not any(override.startswith("scene.path=") for override in overrides):
             return []
+        if name == "train" and is_swept(overrides, "scene.path"):
+            return []  # what each proposes is of its own job
         from splatrl.configuration.scene_files import described
 
         stated = described(Path(str(last_typed(overrides, "scene.path", ""))).expanduser())

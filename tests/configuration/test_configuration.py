@@ -282,7 +282,10 @@ def test_options_stand_before_what_a_scene_proposes_so_that_hydra_takes_both(tmp
         (["sensors=[lidar,sonar]"], "sensors: expected one of compass, .*, got sonar"),
         (["scene={0},{0}"], "scene: expected one value, got .*; type scene=many 'scene.paths=.* for several, or -m"),
         (["scene=[{0},{0}]"], "scene: expected one scene, got .*; type scene=many 'scene.paths="),
-        (["-m", "scene=backyard,{0}"], "scene: expected names of configs in a sweep, got the path .*; start a command"),
+        (
+            ["-m", "scene=backyard,{0}"],
+            "scene: expected only names of configs, or only paths that exist, got /.* among others",
+        ),
         (["-m", "scene=many", "scene.paths=[{0}],[yard]"], "scene.paths: expected one value, got .*; start a command"),
         (
             ["-m", "scene=yards", "scene.count=1,2"],

@@ -6,7 +6,9 @@ import pytest
 from omegaconf import OmegaConf
 
 from splatrl.building import build_one_world, build_world
-from splatrl.configuration import check_config, load_config, place_configs, run_config, save_config
+from splatrl.configuration import check_config, job_config, load_config, place_configs, run_config, save_config
+from splatrl.configuration.command_line import command_line
+from splatrl.configuration.search_path import composed
 from splatrl.envs.world import Worlds
 from tests.two_rooms import in_both, overrides, two_rooms
 
@@ -47,6 +49,19 @@ def test_scenes_are_folders_files_and_configs_with_or_without_a_seed(tmp_path: P
 def test_a_wrong_list_says_what_is_expected(paths: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         check_config(load_config(["scene=many", f"scene.paths={paths}"]))
+
+
+def test_each_job_of_a_sweep_over_folders_has_what_its_folder_proposes(tmp_path: Path) -> None:
+    west, east = two_rooms(tmp_path)
+    words = command_line("train", ["-m", *overrides(), "seed=0,1", f"scene={west},{east}"])
+    assert words == ["-m", *overrides(), "seed=0,1", "scene=file", f"scene.path='{west}','{east}'"]
+    for typed, height in (([], 0.65), (["robot.height=0.4"], 0.4)):
+        job = [*overrides(), *typed, "seed=1", "scene=file", f"scene.path='{east}'"]
+        cfg = job_config(composed(job, "train"), job)
+        assert (cfg.robot.height, cfg.seed, cfg.landmarks.goal) == (height, 1, [5.5, 0.5, 0.0])
+        assert cfg.task.motion.lower == [4.0, -1.5] and cfg.scene.path == str(east)
+    with pytest.raises(SystemExit, match=f"only paths that exist, got {west} among"):
+        command_line("train", ["-m", f"scene={west},{tmp_path}/nowhere/"])
 
 
 def test_a_name_that_says_too_little_is_that_of_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
