@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import blake2b
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -120,7 +121,7 @@ def checked_bounds(corners: Sequence[Sequence[float]]) -> Bounds:
         ValueError: for anything else, or empty bounds.
     """
     plain = isinstance(corners, Sequence) and [len(c) if isinstance(c, Sequence) else 0 for c in corners] == [3, 3]
-    if not plain or not all(isinstance(v, int | float) and not isinstance(v, bool) for c in corners for v in c):
+    if not plain or not all(isinstance(v, Real) and not isinstance(v, bool) for c in corners for v in c):
         raise ValueError(f"bounds: expected a lower and an upper corner of 3 metres each, got {corners!r:.200}")
     lower, upper = (_point(corner) for corner in corners)
     for axis, low, high in zip("xyz", lower, upper, strict=True):

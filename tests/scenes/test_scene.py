@@ -74,6 +74,7 @@ def test_arguments_go_before_what_a_folder_says_key_by_key(folder: Path) -> None
     scene = read_scene(folder, {"axes": None, "scale": 2.0}, bounds=[(0, 0, 0), (1, 1, 1)], name="mine")
     assert scene.name == "mine"
     assert scene.bounds == ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    assert read_scene(folder, bounds=[np.zeros(3).tolist(), list(np.ones(3, np.float32))]).bounds == scene.bounds
     assert_same(scene.gaussians, read_scene(folder / "point_cloud.ply", UPRIGHT).gaussians)
 
 
