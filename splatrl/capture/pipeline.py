@@ -105,11 +105,17 @@ def capture(
     if (folder / SCENE_FILE).exists() and not settings.force:
         raise FileExistsError(f"{folder / SCENE_FILE}: already exists; name another folder by --out, or give --force")
     stages = folder / STAGES
+    made = [each for each in (stages, folder) if not each.exists()]
     stages.mkdir(parents=True, exist_ok=True)
-    with alone_in(stages):
-        remove_stale(stages)
-        placed, notes = reconstruct(source, folder, settings, progress, say)
-        return build_scene(placed, folder, settings, notes, progress, say)
+    try:
+        with alone_in(stages):
+            remove_stale(stages)
+            placed, notes = reconstruct(source, folder, settings, progress, say)
+            return build_scene(placed, folder, settings, notes, progress, say)
+    finally:
+        for each in made:
+            with suppress(OSError):  # something was kept in it
+                each.rmdir()
 
 
 def reconstruct(

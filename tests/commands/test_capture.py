@@ -261,7 +261,8 @@ def test_a_fault_of_a_stage_is_one_line(tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(pipeline, "read_photos", broken)
     with pytest.raises(SystemExit, match=r"^splatrl-capture: walk\.mp4: expected a video"):
-        capture.main(["walk.mp4", "--out", str(tmp_path / "walk")])
+        capture.main(["walk.mp4", "--out", str(tmp_path / "there" / "walk")])
+    assert list(tmp_path.glob("there/*")) == []  # no folder with nothing in it
 
 
 def test_a_device_that_there_is_not_is_refused_in_one_line() -> None:
