@@ -147,4 +147,12 @@ def fcl_octrees(occupancy: Occupancy, blocks: float | None = None) -> list[Any]:
         order = np.argsort(number.reshape(-1), kind="stable")
         ends = np.cumsum(np.bincount(number.reshape(-1)))[:-1]
         parts = [Occupancy.from_keys(part, occupancy.resolution) for part in np.split(keys[order], ends)]
-    return [fcl.CollisionObject(fcl.OcTree(part.resolution, encode_octree(part))) for part in parts]
+    return [fcl.CollisionObject(_octree(part)) for part in parts]
+
+
+def _octree(occupancy: Occupancy) -> Any:
+    stream = encode_octree(occupancy)
+    try:
+        return fcl.OcTree(occupancy.resolution, stream)
+    except OverflowError:  # bytes that C has no sign for, as on ARM
+        return fcl.OcTree(occupancy.resolution, stream.view(np.uint8))

@@ -24,7 +24,8 @@ def encode_octree(occupancy: Occupancy) -> NDArray[np.int8]:
         occupancy: what is solid; its keys within ±32768.
 
     Returns:
-        [2 · nodes] int8, which is what ``fcl.OcTree`` takes; no bytes at all for an empty occupancy.
+        [2 · nodes] int8, which is what ``fcl.OcTree`` takes where C's ``char`` has a sign; no bytes at all for an empty
+        occupancy.
 
     Raises:
         ValueError: for a voxel beyond what the octree's keys reach.

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from splatrl.bodies import Box, Capsule, Sphere
 from splatrl.collision import FclChecker, Occupancy
 from splatrl.collision.fcl import fcl_octrees
-from splatrl.collision.octree import encode_octree
 from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
 from tests.collision.oracle import separation
 
@@ -86,7 +85,7 @@ def test_the_distance_field_changes_no_answer_of_fcl(body):
     occupancy = clutter(1, 0.01)
     lower, upper = occupancy.bounds
     poses = random_poses(4000, lower - 0.4, upper + 0.4, 1)
-    tree = fcl.CollisionObject(fcl.OcTree(occupancy.resolution, encode_octree(occupancy)))
+    (tree,) = fcl_octrees(occupancy)
     match body:
         case Box():
             shape = fcl.Box(*body.size)
@@ -101,6 +100,21 @@ def test_the_distance_field_changes_no_answer_of_fcl(body):
     hits = FclChecker(occupancy, body).collides(poses)
     assert 0 < hits.sum() < len(poses)
     assert hits.tolist() == raw
+
+
+def test_bytes_go_to_fcl_without_a_sign_where_c_has_none(monkeypatch):
+    octree, given = fcl.OcTree, []
+
+    def unsigned(resolution, stream):
+        given.append(list(map(int, stream)))
+        if min(given[-1]) < 0:
+            raise OverflowError("can't convert negative value to char")
+        return octree(resolution, np.array(given[-1], np.uint8).view(np.int8))
+
+    expected = FclChecker(CUBE, Sphere(0.1)).collides(at((0.0, 0.0, 0.0)))
+    monkeypatch.setattr(fcl, "OcTree", unsigned)
+    assert FclChecker(CUBE, Sphere(0.1)).collides(at((0.0, 0.0, 0.0))).equal(expected)
+    assert [byte % 256 for byte in given[0]] == given[1]
 
 
 def test_a_hit_does_not_stick_to_the_poses_after_it():
