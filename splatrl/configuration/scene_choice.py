@@ -109,7 +109,7 @@ def place_configs(cfg: DictConfig) -> list[DictConfig]:
 
     ``scene.places`` lists what belongs to each: ``scene``, what to build, and values of other keys.
     """
-    places = cfg.scene.get("places") if "scene" in cfg and isinstance(cfg.scene, DictConfig) else None
+    places = _listed(cfg)
     if not places:
         return [cfg]
     plain = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "scene"])
@@ -124,11 +124,18 @@ def place_configs(cfg: DictConfig) -> list[DictConfig]:
 
 def place_names(cfg: DictConfig) -> list[str]:
     """What was typed for each of the ``place_configs`` of a config; empty where it has only one."""
-    count = len(place_configs(cfg))
-    paths = cfg.scene.get("paths") if count > 1 else None
-    if isinstance(paths, ListConfig) and len(paths) == count:
+    places = _listed(cfg)
+    if len(places) < 2:
+        return [""]
+    paths = cfg.scene.get("paths")
+    if isinstance(paths, ListConfig) and len(paths) == len(places):
         return [str(path) for path in paths]
-    return [f"yard:{place.scene.seed}" for place in cfg.scene.places] if count > 1 else [""]
+    return [f"yard:{place.scene.seed}" for place in places]
+
+
+def _listed(cfg: DictConfig) -> Sequence[DictConfig]:
+    """``scene.places``; empty where there are none."""
+    return (cfg.scene.get("places") if "scene" in cfg and isinstance(cfg.scene, DictConfig) else None) or ()
 
 
 def _places(overrides: Sequence[str], name: str) -> list[str]:

@@ -13,8 +13,8 @@ constexpr double PARALLEL = 1e-10;  // the sine, squared, below which two direct
 // What a cylinder's axis passes over on its way: bottom + s axis + t way for s and t in [0, 1].
 struct Swept {
     Vec3 bottom, axis, way;
-    double along, across, turning;            // |axis|², |way|² and their product
-    double per_along, per_across, per_area;   // inverse, 0 where there is nothing to divide by
+    double along, across, turning;           // |axis|², |way|² and their product
+    double per_along, per_across, per_area;  // inverse, 0 where there is nothing to divide by
 
     // The squared distance of a point: the best s for any t, the best t for it, and the best s for that.
     HOST_DEVICE double squared_distance(const Vec3& point) const {
@@ -43,12 +43,11 @@ SPLAT_INLINE Swept swept_by(const Vec3& bottom, const Vec3& axis, const Vec3& wa
 }
 
 struct RoundSweep {
-    Vec3 bottom, axis, way;  // the cylinder is bottom to bottom + axis at the start
+    Swept swept;  // the cylinder is bottom to bottom + axis at the start
     double radius;
     bool ball;  // the axis has length 0
     // Of a capsule alone: a voxel touches where its middle is as near to what the axis passes over, and does not where
     // it is as far.
-    Swept swept;
     double near, far;  // squared
 
     HOST_DEVICE double contact(const Column& column, bool any) const {
@@ -63,27 +62,30 @@ struct RoundSweep {
 
 private:
     HOST_DEVICE double of_ball(const Vec3& corner, bool any) const {
-        const double t = ball_contact(corner, bottom, way, radius);
+        const double t = ball_contact(corner, swept.bottom, swept.way, radius);
         return any && t < NEVER ? 0.0 : t;
     }
 
     HOST_DEVICE double of_capsule(const Vec3& corner, bool any) const {
         const double squared = swept.squared_distance({corner[0] + 0.5, corner[1] + 0.5, corner[2] + 0.5});
         if (squared > far) return NEVER;
-        if (!any) return capsule_contact(corner, bottom, axis, way, radius);
-        return squared <= near || capsule_touches(corner, bottom, axis, way, radius) ? 0.0 : NEVER;
+        if (any && squared <= near) return 0.0;
+        if (!any) return capsule_contact(corner, swept.bottom, swept.axis, swept.way, radius);
+        return capsule_touches(corner, swept.bottom, swept.axis, swept.way, radius) ? 0.0 : NEVER;
     }
 };
 
 SPLAT_INLINE RoundSweep round_sweep(const Shape& shape, const Pose& pose, const Vec3& way) {
     constexpr double SURE = 1e-6;  // voxels: more than what searches for a contact are off
-    RoundSweep out{pose.position, {}, way, shape.radius + SLACK, shape.kind == Shape::SPHERE, {}, 0.0, 0.0};
-    if (out.ball) return out;
+    const bool ball = shape.kind == Shape::SPHERE;
+    Vec3 bottom = pose.position, axis{};
     for (int i = 0; i < 3; ++i) {
-        out.axis[i] = 2.0 * shape.half_length * pose.rotation[i][2];
-        out.bottom[i] -= 0.5 * out.axis[i];
+        axis[i] = ball ? 0.0 : 2.0 * shape.half_length * pose.rotation[i][2];
+        bottom[i] -= 0.5 * axis[i];
     }
-    out.swept = swept_by(out.bottom, out.axis, way);
+    RoundSweep out{{bottom, axis, way}, shape.radius + SLACK, ball, 0.0, 0.0};
+    if (ball) return out;
+    out.swept = swept_by(bottom, axis, way);
     const double unsure = SURE + 2.0 * sqrt(PARALLEL * (out.swept.along + out.swept.across));
     const double far = shape.radius + HALF_DIAGONAL + unsure;
     out.near = shape.radius * shape.radius;

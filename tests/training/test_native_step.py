@@ -89,8 +89,9 @@ def test_what_pytorch_began_goes_on_compiled() -> None:
     assert (weights(mine) - weights(theirs)).abs().quantile(0.999) < 1e-5
 
 
-@pytest.mark.skipif(_core.isa() not in FAST, reason="PyTorch steps, and refuses it in its own words")
-def test_an_action_that_is_none_is_refused() -> None:
+@pytest.mark.parametrize("isa", [isa for isa in _core.supported_isas() if isa in FAST])
+def test_an_action_that_is_none_is_refused(isa: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPLATRL_ISA", isa)
     mine, _ = pair()
     frames = minibatch(0, False)
     frames["action"][3] = ACTIONS
