@@ -2,12 +2,14 @@
 
     python benchmarks/capture.py                    # films 60 s at 1080p in the backyard, then captures that
     python benchmarks/capture.py --yard 3           # or in one of the generated yards
+    python benchmarks/capture.py --people 2         # while two people walk through it
     python benchmarks/capture.py kitchen_m.mp4      # any video with its truth in a .npz beside it
 
 The truth is used to judge, and for one thing that a person would measure: the height of the camera above the floor, or
 ``--distance`` as ``splatrl-capture`` takes it. Prints wall and CPU seconds of every stage, how far the cameras are from
 the truth once a similarity has brought them closest (ATE), how far up and scale are off, and how well images that were
-never fitted are drawn. ``--keep FOLDER`` keeps film and scene, and a second call continues there.
+never fitted are drawn; of a film that it made, also how near what is drawn is to the place as it is when nobody walks
+through it. ``--keep FOLDER`` keeps film and scene, and a second call continues there.
 """
 
 import argparse
@@ -22,6 +24,8 @@ import numpy as np
 import torch
 from capture_figure import Likeness, draw
 from machine import measured_machine
+from numpy.typing import NDArray
+from passers_by import PassersBy
 from PIL import Image
 from record import RESULTS, print_markdown, today, write_json
 from tqdm import tqdm
@@ -38,7 +42,9 @@ from splatrl.commands.capture import Bars
 from splatrl.evaluation.phone_video import Phone, phone_video
 from splatrl.evaluation.phone_walk import Stroll, phone_walk
 from splatrl.renderers import NativeRenderer
-from splatrl.scenes import Gaussians, read_gaussians
+from splatrl.scenes import Gaussians, Scene, read_gaussians
+
+Floats = NDArray[np.float64]
 
 FILM = "walk.mp4"
 INSIDE, ABOVE = 1.2, 0.6
@@ -82,6 +88,8 @@ class Result:
     psnr: float
     ssim: float
     psnr_corrected: float
+    empty: float | None
+    empty_worst: float | None
     path_free: float
     floating: int
     solid: int
@@ -118,18 +126,25 @@ def _clock() -> tuple[float, float]:
     return time.perf_counter(), sum(os.times()[:4])
 
 
+def place_of(options: argparse.Namespace) -> Scene:
+    """What is filmed."""
+    return splatrl.backyard() if options.yard is None else splatrl.yard(options.yard)
+
+
 def filmed(path: Path, options: argparse.Namespace) -> Path:
     """A phone walk in a yard, unless it is there already."""
     if path.is_file() and path.with_suffix(".npz").is_file():
         return path
-    scene = splatrl.backyard() if options.yard is None else splatrl.yard(options.yard)
+    scene = place_of(options)
     phone, seed = Phone(*options.size), options.seed
     (x, y, _), (right, back, _) = scene.bounds
     stroll = Stroll((x + INSIDE, y + INSIDE), (right - INSIDE, back - INSIDE), options.height, turn=options.turn)
     walk = phone_walk(Occupancy.from_scene(scene), stroll, round(options.seconds * phone.fps), phone.fps, seed)
     began = _clock()
     with tqdm(total=len(walk), unit="frame", desc="film", dynamic_ncols=True) as bar:
-        renderer = NativeRenderer(scene, tolerance=TOLERANCE)
+        renderer: NativeRenderer | PassersBy = NativeRenderer(scene, tolerance=TOLERANCE)
+        if options.people:
+            renderer = PassersBy(scene, options.people, phone.fps, TOLERANCE)
         phone_video(renderer, walk, phone, path, seed, lambda done, total: bar.update(done - bar.n))
     wall, cpu = (now - then for now, then in zip(_clock(), began, strict=True))
     print(f"filmed {len(walk)} frames of {phone.width} × {phone.height} pixels in {wall:.0f} s, {cpu:.0f} CPU s")
@@ -152,11 +167,28 @@ def likenesses(gaussians: Gaussians, placed: Placed, width: int) -> list[Likenes
     return result
 
 
+def likeness_to(
+    scene: Scene, gaussians: Gaussians, placed: Placed, truth: Truth, options: argparse.Namespace
+) -> Floats:
+    """PSNR of what the cameras of a capture see in it to what they would have seen in the empty place, dB: [N].
+
+    Each channel is fitted by a factor and a shift first, since the exposure of the film drifts.
+    """
+    found, (full, height) = placed.reconstruction, options.size
+    size = options.width, round(options.width * height / full)
+    K = truth.K * torch.tensor([[size[0] / full], [size[1] / height], [1.0]])
+    there = Cameras(true_poses(found, truth).float(), K.float(), *size)
+    empty = NativeRenderer(scene).pixels(there).numpy() / 255.0
+    here = Cameras(found.camera_to_world.float(), found.K_at(*size).float(), *size)
+    drawn = NativeRenderer(gaussians).pixels(here).numpy() / 255.0
+    return np.array([psnr(colour_corrected(ours, true), true) for ours, true in zip(drawn, empty, strict=True)])
+
+
 def settings_of(options: argparse.Namespace, truth: Truth) -> CaptureSettings:
     """What a person would state: how high the camera was above the floor at z = ``--floor``."""
     height = float((truth.camera_to_world[:, 2, 3] - options.floor).mean())
     fit = FitSettings(width=options.width, cap=options.gaussians, views=options.views, seed=options.seed)
-    return CaptureSettings(camera_height=height, seed=options.seed, fit=fit, force=True)
+    return CaptureSettings(camera_height=height, seed=options.seed, fit=fit, force=True, still=options.still)
 
 
 def parsed() -> argparse.Namespace:
@@ -168,6 +200,8 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--yard", type=int, help="seed of a generated yard to film; none films the backyard")
     parser.add_argument("--height", type=float, default=ABOVE, help="of the camera of the film, metres")
     parser.add_argument("--turn", type=float, default=Stroll.turn, help="seconds in which the view goes once around")
+    parser.add_argument("--people", type=int, default=0, help="who walk through the place while it is filmed")
+    parser.add_argument("--still", action="store_true", help="do not look for what moved")
     parser.add_argument("--floor", type=float, default=0.0, help="height of the floor in the truth, metres")
     parser.add_argument("--width", type=int, default=FitSettings.width)
     parser.add_argument("--gaussians", type=int, default=FitSettings.cap)
@@ -190,6 +224,7 @@ def measured(video: Path, folder: Path, options: argparse.Namespace) -> tuple[Re
         placed, notes = reconstruct(video, folder, settings, watch, watch.say)
         quality = build_scene(placed, folder, settings, notes, watch, watch.say)
     gaussians = read_gaussians(folder / "splat.ply")
+    empty = likeness_to(place_of(options), gaussians, placed, truth, options) if options.video is None else None
     off: Deviation = deviation(placed, truth, width)
     alike = likenesses(gaussians, placed, settings.fit.width)
     images = len(placed.reconstruction.paths)
@@ -216,6 +251,8 @@ def measured(video: Path, folder: Path, options: argparse.Namespace) -> tuple[Re
         psnr=float(np.mean([one.psnr for one in alike])),
         ssim=float(np.mean([one.ssim for one in alike])),
         psnr_corrected=float(np.mean([one.psnr_corrected for one in alike])),
+        empty=None if empty is None else float(empty.mean()),
+        empty_worst=None if empty is None else float(np.sort(empty)[: max(1, images // 10)].mean()),
         path_free=quality.path_free,
         floating=quality.floating,
         solid=quality.solid,
@@ -227,6 +264,7 @@ def print_result(result: Result) -> None:
     """Two tables: what the stages took, and how good the capture is."""
     rows = [[lap.stage, f"{lap.wall:.1f}", "" if np.isnan(lap.cpu) else f"{lap.cpu:.1f}"] for lap in result.laps]
     print_markdown(["stage", "wall s", "CPU s"], [*rows, ["all", f"{result.wall:.1f}", f"{result.cpu:.1f}"]])
+    empty = "–" if result.empty is None else f"{result.empty:.2f} dB, the worst tenth {result.empty_worst:.2f}"
     figures = [
         ("images with a pose", f"{result.posed} of {result.images}"),
         ("points, Gaussians", f"{result.points:,}, {result.gaussians:,}"),
@@ -237,6 +275,7 @@ def print_result(result: Result) -> None:
         ("focal length", f"{result.focal_percent:+.2f} %"),
         (f"held out, {result.fit_width} pixels", f"{result.psnr:.2f} dB, SSIM {result.ssim:.3f}"),
         ("the same, colour-corrected", f"{result.psnr_corrected:.2f} dB"),
+        ("likeness to the place without people", empty),
         ("path that is free", f"{100 * result.path_free:.1f} %"),
         ("floating voxels", f"{result.floating} of {result.solid}"),
     ]

@@ -15,7 +15,7 @@ from splatrl.capture.area import SOLID, Area, survey_area
 from splatrl.capture.check import COMPARISON, MAP, Quality, check
 from splatrl.capture.drift import lost_scale
 from splatrl.capture.page import report_page
-from splatrl.capture.pictures import GOALS, draw_cameras, draw_goals
+from splatrl.capture.pictures import GOALS, draw_cameras, draw_goals, draw_moving
 from splatrl.capture.suggestions import Suggestions, place_proposals, seen_by_cameras, suggest
 from splatrl.capture.world import Placed
 from splatrl.collision.point_clouds import write_points
@@ -23,9 +23,13 @@ from splatrl.scenes import read_gaussians, write_gaussians
 from splatrl.scenes.description import PATH, SCENE_FILE, SMALL_SPLAT, SPLAT, write_description
 from splatrl.scenes.gaussians import Gaussians
 
-FREE, REPORT, CAMERAS = "free.ply", "report.html", "cameras.png"
+FREE, REPORT, CAMERAS, MOVING = "free.ply", "report.html", "cameras.png", "moving.png"
 GOOD_PATH, GOOD_PSNR, FEW_FLOATERS, MOST_MISSING = 0.97, 22.0, 0.005, 0.1
 """A worse capture's report says so."""
+LEFT_OUT = (
+    "{} of what the images show moved and was left out (red in moving.png); images that were never fitted show it all "
+    "the same, which lowers their figures."
+)
 FRAME: dict[str, Any] = {"axes": ["x", "y", "z"], "scale": 1.0, "translation": [0.0, 0.0, 0.0]}
 
 
@@ -39,6 +43,7 @@ def write_scene(
     force: bool = False,
     known: Tensor | None = None,
     splat: str = SPLAT,
+    moving: Tensor | None = None,
 ) -> Quality:
     """Check a fitted capture and write it as a scene's folder: splat, ``scene.yaml``, report and pictures.
 
@@ -52,6 +57,7 @@ def write_scene(
         force: whether to replace a ``scene.yaml`` that is there.
         known: [N, h, w] depths of the photos' pixels, metres, 0 where unknown; None knows nothing.
         splat: name of the splat file; ``.spz`` is small, and rounds.
+        moving: [N, h, w] bool, where the photos show what moved and was left out; None knows nothing.
 
     Raises:
         CaptureError: for a held-out image that cannot be read.
@@ -70,15 +76,23 @@ def write_scene(
         draw_cameras(placed, area, fresh / CAMERAS)
         if found.goals:
             draw_goals(gaussians, found.goals, area.robot_height, fresh / GOALS)
+        if moving is not None and moving.any():
+            draw_moving(placed.reconstruction.paths, moving, fresh / MOVING)
+            notes = [*notes, LEFT_OUT.format(share_of(moving))]
         if area.free.count:
             write_points(fresh / FREE, area.free.centers())
         write_points(fresh / PATH, placed.reconstruction.camera_to_world[:, :3, 3].float().numpy())
         proposals = _proposals(placed, area, found, quality)
         write_description(fresh, splat, name, FRAME, area.bounds, proposals=proposals)
-        pictures = [file for file in (COMPARISON, MAP, GOALS, CAMERAS) if (fresh / file).exists()]
+        pictures = [file for file in (COMPARISON, MAP, GOALS, CAMERAS, MOVING) if (fresh / file).exists()]
         page = report_page(name, placed, area, found, quality, [*notes, *quality.problems], pictures)
         (fresh / REPORT).write_text(page, encoding="utf-8")
     return quality
+
+
+def share_of(moving: Tensor) -> str:
+    """The share of what photos show that moved, in words."""
+    return f"{100 * float(moving.float().mean()):.2g} %"
 
 
 def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
@@ -133,7 +147,7 @@ def _whole(folder: Path) -> Iterator[Path]:
         yield fresh
         if folder.exists():
             (folder / SCENE_FILE).unlink(missing_ok=True)
-            for old in (SPLAT, SMALL_SPLAT, FREE, PATH):  # they may not come anew
+            for old in (SPLAT, SMALL_SPLAT, FREE, PATH, MOVING):  # they may not come anew
                 (folder / old).unlink(missing_ok=True)
             for file in sorted(fresh.iterdir(), key=lambda file: file.name == SCENE_FILE):
                 os.replace(file, folder / file.name)

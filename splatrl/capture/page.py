@@ -13,6 +13,7 @@ TITLES = {
     "map.png": "From above: the camera's path (red where something solid touches it), where robots walk (dashed), "
     "suggested goals (arrows) and the place for a thing (star)",
     "goals.png": "What a robot sees at the suggested goals, the first of which is in scene.yaml",
+    "moving.png": "What moved and was left out (red), in the images that show most of it",
     "cameras.png": "Cameras and points, from above and from the side; the red line is the floor",
 }
 STYLE = (

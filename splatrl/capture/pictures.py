@@ -9,9 +9,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
+from torch import Tensor
 
 from splatrl.cameras import Cameras, intrinsics, look_at
 from splatrl.capture.area import Area
+from splatrl.capture.photo_files import read_photo
 from splatrl.capture.world import Placed
 from splatrl.collision.pictures import FREE, SOLID
 from splatrl.envs.robot import Robot
@@ -88,6 +90,26 @@ def draw_comparison(photos: Sequence[Floats], renders: Sequence[Floats], scores:
         pen.text(
             (size[0] + 10, top + 4), f"{scores[row]:.1f} dB", fill="white", font=letters, stroke_width=2, stroke_fill=0
         )
+    with replacing(path) as stream:
+        page.save(stream, "PNG")
+
+
+def draw_moving(photos: Sequence[Path], moving: Tensor, path: Path) -> None:
+    """Draw the photos that show most of what moved, two beside each other, with that in red, as PNG.
+
+    Args:
+        photos: all of them.
+        moving: [N, h, w] bool, where each shows what moved.
+        path: where to; ends in .png.
+    """
+    rows = moving.flatten(1).float().mean(1).argsort(descending=True, stable=True)[:ROWS].sort().values
+    size = WIDTH, max(1, round(WIDTH * moving.shape[1] / moving.shape[2]))
+    page = Image.new("RGB", (2 * size[0] + 4, -(-len(rows) // 2) * (size[1] + 4) - 4), "white")
+    for place, row in enumerate(rows.tolist()):
+        image = read_photo(photos[row]).resize(size, Image.Resampling.LANCZOS)
+        shade = Image.fromarray(np.uint8(160) * moving[row].numpy()).resize(size, Image.Resampling.NEAREST)
+        image.paste(BLOCKED, mask=shade)
+        page.paste(image, (place % 2 * (size[0] + 4), place // 2 * (size[1] + 4)))
     with replacing(path) as stream:
         page.save(stream, "PNG")
 

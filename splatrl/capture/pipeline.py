@@ -19,11 +19,12 @@ from splatrl.capture.fit import FitSettings, fit, held_out, trained
 from splatrl.capture.fit_checkpoint import Checkpoint
 from splatrl.capture.fit_pictures import Frame, frame_of
 from splatrl.capture.floaters import without_floaters
-from splatrl.capture.folder import write_scene
+from splatrl.capture.folder import share_of, write_scene
 from splatrl.capture.frames import read_photos
 from splatrl.capture.ground import on_its_side
 from splatrl.capture.look import look
 from splatrl.capture.marker import MARKER_SIDE
+from splatrl.capture.moving import find_moving
 from splatrl.capture.poses import find_poses
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.recordings import is_recording, read_recording
@@ -60,6 +61,7 @@ class CaptureSettings:
         marker: side of a printed marker's black square, metres.
         splat: name of the splat file in the scene's folder; one that ends in .spz is small.
         fit: how Gaussians are fitted.
+        still: whether nothing moved while it was filmed, so that nobody looks for that.
         resolution: what follows the robots' image size; None takes the width and the cap of ``fit``.
     """
 
@@ -72,6 +74,7 @@ class CaptureSettings:
     marker: float = MARKER_SIDE
     splat: str = SPLAT
     fit: FitSettings = field(default_factory=FitSettings)
+    still: bool = False
     resolution: Resolution | None = None
 
 
@@ -187,13 +190,17 @@ def build_scene(
     finely = settings.fit
     if settings.resolution is not None:
         finely = settings.resolution.of(placed.reconstruction, finely)
+    if not settings.still:
+        depths = depths.without(_moving(placed, depths, stages, finely, progress))
+        if depths.moving is not None and depths.moving.any():
+            say(f"moving      {share_of(depths.moving)} of what the images show moved, and is left out")
     gaussians = _fitted(placed, depths, stages, finely, progress, say)
     gaussians, carved = without_floaters(gaussians, dense_voxels(gaussians, placed), placed.reconstruction)
     size = f"{finely.width} pixels wide, {carved} voxels of floaters carved away"
     say(f"fit         {gaussians.numel():,} Gaussians to images {size}")
     unseen = held_out(len(placed.reconstruction.paths)).tolist()
     far, splat = depths.far(frame), settings.splat
-    quality = write_scene(folder, gaussians, placed, unseen, None, notes, settings.force, far, splat)
+    quality = write_scene(folder, gaussians, placed, unseen, None, notes, settings.force, far, splat, depths.moving)
     say("\n".join([f"check       {_words(quality)}", *(f"            {problem}" for problem in quality.problems)]))
     return quality
 
@@ -230,6 +237,19 @@ def _depths(placed: Placed, frame: Frame, stages: Path, progress: Progress) -> D
     return depths
 
 
+def _moving(placed: Placed, depths: Depths, stages: Path, settings: FitSettings, progress: Progress) -> torch.Tensor:
+    """Where the photos show what moved, found once and kept."""
+    path, digest = stages / "moving.npz", _digest(placed.reconstruction, settings)
+    with suppress(FileNotFoundError, ValueError):  # what is damaged is found again
+        kept = read_arrays(path)
+        if str(kept.get("digest")) == digest:
+            return torch.from_numpy(kept["moving"])
+    moving = find_moving(placed.reconstruction, depths, settings, progress)
+    with replacing(path) as stream:
+        np.savez(stream, digest=digest, moving=moving.numpy())
+    return moving
+
+
 def _fitted(
     placed: Placed,
     depths: Depths,
@@ -239,7 +259,7 @@ def _fitted(
     say: Callable[[str], object],
 ) -> Gaussians:
     """The Gaussians of a placed reconstruction, fitted once and kept; a fit that was killed goes on."""
-    path, digest = stages / "fit.ply", _digest(placed.reconstruction, settings)
+    path, digest = stages / "fit.ply", _digest(placed.reconstruction, settings, depths.moving)
     stamp = stages / "fit.txt"
     if path.exists() and stamp.exists() and stamp.read_text(errors="replace") == digest:
         try:
@@ -259,12 +279,16 @@ def _fitted(
     return gaussians
 
 
-def _digest(reconstruction: Reconstruction, settings: FitSettings | None = None) -> str:
-    """Fingerprint of all that depths, or with settings a fit, depend on."""
+def _digest(
+    reconstruction: Reconstruction, settings: FitSettings | None = None, moving: torch.Tensor | None = None
+) -> str:
+    """Fingerprint of all that depths, or with settings a fit that leaves something out, depend on."""
     chosen = {} if settings is None else asdict(settings) | {"threads": None, "device": None}
     digest = hashlib.blake2b(json.dumps([VERSION, chosen], sort_keys=True).encode(), digest_size=16)
     for values in (reconstruction.K, reconstruction.camera_to_world, reconstruction.points, reconstruction.seen_by):
         digest.update(torch.as_tensor(values).contiguous().numpy().tobytes())
+    if moving is not None and moving.any():
+        digest.update(moving.numpy().tobytes())
     for path in (*reconstruction.paths, *reconstruction.depths):
         digest.update(path.name.encode() + str(path.stat().st_size).encode())
     return digest.hexdigest()

@@ -5,7 +5,7 @@ the same, smoothed along four directions (semi-global matching, Hirschmüller 20
 confirm counts as known.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -36,6 +36,8 @@ FEWEST = 10
 """Points that a photo must show, for a range of depths."""
 AT_ONCE = 16
 """Photos between two words of progress."""
+IGNORED = -1.0
+"""In place of an inverse depth: what a photo shows there is not compared (``FIT_IGNORED`` of the native fit)."""
 
 
 @dataclass(frozen=True)
@@ -45,25 +47,42 @@ class Depths:
     Attributes:
         likely: [N, H, W] float32 inverse depths, the best guess; 0 where there is none.
         known: [N, H, W] float32 inverse depths that a sensor measured or other photos confirm; 0 elsewhere.
+        moving: [N, H, W] bool, where photos show what moved: a fit leaves that out. None where nobody looked for it.
     """
 
     likely: Tensor
     known: Tensor
+    moving: Tensor | None = None
 
     def far(self, frame: Frame) -> Tensor:
         """``known`` as depths in the unit of the reconstruction, 0 where unknown: [N, H, W]."""
         return torch.where(self.known > 0, frame.extent / self.known.clamp_min(1e-12), 0.0)
 
+    def without(self, moving: Tensor) -> "Depths":
+        """The same, but that nothing counts where photos show what moved: [N, H, W] bool."""
+        likely, known = (torch.where(moving, 0.0, inverse) for inverse in (self.likely, self.known))
+        return Depths(likely, known, moving)
+
     def at(self, seen: Pictures, rows: Tensor) -> Tensor:
-        """What is known of the pixels of these photos at another size, points that they saw included: [N, H, W]."""
+        """What is known of the pixels of these photos at another size, points that they saw included: [N, H, W].
+
+        ``IGNORED`` where they show what moved.
+        """
         size = seen.pixels.shape[1:3]
-        out = torch.nn.functional.interpolate(self.known[:, None], size=size, mode="nearest-exact")[:, 0].contiguous()
+        out = resized(self.known, size)
         for row in rows.tolist():
             x, y, inverse = seen.soundings[seen.firsts[row] : seen.firsts[row + 1]].unbind(1)
             column, line = x.long().clamp(0, size[1] - 1), y.long().clamp(0, size[0] - 1)
             free = out[row, line, column] == 0
             out[row, line[free], column[free]] = inverse[free]
+        if self.moving is not None:
+            out[resized(self.moving.float(), size) > 0] = IGNORED
         return out
+
+
+def resized(values: Tensor, size: torch.Size) -> Tensor:
+    """Values [N, h, w] float32, the nearest of them for each pixel of a size [H, W]."""
+    return torch.nn.functional.interpolate(values[:, None], size=size, mode="nearest-exact")[:, 0].contiguous()
 
 
 def find_depths(
@@ -90,17 +109,12 @@ def find_depths(
     (seen,) = pictures(reconstruction, frame, [min(WIDTH, reconstruction.width)])
     grey = seen.pixels.float().mean(-1) / 255
     places = seen.camera_to_world.contiguous(), seen.K.contiguous()
-    neighbours, ranges = torch.full((len(rows), WITNESSES), -1), torch.zeros(len(rows), 2)
+    ranges = torch.zeros(len(rows), 2)
     for line, row in enumerate(rows.tolist()):
         inverse = seen.soundings[seen.firsts[row] : seen.firsts[row + 1], 2]
-        if len(inverse) < FEWEST:
-            continue
-        ends = inverse.quantile(torch.tensor([0.02, 0.98]))
-        ranges[line] = ends * torch.tensor(REACH)
-        others = neighbours_of(seen, row, rows, float((1 / inverse).median()))
-        neighbours[line, : len(others)] = others
-    likely, known = torch.zeros_like(grey), torch.zeros_like(grey)
-    compared = neighbours[:, :COMPARED].contiguous()
+        if len(inverse) >= FEWEST:
+            ranges[line] = inverse.quantile(torch.tensor([0.02, 0.98])) * torch.tensor(REACH)
+    likely, compared = torch.zeros_like(grey), witnesses_of(seen, rows)[:, :COMPARED].contiguous()
     cores = threads or usable_cores()
     for first in range(0, len(rows), AT_ONCE):
         some = slice(first, first + AT_ONCE)
@@ -108,8 +122,33 @@ def find_depths(
             grey, *places, rows[some], compared[some], ranges[some], seen.soundings, seen.firsts, LEVELS, likely, cores
         )
         progress("depth", min(first + AT_ONCE, len(rows)), len(rows))
-    _core.agree(likely, *places, rows, neighbours, TOLERANCE, CONFIRMED, known, cores)
-    return Depths(likely, known)
+    return confirmed(Depths(likely, likely), seen, rows, cores)
+
+
+def confirmed(depths: Depths, seen: Pictures, rows: Tensor, threads: int | None = None) -> Depths:
+    """The same, but that only what the depths of other photos confirm is known.
+
+    Args:
+        depths: of the photos' pixels.
+        seen: the photos, as large as the depths.
+        rows: [R] int64, the photos that may be looked at; nothing is known of others.
+        threads: None takes all cores that this process may use; the result does not depend on it.
+    """
+    places, known = (seen.camera_to_world.contiguous(), seen.K.contiguous()), torch.zeros_like(depths.likely)
+    cores, witnesses = threads or usable_cores(), witnesses_of(seen, rows)
+    _core.agree(depths.likely, *places, rows, witnesses, TOLERANCE, CONFIRMED, known, cores)
+    return replace(depths, known=known)
+
+
+def witnesses_of(seen: Pictures, rows: Tensor) -> Tensor:
+    """Which photos see the same as each of ``rows``: [R, WITNESSES] int64, −1 where there are no more."""
+    neighbours = torch.full((len(rows), WITNESSES), -1)
+    for line, row in enumerate(rows.tolist()):
+        inverse = seen.soundings[seen.firsts[row] : seen.firsts[row + 1], 2]
+        if len(inverse) >= FEWEST:
+            others = neighbours_of(seen, row, rows, float((1 / inverse).median()))
+            neighbours[line, : len(others)] = others
+    return neighbours
 
 
 def neighbours_of(seen: Pictures, row: int, rows: Tensor, depth: float) -> Tensor:

@@ -58,6 +58,7 @@ def _settings(options: argparse.Namespace, side: float, splat: str, device: str)
         distance=options.distance,
         marker=side,
         splat=splat,
+        still=options.still,
         fit=FitSettings(views=views, seed=options.seed, device=device),
         resolution=Resolution(across, width=options.width, gaussians=options.gaussians),
     )

@@ -60,6 +60,9 @@ def capture(arguments: Sequence[str]) -> argparse.Namespace:
     )
     result.add_argument("--gaussians", type=int, help="at most; follows the number of pixels by default")
     result.add_argument("--views", type=int, help="drawn in the fit: more takes longer")
+    result.add_argument(
+        "--still", action="store_true", help="nothing moved while it was filmed: do not look for people to leave out"
+    )
     result.add_argument("--seed", type=int, default=0)
     result.add_argument("--device", default="auto", help="of the fit: auto, cpu, cuda or cuda:<number>")
     options = result.parse_args(joined(arguments, {"--distance": 7}, is_numbers))

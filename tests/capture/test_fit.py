@@ -13,6 +13,7 @@ from splatrl.capture.base import CaptureError, Reconstruction
 from splatrl.capture.fit import FitSettings, Fitting, fit, held_out
 from splatrl.capture.fit_cameras import turned
 from splatrl.capture.fit_model import share
+from splatrl.capture.stereo import IGNORED
 from splatrl.native import _core
 from splatrl.renderers import NativeRenderer, ReferenceRenderer
 from splatrl.renderers.reference import FAINT, blend
@@ -123,9 +124,10 @@ def test_views_and_slopes_are_those_of_the_reference_under_autograd(fitter: _cor
         assert float(found.norm() / truth.norm()) == pytest.approx(1.0, abs=1e-3), name
 
 
-def torch_loss(images: Tensor, photo: Tensor, exposure: Tensor) -> Tensor:
-    """L1 and structural similarity with a padded window: [H, W, 3] against [H, W, 3]."""
+def torch_loss(images: Tensor, photo: Tensor, exposure: Tensor, ignored: Tensor) -> Tensor:
+    """L1 and structural similarity with a padded window: [H, W, 3] against [H, W, 3], but for some pixels [H, W]."""
     x, t = (images * exposure[:, 0] + exposure[:, 1]).movedim(-1, 0), photo.movedim(-1, 0)
+    x, t = torch.where(ignored, x.detach(), x), torch.where(ignored, x.detach(), t)
     distance = torch.arange(-5.0, 6.0, dtype=torch.float64)
     window = torch.exp(-(distance**2) / (2 * 1.5**2))
     kernel = torch.outer(window, window)[None, None] / window.sum() ** 2
@@ -139,16 +141,18 @@ def torch_loss(images: Tensor, photo: Tensor, exposure: Tensor) -> Tensor:
     return 0.8 * (x - t).abs().mean() + 0.2 * (1 - similar.mean())
 
 
-def test_the_loss_and_its_slopes_are_those_of_torch(fitter: _core.Fitter) -> None:
+@pytest.mark.parametrize("ignored", [slice(0, 0), slice(6, 15)], ids=["all counts", "a part is ignored"])
+def test_the_loss_and_its_slopes_are_those_of_torch(fitter: _core.Fitter, ignored: slice) -> None:
     values, cameras = random_values(1), random_cameras(5, 1, WIDTH, HEIGHT)
     random = torch.Generator().manual_seed(2)
     photos = torch.randint(0, 256, (3, HEIGHT, WIDTH, 3), dtype=torch.uint8, generator=random)
     exposure = torch.tensor([[[1.0, 0.0]] * 3, [[1.0, 0.0]] * 3, [[1.1, 0.02], [0.9, -0.01], [1.2, 0.0]]])
     known = torch.cat([known_depths(1) * 0 + 9.0] * 2 + [known_depths(1)])
+    known[2, 4:, ignored] = IGNORED
     leaf, light = values[:, :COUNT].double().requires_grad_(), exposure[2].double().requires_grad_()
     image = reference_images(activated(leaf), cameras)[0]
-    apart = (1 - image[:, :SEAM, 3]).sum() / (HEIGHT * WIDTH)
-    expected = torch_loss(image[..., :3], photos[2].double() / 255, light) + 0.3 * apart
+    apart = torch.where(known[2] > 0, 1 - image[..., 3], 0.0).sum() / (HEIGHT * WIDTH)
+    expected = torch_loss(image[..., :3], photos[2].double() / 255, light, known[2] == IGNORED) + 0.3 * apart
     expected.backward()
     gradients, losses = torch.zeros(1, *values.shape), torch.empty(1, 16)
     fitter.compare(

@@ -12,6 +12,7 @@ from splatrl.capture import fit_cuda
 from splatrl.capture.base import Reconstruction
 from splatrl.capture.fit import FitSettings, Fitting, fit
 from splatrl.capture.fit_cuda import CudaFitter, kernel_defines
+from splatrl.capture.stereo import IGNORED
 from splatrl.native import _core
 from tests.capture.test_fit import COUNT as FEW
 from tests.capture.test_fit import (
@@ -71,6 +72,7 @@ def photos() -> tuple[Tensor, Tensor, Tensor]:
     )
     known = torch.cat([known_depths(2).flip(0), known_depths(1)])
     known[1] = 9.0  # nobody looks at it
+    known[2, 3:9, 12:25] = IGNORED
     exposure = torch.tensor([[[0.9, 0.1]] * 3, [[5.0, 5.0]] * 3, [[1.1, 0.02], [0.9, -0.01], [1.2, 0.0]]])
     return pixels, known, exposure
 

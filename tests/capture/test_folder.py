@@ -110,6 +110,19 @@ def test_the_report_is_one_static_page_that_says_what_went_wrong(tmp_path: Path)
         assert read_scene(folder).name == "a <b> & c"
 
 
+def test_what_moved_is_shown_and_said(tmp_path: Path) -> None:
+    folder, placed = tmp_path / "garden", tiny_capture(tmp_path / "images")
+    moving = torch.zeros(CAMERAS, 32, 48, dtype=torch.bool)
+    moving[5, 8:24, 12:36] = True  # a quarter of one image of 24
+    write_scene(folder, tiny_gaussians(), placed, HELD_OUT, moving=moving)
+    assert "1 % of what the images show moved and was left out" in (folder / "report.html").read_text()
+    page = np.asarray(Image.open(folder / "moving.png")).astype(int)
+    red = (page[..., 0] > page[..., 1] + 60).reshape(page.shape[0], 2, -1).mean((0, 2))
+    assert red.max() > 0.02 and red.min() < 0.005
+    write_scene(folder, tiny_gaussians(), placed, HELD_OUT, force=True)
+    assert not (folder / "moving.png").exists()
+
+
 def test_a_good_capture_has_nothing_to_complain_of(tmp_path: Path) -> None:
     write_scene(tmp_path / "garden", tiny_gaussians(), tiny_capture(tmp_path / "images"), HELD_OUT)
     assert "What went wrong" not in (tmp_path / "garden" / "report.html").read_text(encoding="utf-8")

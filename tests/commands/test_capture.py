@@ -1,8 +1,10 @@
 """splatrl-capture, from photos to a folder in which robots can be trained; poses are known here, to be quick."""
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -44,14 +46,14 @@ def photographed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Photos, Reco
 
 
 @pytest.fixture(scope="module")
-def known_depths() -> dict[str, Depths]:
-    """Depths that were found, by what they were found for: the same in nearly all captures here."""
+def known() -> dict[str, Any]:
+    """Depths, and what moved, by what they were found for: the same in nearly all captures here."""
     return {}
 
 
 @pytest.fixture
 def stages(
-    photographed: tuple[Photos, Reconstruction], known_depths: dict[str, Depths], monkeypatch: pytest.MonkeyPatch
+    photographed: tuple[Photos, Reconstruction], known: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> list[str]:
     """Lets the stages that need a video give what is known; returns the names of those that were called."""
     called: list[str] = []
@@ -66,19 +68,25 @@ def stages(
         called.append("poses")
         return found
 
-    real_depths, real_fit = pipeline.find_depths, pipeline.fit
+    real_depths, real_moving, real_fit = pipeline.find_depths, pipeline.find_moving, pipeline.fit
 
-    def find_depths(found: Reconstruction, frame: Frame, rows: torch.Tensor, progress: Progress) -> Depths:
-        key = pipeline._digest(found)
-        if key not in known_depths:
-            known_depths[key] = real_depths(found, frame, rows, progress=progress)
-        return known_depths[key]
+    def once(key: str, find: Callable[[], Any]) -> Any:
+        if key not in known:
+            known[key] = find()
+        return known[key]
+
+    def find_depths(found: Reconstruction, frame: Frame, rows: torch.Tensor, progress: Progress) -> Any:
+        return once(pipeline._digest(found), lambda: real_depths(found, frame, rows, progress=progress))
+
+    def find_moving(found: Reconstruction, depths: Depths, settings: FitSettings, progress: Progress) -> Any:
+        return once(pipeline._digest(found, settings), lambda: real_moving(found, depths, settings, progress))
 
     def fit(*arguments: object) -> object:
         called.append("fit")
         return real_fit(*arguments)
 
     replaced = {"read_photos": read_photos, "find_poses": find_poses, "find_depths": find_depths, "fit": fit}
+    replaced["find_moving"] = find_moving
     for name, stage in replaced.items():
         monkeypatch.setattr(pipeline, name, stage)
     monkeypatch.setattr(pipeline, "look", lambda photos, progress: GOOD)
@@ -172,7 +180,7 @@ def test_stages_that_were_damaged_are_done_again(
     capture.main(words)
     whole = (tmp_path / "garden" / "splat.ply").read_bytes()
     kept = tmp_path / "garden" / "stages"
-    for name in ("depths.npz", "fit.ply"):
+    for name in ("depths.npz", "moving.npz", "fit.ply"):
         (kept / name).write_bytes((kept / name).read_bytes()[:2000])
     (kept / "depths.npz.0123abcd.tmp").write_text("left by a kill")
     capsys.readouterr()
@@ -180,6 +188,24 @@ def test_stages_that_were_damaged_are_done_again(
     assert f"{kept / 'fit.ply'}: expected" in (said := capsys.readouterr().out) and "it begins anew" in said
     assert (tmp_path / "garden" / "splat.ply").read_bytes() == whole and stages.count("fit") == 2
     assert not list(tmp_path.rglob("*.tmp"))
+
+
+@pytest.mark.usefixtures("bare_report")
+def test_what_moved_is_left_out_unless_it_is_said_that_nothing_did(
+    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def find_moving(found: Reconstruction, depths: Depths, settings: FitSettings, progress: Progress) -> torch.Tensor:
+        moving = torch.zeros_like(depths.known, dtype=torch.bool)
+        moving[1] = True
+        return moving
+
+    monkeypatch.setattr(pipeline, "find_moving", find_moving)
+    words, written = ["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK, "--force"], []
+    for more in (["--still"], [], []):
+        capture.main([*words, *more])
+        written.append((tmp_path / "garden" / "splat.ply").read_bytes())
+        assert ("2.5 % of what the images show moved" in capsys.readouterr().out) == (not more)
+    assert stages.count("fit") == 2 and written[0] != written[1] == written[2]
 
 
 @pytest.mark.usefixtures("bare_report")

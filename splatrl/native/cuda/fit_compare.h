@@ -42,11 +42,16 @@ struct FitPane {
         view = corner.view, left = corner.x - SSIM_RADIUS, top = corner.y - SSIM_RADIUS;
         gain = photos.exposure[6 * view + 2 * channel], offset = photos.exposure[6 * view + 2 * channel + 1];
     }
-    // The view as its photo would show it, and the photo.
+    // Whether what the photo shows there counts.
+    INLINE_MEMBER bool counts(const FitViews& views, size_t at) const {
+        return views.known[size_t(views.photos[view]) * views.area() + at] >= 0.0f;
+    }
+    // The view as its photo would show it, and the photo; where that does not count, it shows what the view shows.
     INLINE_MEMBER float seen(const FitViews& views, const FitPhotos& photos, size_t at) const {
         return gain * photos.image[(size_t(view) * FIT_CHANNELS + size_t(channel)) * views.area() + at] + offset;
     }
     INLINE_MEMBER float photo(const FitViews& views, const FitPhotos& photos, size_t at) const {
+        if (!counts(views, at)) return seen(views, photos, at);
         const size_t pixel = size_t(views.photos[view]) * views.area() + at;
         return float(photos.pixels[3 * pixel + size_t(channel)]) * (1.0f / 255.0f);
     }
@@ -146,7 +151,8 @@ SPLAT_INLINE void find_slopes(const FitViews& views, const FitPhotos& photos, in
         const float x = pane.seen(views, photos, place.at), t = pane.photo(views, photos, place.at), away = x - t;
         const float by_curves = smooth_down(shared.smooth[0]) + 2.0f * x * smooth_down(shared.smooth[1]) +
                                 t * smooth_down(shared.smooth[2]);
-        const float slope = (away > 0.0f ? flat : away < 0.0f ? -flat : 0.0f) + curved * by_curves;
+        const float compared = (away > 0.0f ? flat : away < 0.0f ? -flat : 0.0f) + curved * by_curves;
+        const float slope = pane.counts(views, place.at) ? compared : 0.0f;
         const size_t first = size_t(place.view) * FIT_CHANNELS * views.area() + place.at;
         sums[S_APART] = fabsf(away);
         sums[S_GAIN] = slope * photos.image[first + size_t(pane.channel) * views.area()], sums[S_OFFSET] = slope;

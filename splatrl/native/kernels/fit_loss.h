@@ -44,9 +44,10 @@ struct FitRows {
     alignas(64) float lines[P_MAPS][FIT_WIDEST + 2 * SSIM_EDGE];
 };
 
-// Fill the maps P_X … P_XT, smoothed along rows, and the plain values in maps 8 (view) and 9 (photo).
-static void smooth_products(const FitGrid& grid, const float* view, const FitTarget& target, int channel, float* maps,
-                            FitRows& rows) {
+// Fill the maps P_X … P_XT, smoothed along rows, and the plain values in maps 8 (view) and 9 (photo). Where a pixel is
+// ignored, the photo shows what the view shows.
+static void smooth_products(const FitGrid& grid, const float* view, const float* known, const FitTarget& target,
+                            int channel, float* maps, FitRows& rows) {
     const float gain = target.exposure[2 * channel], offset = target.exposure[2 * channel + 1];
     std::memset(rows.lines, 0, sizeof(rows.lines));
     for (int y = 0; y < grid.height; ++y) {
@@ -55,7 +56,8 @@ static void smooth_products(const FitGrid& grid, const float* view, const FitTar
         float *x = rows.lines[P_X] + SSIM_EDGE, *t = rows.lines[P_T] + SSIM_EDGE;
         float *xx = rows.lines[P_XX] + SSIM_EDGE, *tt = rows.lines[P_TT] + SSIM_EDGE, *xt = rows.lines[P_XT] + SSIM_EDGE;
         for (int i = 0; i < grid.width; ++i) {
-            x[i] = gain * view[line + i] + offset, t[i] = float(photo[3 * i]) * (1.0f / 255.0f);
+            x[i] = gain * view[line + i] + offset;
+            t[i] = known[line + i] < 0.0f ? x[i] : float(photo[3 * i]) * (1.0f / 255.0f);
             xx[i] = x[i] * x[i], tt[i] = t[i] * t[i], xt[i] = x[i] * t[i];
         }
         for (int map = 0; map < P_MAPS; ++map)
@@ -100,8 +102,8 @@ static double smooth_derivatives(const FitGrid& grid, float* maps, FitRows& rows
 }
 
 // The slopes of one channel. Adds to the loss.
-static void channel_slopes(const FitGrid& grid, const FitTarget& target, int channel, const float* view, float* maps,
-                           float* slopes, FitRows& rows, FitLoss& loss) {
+static void channel_slopes(const FitGrid& grid, const FitTarget& target, int channel, const float* view,
+                           const float* known, float* maps, float* slopes, FitRows& rows, FitLoss& loss) {
     const float share = 1.0f / float(3 * grid.width * grid.height);
     const float flat = (1.0f - target.ssim_weight) * share, curved = -target.ssim_weight * share;
     const float gain = target.exposure[2 * channel];
@@ -116,7 +118,8 @@ static void channel_slopes(const FitGrid& grid, const FitTarget& target, int cha
         for (int i = 0; i < grid.width; ++i) {
             const float away = x[i] - t[i];
             const float sign = away > 0.0f ? flat : away < 0.0f ? -flat : 0.0f;
-            out[i] = sign + curved * (mean[i] + 2.0f * x[i] * square[i] + t[i] * product[i]);
+            const float slope = sign + curved * (mean[i] + 2.0f * x[i] * square[i] + t[i] * product[i]);
+            out[i] = known[line + i] < 0.0f ? 0.0f : slope;
         }
         for (int i = 0; i < grid.width; ++i) {
             sums[0][i % LANES] += __builtin_fabsf(x[i] - t[i]);
@@ -155,10 +158,10 @@ static FitLoss loss_of(const FitGrid& grid, const FitScratch& scratch, const Fit
     std::memset(scratch.slopes, 0, FIT_CHANNELS * grid.area() * sizeof(float));
     for (int channel = 0; channel < 3; ++channel) {
         const float* view = scratch.image + size_t(channel) * grid.area();
-        smooth_products(grid, view, target, channel, scratch.maps, rows);
+        smooth_products(grid, view, scratch.known, target, channel, scratch.maps, rows);
         similarity += smooth_derivatives(grid, scratch.maps, rows);
-        channel_slopes(grid, target, channel, view, scratch.maps, scratch.slopes + size_t(channel) * grid.area(), rows,
-                       loss);
+        channel_slopes(grid, target, channel, view, scratch.known, scratch.maps,
+                       scratch.slopes + size_t(channel) * grid.area(), rows, loss);
     }
     loss.ssim = float(similarity / double(3 * size_t(grid.width) * size_t(grid.height)));
     loss.depth = depth_slopes(grid, target, scratch);

@@ -1,0 +1,224 @@
+"""What moved while photos were taken: people, animals, cars.
+
+A small fit shows what the photos have in common. Where one shows something else, although others of the same place look
+as the fit does, something was in the way. What is suspected is left out while the small fit goes on, so that it shows
+more of what is behind, and the next look decides better.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import ndimage
+from torch import Tensor
+
+from splatrl.cameras import Cameras, depths_at
+from splatrl.capture.base import Reconstruction
+from splatrl.capture.fit import FitSettings, Fitting, trained
+from splatrl.capture.fit_pictures import Pictures, frame_of, pictures
+from splatrl.capture.progress import Progress, silent
+from splatrl.capture.stereo import Depths, confirmed, resized
+from splatrl.renderers import NativeRenderer
+
+LOOKS = 3
+SHARE = 0.64
+"""Of the views of the whole fit: what the small one draws, on images as large as the depths, which are a quarter."""
+FEWER = 7
+"""Times as few Gaussians as the whole fit may have."""
+SMOOTH = 2.0
+"""Pixels over which differences are averaged, so that fine texture that is not drawn yet does not count."""
+GAINS = (0.7, 1.4)
+"""Between which a photo's exposure may differ from the fit's."""
+STEADY = 0.02
+"""Differences below this count in full where the exposure is sought, larger ones the less the larger they are."""
+SUSPECT, UNLIKE, CLEAR = 0.06, 0.08, 0.15
+"""Differences, of 1: of what is left out at first, of each pixel of a thing, and of a thing on average."""
+AGREEING = 3
+"""Other photos that must show what the fit shows there, and more than those that do not."""
+SAME = 0.08
+"""A photo shows the same place if it is as far away, but for this share."""
+THROUGH = 0.88
+"""A photo sees through a place if the place is nearer than this share of what the photo shows."""
+ASKED = 100
+"""Other photos that are asked, at most."""
+APART = 3
+"""They are farther than this in the order of the photos: what moves slowly is in those too."""
+LARGE = 1 / 90
+"""Of an image: a thing is no smaller."""
+CONFIRMED = 0.5
+"""Share of a thing's pixels whose depth other photos confirm: of what moves it is less."""
+OPAQUE = 0.5
+"""A pixel at least this opaque shows how far away things are."""
+
+Mask = NDArray[np.bool_]
+
+
+def find_moving(
+    reconstruction: Reconstruction, depths: Depths, settings: FitSettings, progress: Progress = silent
+) -> Tensor:
+    """Find the pixels of photos that show what moved.
+
+    Args:
+        reconstruction: photos with poses.
+        depths: of their pixels, as ``find_depths`` returns them.
+        settings: of the fit that is to come, on which it depends how long this takes.
+        progress: told about views of the small fit.
+
+    Returns:
+        [N, H, W] bool, as large as the depths; nothing of photos that are never fitted.
+
+    Raises:
+        CaptureError: as ``fit`` does.
+    """
+    small = replace(
+        settings,
+        width=depths.known.shape[2],
+        cap=max(1, settings.cap // FEWER),
+        views=max(1, round(settings.views * SHARE)),
+        levels=((0.0, 1.0),),
+        sh_degree=0,
+        device="cpu",
+    )
+    rows, frame = trained(len(reconstruction.paths)), frame_of(reconstruction.camera_to_world)
+    if reconstruction.depths:  # a sensor measures what moves, too
+        (seen,) = pictures(reconstruction, frame, [depths.known.shape[2]])
+        depths = confirmed(depths, seen, rows, small.threads)
+    depths = replace(depths, likely=depths.known)  # what nobody confirms may have moved
+    fitting = Fitting(reconstruction, small, depths)
+    seen, _ = fitting.level(0.0)
+    moving = torch.zeros_like(depths.known, dtype=torch.bool)
+    steps = math.ceil(small.views / fitting.views)
+    ends = [round(steps * (number + 1) / LOOKS) for number in range(LOOKS)]
+    for step in range(steps):
+        fitting.step(step, steps)
+        progress("moving", step + 1, steps)
+        if step + 1 in ends:
+            last = step + 1 == steps
+            moving[rows] = look(fitting, seen, reconstruction, moving).things(depths.known > 0, last)
+            fitting.levels = {1.0: (seen, depths.without(moving).at(seen, rows))}
+    return moving
+
+
+@dataclass(frozen=True)
+class Look:
+    """How photos differ from a fit, and what other photos say of these places, at half the size.
+
+    Attributes:
+        rows: [R] int64, which photos.
+        unlike: [R, h, w] float32, how different a photo is there, of 1, averaged over some pixels.
+        agreeing: [R, h, w] int64, how many of the others show the place that the fit shows there, and look like it.
+        disagreeing: how many show that place, and look different.
+        through: how many see through it.
+    """
+
+    rows: Tensor
+    unlike: Tensor
+    agreeing: Tensor
+    disagreeing: Tensor
+    through: Tensor
+
+    def things(self, known: Tensor, strict: bool) -> Tensor:
+        """The pixels of what moved, or without ``strict`` of what may have: [R, H, W] bool.
+
+        Args:
+            known: [N, H, W] bool, whether other photos confirm the depth of a pixel.
+            strict: whether to find only large and clear things, about whose place other photos agree with the fit.
+        """
+        clear = (self.unlike > UNLIKE) & (self.agreeing >= AGREEING) & (self.agreeing > self.disagreeing)
+        ghosts = (self.through >= AGREEING) & (self.through > 2 * (self.agreeing + self.disagreeing))
+        candidates = (clear if strict else (self.unlike > SUSPECT) | ghosts).numpy()
+        size, height, width = known.shape[1:], *self.unlike.shape[1:]
+        sure = known[self.rows][:, : 2 * height : 2, : 2 * width : 2].numpy()
+        found = np.zeros_like(candidates)
+        for row, (pixels, unlike) in enumerate(zip(candidates, self.unlike.numpy(), strict=True)):
+            pixels = ndimage.binary_opening(pixels, np.ones((3, 3) if strict else (2, 2)))
+            labels, count = ndimage.label(pixels)
+            each = np.arange(1, count + 1)
+            kept = ndimage.mean(sure[row], labels, each) < CONFIRMED
+            if strict:
+                kept &= ndimage.sum(pixels, labels, each) >= LARGE * height * width
+                kept &= ndimage.mean(unlike, labels, each) > CLEAR
+            found[row] = _rounded(np.isin(labels, each[kept]))
+        return resized(torch.from_numpy(found).float(), size) > 0
+
+
+def look(fitting: Fitting, seen: Pictures, reconstruction: Reconstruction, ignored: Tensor) -> Look:
+    """Compare the photos that a fit is trained on with it.
+
+    Args:
+        fitting: the fit.
+        seen: its photos.
+        reconstruction: their poses.
+        ignored: [N, H, W] bool, pixels that do not count where exposures are sought.
+    """
+    rows, (height, width) = fitting.trained, seen.pixels.shape[1:3]
+    poses = reconstruction.camera_to_world[rows]
+    renderer = NativeRenderer(fitting.model.gaussians(fitting.frame), threads=fitting.threads)
+    drawn = renderer.render(Cameras(poses.float(), seen.K, width, height))
+    unlike = differences(drawn.rgb, seen.pixels[rows].float() / 255, ignored[rows])
+    unlike = torch.nn.functional.avg_pool2d(unlike[:, None], 2)[:, 0]
+    height, width = unlike.shape[1:]
+    depth = torch.where(drawn.alpha > OPAQUE, drawn.depth, 0.0)[:, : 2 * height : 2, : 2 * width : 2]
+    signed = torch.where(unlike < SUSPECT, depth, -depth)  # positive where a photo looks as the fit does
+    K, counts = reconstruction.K_at(width, height), torch.zeros(3, len(rows), height, width, dtype=torch.int64)
+    for row, pose in enumerate(poses):
+        places = placed_pixels(depth[row], pose, K)
+        for other in asked(row, len(rows)):
+            z, told = depths_at(places, signed[other], poses[other], K, 0.0)
+            far = told.abs()
+            same = (z - far).abs() < SAME * far
+            votes = torch.stack([same & (told > 0), same & (told < 0), (far > 0) & (z < THROUGH * far)])
+            counts[:, row] += (votes & (depth[row].reshape(-1) > 0)).view(3, height, width)
+    return Look(rows, unlike, *counts)
+
+
+def differences(drawn: Tensor, photos: Tensor, ignored: Tensor) -> Tensor:
+    """How photos differ from what is drawn, but for a gain and an offset of each channel of each photo.
+
+    These are sought by what is alike: larger differences count less, the more so the larger they are.
+
+    Args:
+        drawn: [R, H, W, 3] in [0, 1].
+        photos: likewise.
+        ignored: [R, H, W] bool, pixels that do not count for gain and offset.
+
+    Returns:
+        [R, H, W] float32: the largest of the channels, averaged over some pixels with their signs.
+    """
+    x, y = drawn.flatten(1, 2), photos.flatten(1, 2)
+    counted = 1.0 - ignored.flatten(1)[..., None].float()
+    weights, apart = counted.expand_as(x), torch.zeros_like(x)
+    for _ in range(4):
+        total = weights.sum(1, keepdim=True).clamp_min(1e-6)
+        from_x, from_y = (values - (weights * values).sum(1, keepdim=True) / total for values in (x, y))
+        spread = (weights * from_x**2).sum(1, keepdim=True).clamp_min(1e-6)
+        gain = ((weights * from_x * from_y).sum(1, keepdim=True) / spread).clamp(*GAINS)
+        apart = gain * from_x - from_y
+        weights = counted / apart.abs().clamp_min(STEADY)
+    smooth = ndimage.gaussian_filter(apart.view_as(drawn).numpy(), (0.0, SMOOTH, SMOOTH, 0.0))
+    return torch.from_numpy(np.abs(smooth).max(-1))
+
+
+def placed_pixels(depth: Tensor, camera_to_world: Tensor, K: Tensor) -> Tensor:
+    """Where the pixels of an image are: depths [H, W] along the optical axis -> [H W, 3] float64, in the world."""
+    height, width = depth.shape
+    down, across = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+    rays = torch.stack([(across - K[0, 2]) / K[0, 0], (down - K[1, 2]) / K[1, 1], torch.ones_like(across)], -1)
+    local = (rays * depth[..., None]).reshape(-1, 3).double()
+    return local @ camera_to_world[:3, :3].T + camera_to_world[:3, 3]
+
+
+def asked(row: int, count: int) -> list[int]:
+    """Which of ``count`` photos are asked about one of them."""
+    others = [other for other in range(count) if abs(other - row) > APART]
+    stride = max(1, -(-len(others) // ASKED))
+    return others[row % stride :: stride]
+
+
+def _rounded(pixels: Mask) -> Mask:
+    """Without holes and gaps, and a pixel larger."""
+    closed = ndimage.binary_closing(np.pad(pixels, 3, mode="edge"), np.ones((5, 5)))[3:-3, 3:-3]
+    whole: Mask = ndimage.binary_dilation(ndimage.binary_fill_holes(closed))
+    return whole

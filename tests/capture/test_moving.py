@@ -1,0 +1,133 @@
+"""What moves through photos is found, what stands still is not, and a fit leaves it out."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from torch import Tensor
+
+from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.capture.base import Reconstruction
+from splatrl.capture.fit import FitSettings, fit, held_out, trained
+from splatrl.capture.fit_pictures import frame_of
+from splatrl.capture.moving import asked, differences, find_moving
+from splatrl.capture.stereo import Depths, find_depths
+from splatrl.renderers import NativeRenderer
+from tests.capture.test_stereo import speckled
+
+WIDTH, HEIGHT, COUNT = 96, 72, 24
+RADIUS = 13
+"""Pixels: of the ball that is in each third photo, where it never is in another."""
+SETTINGS = FitSettings(width=WIDTH, cap=14_000, views=1_000, sh_degree=0, levels=((0.0, 0.5), (0.3, 1.0)), threads=1)
+
+
+def ball(row: int) -> Tensor:
+    """The pixels of a photo that show a ball: [H, W] bool."""
+    down, across = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
+    column, line = (29 * row) % WIDTH, 20 + (17 * row) % 35
+    inside: Tensor = (across - column) ** 2 + (down - line) ** 2 < RADIUS**2
+    return inside & (row % 3 == 1)
+
+
+def photographed(folder: Path, with_ball: bool) -> Reconstruction:
+    """A speckled wall and a box before it, from places in a row, each photo as bright as it likes."""
+    scene, across = speckled(), torch.linspace(-0.6, 0.6, COUNT)
+    eyes = torch.stack([across, 0.1 * torch.sin(9 * across), torch.zeros(COUNT)], 1)
+    poses, K = look_at(eyes, eyes + torch.tensor([0.0, 0.0, 1.0]), up=(0.0, -1.0, 0.0)), intrinsics(0.9, WIDTH, HEIGHT)
+    paths = []
+    for row, image in enumerate(NativeRenderer(scene, threads=1).pixels(Cameras(poses, K, WIDTH, HEIGHT)).float()):
+        if with_ball:
+            image[ball(row)] = torch.tensor([250.0, 240.0, 20.0])
+        paths.append(folder / f"{row:02d}.png")
+        Image.fromarray((image * (1.0 - 0.1 * (row % 2))).byte().numpy()).save(paths[-1])
+    points = scene.means[::40].double()
+    return Reconstruction(
+        paths=paths,
+        width=WIDTH,
+        height=HEIGHT,
+        K=K.double(),
+        camera_to_world=poses.double(),
+        points=points,
+        colors=torch.full((len(points), 3), 128, dtype=torch.uint8),
+        seen_point=torch.arange(len(points)).repeat(COUNT),
+        seen_by=torch.arange(COUNT).repeat_interleave(len(points)),
+    )
+
+
+def depths_of(capture: Reconstruction) -> Depths:
+    return find_depths(capture, frame_of(capture.camera_to_world), trained(COUNT), threads=1)
+
+
+def photos_of(capture: Reconstruction) -> Tensor:
+    """[N, H, W, 3] of 1."""
+    return torch.stack([torch.from_numpy(np.array(Image.open(path))) for path in capture.paths]).float() / 255
+
+
+@pytest.fixture(scope="module")
+def still(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
+    return photographed(tmp_path_factory.mktemp("still"), with_ball=False)
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
+    return photographed(tmp_path_factory.mktemp("with_ball"), with_ball=True)
+
+
+@pytest.fixture(scope="module")
+def depths(capture: Reconstruction) -> Depths:
+    return depths_of(capture)
+
+
+@pytest.fixture(scope="module")
+def moving(capture: Reconstruction, depths: Depths) -> Tensor:
+    return find_moving(capture, depths, SETTINGS)
+
+
+def test_what_moves_is_found(moving: Tensor) -> None:
+    rows, balls = trained(COUNT), torch.stack([ball(row) for row in range(COUNT)])
+    found, true = moving[rows], balls[rows]
+    assert float(found[true].float().mean()) > 0.8
+    assert float(found[~true].float().mean()) < 0.03
+    assert not moving[held_out(COUNT)].any()
+
+
+def test_what_stands_still_is_not(still: Reconstruction) -> None:
+    assert not find_moving(still, depths_of(still), SETTINGS).any()
+
+
+def test_the_number_of_threads_does_not_matter(capture: Reconstruction, depths: Depths) -> None:
+    short = replace(SETTINGS, views=250)
+    assert torch.equal(find_moving(capture, depths, short), find_moving(capture, depths, replace(short, threads=2)))
+
+
+def test_a_fit_never_looks_at_what_moves(still: Reconstruction, tmp_path: Path) -> None:
+    moving = torch.zeros(COUNT, HEIGHT, WIDTH, dtype=torch.bool)
+    moving[2:9, 16:40, 30:62] = True
+    paths = list(still.paths)
+    for row in range(2, 9):
+        image = Image.open(paths[row])
+        image.paste((255, 0, 255), (30, 16, 62, 40))
+        paths[row] = tmp_path / f"{row}.png"
+        image.save(paths[row])
+    settings, known = replace(SETTINGS, cap=2_500, views=120), depths_of(still).without(moving)
+    plain, painted = (fit(replace(still, paths=each), settings, depths=known) for each in (still.paths, paths))
+    assert all(torch.equal(getattr(plain, name), getattr(painted, name)) for name in ("means", "scales", "sh"))
+
+
+def test_another_exposure_is_no_difference() -> None:
+    drawn = torch.rand(2, 40, 60, 3, generator=torch.Generator().manual_seed(0))
+    photos = (0.85 * drawn + 0.05).clone()
+    photos[1, 10:30, 10:30] = 1.0
+    apart = differences(drawn, photos, torch.zeros(2, 40, 60, dtype=torch.bool))
+    assert float(apart[0].max()) < 1e-3
+    assert float(apart[1, 15:25, 15:25].min()) > 0.2
+    assert float(apart[1, :, 45:].max()) < 0.02
+
+
+def test_photos_beside_each_other_are_not_asked_and_never_too_many() -> None:
+    assert asked(5, 10) == [0, 1, 9]
+    assert asked(0, 3) == []
+    assert len(asked(7, 1000)) <= 100 and all(abs(other - 7) > 3 for other in asked(7, 1000))
