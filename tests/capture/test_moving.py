@@ -94,6 +94,20 @@ def test_what_moves_is_found(moving: Tensor) -> None:
     assert not moving[held_out(COUNT)].any()
 
 
+def test_what_a_depth_sensor_measured_may_move_too(capture: Reconstruction, tmp_path: Path) -> None:
+    cameras = Cameras(capture.camera_to_world.float(), capture.K.float(), WIDTH, HEIGHT)
+    paths = []
+    for row, depth in enumerate(NativeRenderer(speckled(), threads=1).render(cameras).depth):
+        depth[ball(row)] = 1.0
+        paths.append(tmp_path / f"{row:02d}.png")
+        Image.fromarray((1000 * depth).numpy().astype(np.uint16)).save(paths[-1])
+    measured = replace(capture, depths=tuple(paths))
+    found, rows = find_moving(measured, depths_of(measured), SETTINGS), trained(COUNT)
+    balls = torch.stack([ball(row) for row in range(COUNT)])
+    assert float(found[rows][balls[rows]].float().mean()) > 0.8
+    assert float(found[rows][~balls[rows]].float().mean()) < 0.03
+
+
 def test_what_stands_still_is_not(still: Reconstruction) -> None:
     assert not find_moving(still, depths_of(still), SETTINGS).any()
 
