@@ -53,6 +53,7 @@ OPAQUE = 0.5
 """A pixel at least this opaque shows how far away things are."""
 
 Mask = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 
 
 def find_moving(
@@ -157,7 +158,8 @@ def look(fitting: Fitting, seen: Pictures, reconstruction: Reconstruction, ignor
     poses = reconstruction.camera_to_world[rows]
     renderer = NativeRenderer(fitting.model.gaussians(fitting.frame), threads=fitting.threads)
     drawn = renderer.render(Cameras(poses.float(), seen.K, width, height))
-    unlike = differences(drawn.rgb, seen.pixels[rows].float() / 255, ignored[rows])
+    images = zip(drawn.rgb.double().numpy(), seen.pixels[rows].numpy() / 255.0, ignored[rows].numpy(), strict=True)
+    unlike = torch.from_numpy(np.stack([difference(*image) for image in images])).float()
     unlike = torch.nn.functional.avg_pool2d(unlike[:, None], 2)[:, 0]
     height, width = unlike.shape[1:]
     depth = torch.where(drawn.alpha > OPAQUE, drawn.depth, 0.0)[:, : 2 * height : 2, : 2 * width : 2]
@@ -174,31 +176,30 @@ def look(fitting: Fitting, seen: Pictures, reconstruction: Reconstruction, ignor
     return Look(rows, unlike, *counts)
 
 
-def differences(drawn: Tensor, photos: Tensor, ignored: Tensor) -> Tensor:
-    """How photos differ from what is drawn, but for a gain and an offset of each channel of each photo.
+def difference(drawn: Floats, photo: Floats, ignored: Mask) -> Floats:
+    """How a photo differs from what is drawn, but for a gain and an offset of each channel.
 
     These are sought by what is alike: larger differences count less, the more so the larger they are.
 
     Args:
-        drawn: [R, H, W, 3] in [0, 1].
-        photos: likewise.
-        ignored: [R, H, W] bool, pixels that do not count for gain and offset.
+        drawn: [H, W, 3] in [0, 1].
+        photo: likewise.
+        ignored: [H, W] bool, pixels that do not count for gain and offset.
 
     Returns:
-        [R, H, W] float32: the largest of the channels, averaged over some pixels with their signs.
+        [H, W]: the largest of the channels, averaged over some pixels with their signs.
     """
-    x, y = drawn.flatten(1, 2), photos.flatten(1, 2)
-    counted = 1.0 - ignored.flatten(1)[..., None].float()
-    weights, apart = counted.expand_as(x), torch.zeros_like(x)
+    counted = 1.0 - ignored[..., None]
+    weights, apart = np.broadcast_to(counted, drawn.shape), np.zeros_like(drawn)
     for _ in range(4):
-        total = weights.sum(1, keepdim=True).clamp_min(1e-6)
-        from_x, from_y = (values - (weights * values).sum(1, keepdim=True) / total for values in (x, y))
-        spread = (weights * from_x**2).sum(1, keepdim=True).clamp_min(1e-6)
-        gain = ((weights * from_x * from_y).sum(1, keepdim=True) / spread).clamp(*GAINS)
-        apart = gain * from_x - from_y
-        weights = counted / apart.abs().clamp_min(STEADY)
-    smooth = ndimage.gaussian_filter(apart.view_as(drawn).numpy(), (0.0, SMOOTH, SMOOTH, 0.0))
-    return torch.from_numpy(np.abs(smooth).max(-1))
+        total = np.maximum(weights.sum((0, 1)), 1e-6)
+        from_drawn, from_photo = (values - (weights * values).sum((0, 1)) / total for values in (drawn, photo))
+        spread = np.maximum((weights * from_drawn**2).sum((0, 1)), 1e-6)
+        gain = np.clip((weights * from_drawn * from_photo).sum((0, 1)) / spread, *GAINS)
+        apart = gain * from_drawn - from_photo
+        weights = counted / np.maximum(np.abs(apart), STEADY)
+    largest: Floats = np.abs(ndimage.gaussian_filter(apart, (SMOOTH, SMOOTH, 0.0))).max(-1)
+    return largest
 
 
 def placed_pixels(depth: Tensor, camera_to_world: Tensor, K: Tensor) -> Tensor:
