@@ -64,6 +64,14 @@ def bare_report(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splatrl.capture.check.seen_through", lambda occupancy, _: np.zeros(1, bool))
 
 
+@pytest.fixture
+def unmade_yards(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Configs of generated yards are composed without making the yards, half a second each where none is cached."""
+    monkeypatch.setattr("splatrl.configuration.scene_files.make_yards", lambda _: None)
+    stated = {"goal": [0.0, 1.0, 0.0], "object": [1.0, 1.0, 0.5]}
+    monkeypatch.setattr("splatrl.configuration.scene_files.yard_proposals", lambda _: stated)
+
+
 def no_gpu() -> str:
     """The reason why nothing can run on a GPU here; empty if it can."""
     import torch
