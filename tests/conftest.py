@@ -104,12 +104,13 @@ def pytest_collection(session: pytest.Session) -> None:
 
 def pytest_collection_finish() -> None:
     """Leave what is imported by now out of every later search for garbage, search less often, and do twice nothing
-    that gives the same again and again: parse YAML, and spread Gaussians over robots."""
-    from tests.discs_once import spread_once
+    that gives the same again and again: parse YAML, spread Gaussians over robots, and make the backyard."""
+    from tests.gaussians_once import backyard_once, spread_once
     from tests.yaml_once import parse_once
 
     parse_once()
     spread_once()
+    backyard_once()
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
