@@ -64,6 +64,14 @@ def bare_report(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splatrl.capture.check.seen_through", lambda occupancy, _: np.zeros(1, bool))
 
 
+@pytest.fixture
+def unmade_yards(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Configs of generated yards are composed without making the yards, half a second each where none is cached."""
+    monkeypatch.setattr("splatrl.configuration.scene_files.make_yards", lambda _: None)
+    stated = {"goal": [0.0, 1.0, 0.0], "object": [1.0, 1.0, 0.5]}
+    monkeypatch.setattr("splatrl.configuration.scene_files.yard_proposals", lambda _: stated)
+
+
 def no_gpu() -> str:
     """The reason why nothing can run on a GPU here; empty if it can."""
     import torch
@@ -96,12 +104,13 @@ def pytest_collection(session: pytest.Session) -> None:
 
 def pytest_collection_finish() -> None:
     """Leave what is imported by now out of every later search for garbage, search less often, and do twice nothing
-    that gives the same again and again: parse YAML, and spread Gaussians over robots."""
-    from tests.discs_once import spread_once
+    that gives the same again and again: parse YAML, spread Gaussians over robots, and make the backyard."""
+    from tests.gaussians_once import backyard_once, spread_once
     from tests.yaml_once import parse_once
 
     parse_once()
     spread_once()
+    backyard_once()
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)

@@ -7,6 +7,7 @@ A program has its own memory, environment, output, signals and end of the interp
 from __future__ import annotations
 
 import functools
+import gc
 import importlib
 import json
 import os
@@ -26,6 +27,15 @@ from typing import Any, Union
 from tests.yaml_once import parse_once
 
 ROOT = Path(__file__).parents[1]
+LIBRARIES = (
+    "scipy.spatial",
+    "torchrl.collectors",
+    "torchrl.data",
+    "torchrl.envs",
+    "torchrl.modules",
+    "torchrl.objectives",
+)
+"""What a program finds imported that is to import splatrl itself."""
 IMPORTED = (
     "matplotlib.figure",
     "splatrl.building",
@@ -40,17 +50,19 @@ MOST_BYTES = 2**17
 """Of a request: words and environment."""
 
 
-def start(*words: str, env: Mapping[str, str] | None = None) -> Process:
+def start(*words: str, env: Mapping[str, str] | None = None, bare: bool = False) -> Process:
     """Begin a program.
 
     Args:
         words: what follows ``python``: ``-m``, the name of a module and its arguments, or ``-c`` and code.
         env: the environment in place of this process's own.
+        bare: whether only libraries are imported, and nothing of splatrl.
     """
     if sys.platform != "linux":  # elsewhere a fork is not safe
         command = [sys.executable, *words]
         return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    request = json.dumps({"words": words, "env": dict(os.environ if env is None else env), "folder": os.getcwd()})
+    env = dict(os.environ if env is None else env)
+    request = json.dumps({"words": words, "env": env, "folder": os.getcwd(), "bare": bare})
     link, theirs = socket.socketpair()
     output, printed = os.pipe()
     with theirs:
@@ -137,20 +149,31 @@ def _interpreter() -> socket.socket:
     return here
 
 
-def _requested(listener: socket.socket) -> list[str]:
-    """Wait for requests: returns the words of each in a process of its own, and here none when there are no more."""
+def _requested(
+    asking: list[socket.socket], listener: socket.socket | None = None, bare: socket.socket | None = None
+) -> list[str]:
+    """Wait for requests: returns the words of each in a process of its own, and here none when there are no more.
+
+    Args:
+        asking: where requests come from.
+        listener: where others may begin to ask.
+        bare: the way to the process that has only libraries imported.
+    """
+    gc.freeze()  # or each program would search all that is imported for garbage as it ends, a second long
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for the processes that wait for programs
-    asking = [listener.accept()[0]]
+    others = [each for each in (listener, bare) if each is not None]
     while asking:
-        for ready in select.select([listener, *asking], [], [])[0]:
+        for ready in select.select([*others[:1], *asking], [], [])[0]:
             if ready is listener:
                 asking.append(listener.accept()[0])
                 continue
             message, descriptors, *_ = socket.recv_fds(ready, MOST_BYTES, 2)
             if not message:
                 asking.remove(ready)
+            elif bare is not None and json.loads(message)["bare"]:
+                socket.send_fds(bare, [message], descriptors)
             elif os.fork() == 0:
-                for each in (listener, *asking):
+                for each in (*others, *asking):
                     each.close()
                 return _begun(json.loads(message), *descriptors)
             for each in descriptors:
@@ -175,6 +198,7 @@ def _begun(request: Mapping[str, Any], link_number: int, printed: int) -> list[s
     os.chdir(request["folder"])
     os.environ.clear()
     os.environ.update(request["env"])
+    sys.path[1:1] = filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
     return request["words"]
 
 
@@ -190,10 +214,20 @@ def _run(kind: str, what: str, *arguments: str) -> None:
 
 
 if __name__ == "__main__":
-    for name in IMPORTED:
+    for name in LIBRARIES:
         importlib.import_module(name)
     parse_once()
-    config = importlib.import_module("splatrl.configuration").load_config()  # Hydra looks for its plugins once
-    importlib.import_module("splatrl.configuration.checking").check_config(config)  # reads all of conf/, once
-    if words := _requested(socket.socket(fileno=int(sys.argv[1]))):
+    listener, (bare, asking) = socket.socket(fileno=int(sys.argv[1])), socket.socketpair(type=socket.SOCK_SEQPACKET)
+    if os.fork() == 0:
+        listener.close()
+        bare.close()
+        words = _requested([asking])
+    else:
+        asking.close()
+        for name in IMPORTED:
+            importlib.import_module(name)
+        config = importlib.import_module("splatrl.configuration").load_config()  # Hydra looks for its plugins once
+        importlib.import_module("splatrl.configuration.checking").check_config(config)  # reads all of conf/, once
+        words = _requested([listener.accept()[0]], listener, bare)
+    if words:
         _run(*words)

@@ -2,7 +2,6 @@
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from splatrl.envs import SplatEnv
 from splatrl.motions import ForwardMotion
 from tests.envs.contract import EnvContract
 from tests.envs.rooms import BOUNDS
+from tests.preloaded import start
 from tests.tiny import HEIGHT, BlockChecker, tiny_renderer, tiny_robot
 
 ROOT = Path(__file__).parents[1]
@@ -47,11 +47,11 @@ def test_a_run_of_the_package_from_the_command_line(tmp_path: Path) -> None:
         "robot.image_height=16", "task.max_steps=16", "task.motion.step=0.5", "task.motion.angle_step_deg=90",
         "task.motion.spacing=0.5", "logger.num_test_episodes=4", "evaluation.starts=8", f"hydra.run.dir={tmp_path}",
     ]  # fmt: skip
-    command = [sys.executable, "-m", "splatrl.commands.train", *settings]
     surroundings = os.environ | {"PYTHONPATH": str(PACKAGE), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(command, env=surroundings, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert "return" in done.stdout and "SPL" not in done.stdout  # there is no goal, so there are no paths
+    program = start("-m", "splatrl.commands.train", *settings, env=surroundings, bare=True)
+    said, _ = program.communicate(300)
+    assert program.wait() == 0, said
+    assert "return" in said and "SPL" not in said  # there is no goal, so there are no paths
     report = json.loads((tmp_path / "evaluation.json").read_text())
     assert report["frames"] == 1024 and report["mean_return"] > 0 and "step_spl" not in report
     assert (tmp_path / "rollouts.mp4").stat().st_size > 1000

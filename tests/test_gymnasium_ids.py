@@ -1,7 +1,5 @@
 """Gymnasium knows the tasks by name."""
 
-import subprocess
-import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -15,6 +13,7 @@ import splatrl
 from splatrl.configuration import load_config, options
 from splatrl.envs import GymnasiumEnv, GymnasiumVectorEnv
 from splatrl.gymnasium_ids import TASKS, gymnasium_id
+from tests.preloaded import start
 from tests.tiny import tiny_overrides
 from tests.two_rooms import in_both
 
@@ -75,8 +74,8 @@ def test_a_batch_is_one_env_that_steps_all_robots(tmp_path: Path) -> None:
 
 def test_gymnasium_can_import_by_itself(tmp_path: Path) -> None:
     asks = f"import gymnasium; print(gymnasium.make('splatrl:splatrl/Circle-v0', **{room(tmp_path, 'circle')}).spec.id)"
-    done = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["splatrl/Circle-v0"]
+    said, _ = start("-c", asks, bare=True).communicate(60)
+    assert said.split() == ["splatrl/Circle-v0"]
 
 
 @pytest.mark.parametrize(

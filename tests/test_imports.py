@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 
 import splatrl
 from splatrl.configuration import conf_dir
+from tests.preloaded import start
 
 PACKAGE = Path(splatrl.__file__).parent
 ROOT = Path(__file__).parents[1]
@@ -315,13 +316,17 @@ def test_asking_for_a_device_is_no_choice(source: str) -> None:
     [
         ("splatrl", {"hydra", "omegaconf", "torchrl", "torch"}),
         ("splatrl.geometry", {"hydra", "omegaconf", "torchrl"}),
-        ("splatrl.commands.train, splatrl.capture.pipeline", {"av"}),
     ],
 )
 def test_a_small_import_brings_no_large_library(module: str, absent: set[str]) -> None:
     asks = f"import sys, {module}; print(*sorted({absent!r} & sys.modules.keys()))"
     done = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+def test_videos_are_read_by_what_is_imported_where_one_is() -> None:
+    asks = "import sys, splatrl.commands.train, splatrl.capture.pipeline; print('av' in sys.modules)"
+    assert start("-c", asks, bare=True).communicate(60)[0] == "False\n"
 
 
 @pytest.mark.parametrize("name", splatrl.__all__)

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -20,8 +21,8 @@ sys.exit(3)
 """
 
 
-def test_a_program_is_as_one_of_python_itself(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
-    monkeypatch.chdir(str(tmp_path))
+def test_a_program_is_as_one_of_python_itself(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
     words, env = ["-c", TELLS, "one", "two words"], os.environ | {"TOLD": "this"}
     expected = subprocess.run(
         [sys.executable, *words],
@@ -49,6 +50,18 @@ def test_an_error_is_printed_and_a_program_does_not_touch_another() -> None:
     )
     assert "TypeError: 'NoneType' object is not callable" in program.communicate(60)[0] and program.returncode == 1
     assert other.communicate(60) == ("tensor([1., 1., 1.])\n", None)
+
+
+def test_a_bare_program_finds_the_libraries_and_nothing_of_splatrl() -> None:
+    asks = "import sys; print('torch' in sys.modules, 'splatrl' in sys.modules, 'matplotlib' in sys.modules)"
+    assert start("-c", asks).communicate(60)[0] == "True True True\n"
+    assert start("-c", asks, bare=True).communicate(60)[0] == "True False False\n"
+
+
+def test_a_program_imports_from_pythons_path(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("print('imported')")
+    env = os.environ | {"PYTHONPATH": str(tmp_path)}
+    assert start("-c", "import mine", env=env).communicate(60)[0] == "imported\n"
 
 
 def test_the_processes_of_a_run_share_one_interpreter() -> None:

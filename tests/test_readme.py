@@ -56,6 +56,7 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
         assert link.startswith("http") or (page.parent / link).exists(), link
 
 
+@pytest.mark.usefixtures("unmade_yards")
 @pytest.mark.parametrize(
     "words", [words for line, words in COMMANDS.items() if NEEDS_A_PLUGIN not in line], ids=" ".join
 )

@@ -100,6 +100,7 @@ def group_choices(group: str, option: str) -> dict[str, str]:
     return {key.removeprefix("override").strip(" /"): value for key, value in chosen}
 
 
+@functools.cache
 def _group_config(group: str, option: str) -> dict[str, Any]:
     with config_loader() as loader:
         for source in loader.get_sources():

@@ -36,6 +36,7 @@ def command(monkeypatch: pytest.MonkeyPatch) -> Command:
     return call
 
 
+@pytest.mark.usefixtures("unmade_yards")
 def test_every_experiment_composes_and_states_its_budget(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -55,6 +55,12 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(scene, name, lambda *_: None)
 
 
+@pytest.fixture
+def ungrounded(undrawn: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves out, too, the ground and boxes that robots with physics would meet, which take most of what is left."""
+    monkeypatch.setattr(scene, "show_terrain", lambda *_: None)
+
+
 def heights(folder: Path) -> tuple[float, float]:
     """Heights of the floor and of the highest box of a scene folder."""
     z = read_scene(folder).gaussians.means[:, 2]
@@ -77,7 +83,7 @@ def test_a_capture_becomes_a_scene_folder_with_pictures_without_a_word_said(
         assert len(np.unique(np.asarray(Image.open(picture)).reshape(-1, 3 if "view" in picture.name else 1))) > 1
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("ungrounded")
 def test_a_folder_is_looked_at_again_in_the_frame_that_its_yaml_states(
     splat: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -160,13 +166,13 @@ def test_a_large_place_has_longer_steps_coarser_voxels_and_a_larger_thing(tmp_pa
         (["--matrix", ROWS, "--scale", "3"], 5.1, 8.7),
     ],
 )
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("ungrounded")
 def test_what_is_stated_goes_before_the_guess(splat: Path, options: list[str], floor: float, top: float) -> None:
     main([*options, str(splat)])
     assert heights(splat.parent) == pytest.approx((floor, top), abs=0.03)
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("ungrounded")
 def test_nerfstudios_own_frame_is_undone(tmp_path: Path) -> None:
     transforms = dataparser(tmp_path)
     moved = torch.tensor([[1.0, 0, 0, 0.5], [0, 0, -1, 2], [0, 1, 0, -1], [0, 0, 0, 4]], dtype=torch.float64) * 0.25

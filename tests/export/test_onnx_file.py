@@ -24,9 +24,8 @@ pytest.importorskip("onnxscript", reason="needs the extra export")
 
 SHAKEN = ["transforms/pose_noise=unsteady", "transforms/appearance=varied"]
 KINDS: dict[str, list[str]] = {
-    "gru": ["task=grid", "memory=gru"],
     "both": ["task=grid", "memory=stack", "network.memory=24"],
-    "drive": ["task=drive", "memory=stack", "task.motion.spacing=0.25", *SHAKEN],
+    "drive": ["task=drive", "memory=gru", "task.motion.spacing=0.25", *SHAKEN],
     "sensors": ["task=pointnav", "sensors=[rgb,depth,lidar,contact,pointgoal]", "memory=stack"],
     "blind": ["task=pointnav", "sensors=[pointgoal]"],
     "compared": ["task=imagenav", "network.fusion=correlation"],
@@ -36,6 +35,8 @@ OBSERVED = {
     "blind": ["pointgoal_with_gps_compass"],
     "compared": ["pixels", "imagegoal"],
 }
+
+REMEMBERED = {"both": ["frames", "recurrent_state"], "drive": ["recurrent_state"], "sensors": ["frames"]}
 
 
 def trained(folder: Path, *overrides: str) -> tuple[World, ActorValueOperator]:
@@ -75,8 +76,7 @@ def test_onnxruntime_does_what_pytorch_does(kind: str, exported: Callable[[str],
     assert found <= 1e-5
     assert {path.name for path in folder.iterdir()} == {"policy.onnx", "run_policy.py"}
     session = onnxruntime.InferenceSession(folder / "policy.onnx")
-    remembered = {"gru": ["recurrent_state"], "both": ["frames", "recurrent_state"]}.get(kind, ["frames"])
-    remembered = [] if kind in ("blind", "compared") else remembered
+    remembered = REMEMBERED.get(kind, [])
     observed = OBSERVED.get(kind, ["pixels"])
     assert [each.name for each in session.get_inputs()] == [*observed, *(["begin"] if remembered else []), *remembered]
     about = ["loc", "scale"] if kind == "drive" else ["probabilities"]
@@ -117,8 +117,8 @@ def test_actions_depend_on_what_is_seen_and_remembered(exported: Callable[[str],
 def test_a_policy_that_differs_is_not_written(
     tmp_path: Path, exported: Callable[[str], Exported], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    world, model, folder, _ = exported("gru")
-    other = trained(tmp_path, *KINDS["gru"])[1]
+    world, model, folder, _ = exported("both")
+    other = trained(tmp_path, *KINDS["both"])[1]
     with torch.no_grad():
         next(other.get_policy_head().parameters()).mul_(1.001)
     env = world.env(8)
@@ -143,7 +143,7 @@ def test_a_transform_that_only_simulates_nothing_cannot_be_left_out(tmp_path: Pa
 
 
 def test_the_same_policy_gives_the_same_bytes(exported: Callable[[str], Exported]) -> None:
-    world, model, folder, _ = exported("gru")
+    world, model, folder, _ = exported("blind")
     policy = StandalonePolicy(model, world.env(1))
-    facts = metadata(policy, world.robot, world.task.motion) | {"scene": "room"}
+    facts = metadata(policy, world.robot, world.task.motion, world.sensors) | {"scene": "room"}
     assert onnx_bytes(policy, facts) == (folder / "policy.onnx").read_bytes()

@@ -5,7 +5,7 @@ from typing import Any
 
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_flatten, tree_map
+from torch.utils._pytree import TreeSpec, tree_flatten, tree_leaves, tree_unflatten
 
 
 class Tape(TorchDispatchMode):
@@ -17,11 +17,12 @@ class Tape(TorchDispatchMode):
 
     def __init__(self) -> None:
         super().__init__()
-        self.operations: list[tuple[Any, Any, Any, Any]] = []
+        self.operations: list[tuple[Any, list[Any], TreeSpec, list[Any]]] = []
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         out = func(*args, **(kwargs or {}))
-        self.operations.append((func, args, kwargs or {}, out))
+        given, shape = tree_flatten((args, kwargs or {}))
+        self.operations.append((func, given, shape, tree_leaves(out)))
         return out
 
     def replay(self) -> None:
@@ -31,9 +32,9 @@ class Tape(TorchDispatchMode):
         def now(value: Any) -> Any:
             return made.get(id(value), value) if isinstance(value, Tensor) else value
 
-        for func, args, kwargs, out in self.operations:
-            again = func(*tree_map(now, args), **tree_map(now, kwargs))
-            for before, after in zip(tree_flatten(out)[0], tree_flatten(again)[0], strict=True):
+        for func, given, shape, out in self.operations:
+            args, kwargs = tree_unflatten(map(now, given), shape)
+            for before, after in zip(out, tree_leaves(func(*args, **kwargs)), strict=True):
                 if isinstance(before, Tensor):
                     made[id(before)] = after
 

@@ -29,7 +29,7 @@ from splatrl.envs.sensors import (
 )
 from splatrl.motions import PhysicsMotion
 from splatrl.motions.physics import FIRST
-from splatrl.renderers import ReferenceRenderer
+from splatrl.renderers import NativeRenderer
 from tests.envs.contract import EnvContract
 from tests.tiny import BLOCK, BODY, HEIGHT, tiny_gaussians, tiny_overrides, tiny_plan, tiny_robot, tiny_task
 
@@ -63,8 +63,8 @@ def sensing_env(batch: tuple[int, ...], seed: int = 0, **sensors: Sensor) -> Spl
 
 
 @cache
-def _renderer() -> ReferenceRenderer:
-    return ReferenceRenderer(tiny_gaussians())
+def _renderer() -> NativeRenderer:
+    return NativeRenderer(tiny_gaussians(), threads=1)
 
 
 def moment(planar: list[list[float]], **memory: Tensor) -> Moment:

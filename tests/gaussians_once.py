@@ -1,4 +1,5 @@
-"""Spreads Gaussians over each surface once in a process: tests build the same few robots again and again."""
+"""Spreads Gaussians over each surface, and makes the backyard, once in a process: tests build the same few robots and
+the same scene again and again."""
 
 import functools
 import sys
@@ -21,3 +22,11 @@ def spread_once() -> None:
         return found
 
     gaussians._spread_points = lambda corners, count: remembered(corners.tobytes(), count)
+
+
+def backyard_once() -> None:
+    """Let ``backyard``, if it is imported, remember its Gaussians; each call still gets a copy of its own."""
+    sources = sys.modules.get("splatrl.scenes.sources")
+    if sources is not None:
+        remembered = functools.cache(sources.backyard_gaussians)
+        sources.backyard_gaussians = lambda seed, clutter: remembered(seed, clutter).clone()
