@@ -67,6 +67,18 @@ def test_what_was_trimmed_off_a_film_takes_no_part(tmp_path: Path) -> None:
         assert np.abs(_read(path) - _images(24)[16 + round(10 * second)]).mean() < 12
 
 
+def test_black_frames_of_a_covered_lens_are_left_out(tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    black = [random.normal(5, 4, (240, 320, 3)).clip(0, 255).astype(np.uint8) for _ in range(4)]
+    dim = [image // 8 for image in _images(8)]
+    write_video(tmp_path / "a.mp4", black + dim + black)
+    photos = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(16, 16))
+    assert [round(10 * second) for second in photos.seconds.tolist()] == list(range(4, 12))
+    write_video(tmp_path / "b.mp4", black)
+    with pytest.raises(CaptureError, match=r"b\.mp4: expected frames that are not black"):
+        read_photos(tmp_path / "b.mp4", tmp_path / "none")
+
+
 def test_black_bars_around_a_film_are_cut_off(tmp_path: Path) -> None:
     inner = _images(4)  # 320 × 240
     framed = [np.pad(image, ((0, 0), (64, 64), (0, 0))) for image in inner]
