@@ -43,7 +43,7 @@ class _Taken:
 def read_photos(
     source: Path, folder: Path, count: tuple[int, int] = (120, 200), longest: int = 960, progress: Progress = silent
 ) -> Photos:
-    """Take the sharpest frames of a video, or the photos of a folder, and keep them.
+    """Take the sharpest frames of a video, but for black ones, or the photos of a folder, and keep them.
 
     A second call with the same source and settings reads what the first one kept. Photos across among upright ones, or
     the other way round, are turned to be of the size that most have.
