@@ -26,7 +26,9 @@ INDEX = "index.json"
 PER_SECOND = 4.0
 """Fewest frames to take of a second of video, up to the most frames that are wanted."""
 SHARPNESS_WIDTH = 480
-VERSION = 4
+BLACK = 10.0
+"""Mean grey below which a frame of a video shows nothing: the lens was covered, or clips were faded into each other."""
+VERSION = 5
 Thing = TypeVar("Thing")
 
 
@@ -41,7 +43,7 @@ class _Taken:
 def read_photos(
     source: Path, folder: Path, count: tuple[int, int] = (120, 200), longest: int = 960, progress: Progress = silent
 ) -> Photos:
-    """Take the sharpest frames of a video, or the photos of a folder, and keep them.
+    """Take the sharpest frames of a video, but for black ones, or the photos of a folder, and keep them.
 
     A second call with the same source and settings reads what the first one kept. Photos across among upright ones, or
     the other way round, are turned to be of the size that most have.
@@ -123,14 +125,15 @@ def _from_video(source: Path, count: tuple[int, int], longest: int, progress: Pr
     def graded() -> Iterator[tuple[int, "VideoFrame", float]]:
         for number, (seconds, frame) in enumerate(videos.frames(source)):
             progress("frames", min(number, len(times)), len(times))
-            bucket = int(np.searchsorted(ends, seconds, side="right"))
-            yield bucket, frame, sharpness(videos.grey(frame, SHARPNESS_WIDTH))
+            grey = videos.grey(frame, SHARPNESS_WIDTH)
+            if grey.mean() >= BLACK:
+                yield int(np.searchsorted(ends, seconds, side="right")), frame, sharpness(grey)
 
     for best in sharpest(graded()):
         found = True
         yield _Taken(videos.upright(best, longest, transfer), float(best.time) - start)
     if not found:
-        raise CaptureError(f"{source}: expected frames, could decode none")
+        raise CaptureError(f"{source}: expected frames that are not black, could decode none")
     progress("frames", len(times), len(times))
 
 

@@ -19,6 +19,8 @@ FEW = 40
 """Up to so many photos all pairs are compared, for their order may mean nothing."""
 MIN_BRIGHTNESS = 25.0
 MIN_KEYPOINTS = 200
+BARE, MAX_BARE = 100, 0.3
+"""Images with fewer points, faint ones included, say nothing of the speed (fast films have hundreds); their share."""
 MIN_VERIFIED = 0.8
 MAX_TURNED = 0.8
 """Films that pan for seven seconds at each of four places, with some steps between, have 0.65 and are captured well."""
@@ -34,13 +36,14 @@ class Look:
         images: how many were looked at.
         brightness: median over the images of their mean grey, 0 to 255.
         keypoints: distinct points of the better images (the 75th percentile), at most 1,500.
-        verified: share of images in which enough points of the third next image are found again; for few photos, of
-            those that share points with two others.
+        verified: share of images in which enough points of the third next image are found again, where both are not
+            bare; for few photos, of those that share points with two others.
         turned: of the pairs that share points and lie at least three images apart, the share that a camera which only
             turned explains.
         shift: median way of a point between such images, as a share of the image's longer side.
         angle: under which the camera saw the same point from two places, radians, the 90th percentile.
         few: whether these are few photos, compared in all pairs.
+        bare: share of images with fewer than ``BARE`` points.
     """
 
     images: int
@@ -51,6 +54,7 @@ class Look:
     shift: float
     angle: float
     few: bool = False
+    bare: float = 0.0
 
     def cause(self) -> str | None:
         """Why this capture cannot work, with figures and what to do; None where nothing speaks against it."""
@@ -77,11 +81,16 @@ class Look:
             raise CaptureError(cause)
 
     def _texture(self) -> str | None:
-        if self.keypoints >= MIN_KEYPOINTS:
+        if self.keypoints < MIN_KEYPOINTS:
+            found = (
+                f"even the better images show {self.keypoints:.0f} distinct points, and at least {MIN_KEYPOINTS} are"
+            )
+        elif self.bare > MAX_BARE:
+            found = f"{self.bare:.0%} of the images show fewer than {BARE} points, and at least that many are"
+        else:
             return None
         return (
-            f"textureless: even the better images show {self.keypoints:.0f} distinct points, and at least "
-            f"{MIN_KEYPOINTS} are needed. Film things with patterns and edges, not blank walls; put up posters or "
+            f"textureless: {found} needed. Film things with patterns and edges, not blank walls; put up posters or "
             "newspaper where there are none, and see that the images are sharp."
         )
 
@@ -152,11 +161,12 @@ def summed(seen: list[Features], found: dict[tuple[int, int], Pair], few: bool) 
         few: whether these are few photos, compared in all pairs.
     """
     sharing = {pair: how for pair, how in found.items() if how.kind != "none"}
+    bare = [len(image.points) < BARE for image in seen]
     if few:
         others = [sum(number in pair for pair in sharing) for number in range(len(seen))]
         verified = float(np.mean([count >= 2 for count in others])) if others else 0.0
     else:
-        third = [pair in sharing for pair in found if pair[1] - pair[0] == 3]
+        third = [pair in sharing for pair in found if pair[1] - pair[0] == 3 and not any(bare[n] for n in pair)]
         verified = float(np.mean(third)) if third else 0.0
     apart = [how for pair, how in sharing.items() if few or pair[1] - pair[0] >= 3]
     return Look(
@@ -168,6 +178,7 @@ def summed(seen: list[Features], found: dict[tuple[int, int], Pair], few: bool) 
         shift=float(np.median([how.shift for how in apart])) if apart else 0.0,
         angle=float(np.percentile([how.angle for how in apart], 90)) if apart else 0.0,
         few=few,
+        bare=float(np.mean(bare)),
     )
 
 

@@ -67,7 +67,7 @@ def transfer_of(path: Path) -> int:
 
 
 def packet_times(path: Path) -> np.ndarray:
-    """When each frame of a video is shown, without decoding any.
+    """When each frame of a video is shown, without decoding any; those that an edit has cut away are left out.
 
     Args:
         path: of the video.
@@ -80,7 +80,8 @@ def packet_times(path: Path) -> np.ndarray:
     """
     with open_video(path) as container:
         stream = container.streams.video[0]
-        times = [packet.pts for packet in container.demux(stream) if packet.size and packet.pts is not None]
+        packets = (packet for packet in container.demux(stream) if packet.size and not packet.is_discard)
+        times = [packet.pts for packet in packets if packet.pts is not None]
         base = float(stream.time_base or 0)
     if not times or not base:
         raise CaptureError(f"{path}: expected frames with times, found none")

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 import torch
@@ -48,6 +49,34 @@ def test_a_frame_of_a_turned_phone_is_upright_and_scaled(tmp_path: Path) -> None
     assert (photos.width, photos.height) == (120, 160)
     shown = _read(photos.paths[0])
     assert shown[10, 110, 0] > 200 and shown[10, 10, 0] < 100 and shown[150, 110, 0] < 100
+
+
+def test_what_was_trimmed_off_a_film_takes_no_part(tmp_path: Path) -> None:
+    write_video(tmp_path / "whole.mov", _images(24))
+    with av.open(str(tmp_path / "whole.mov")) as whole, av.open(str(tmp_path / "a.mov"), "w") as trimmed:
+        film = whole.streams.video[0]
+        stream, before = trimmed.add_stream_from_template(film), round(1.6 / film.time_base)
+        for packet in whole.demux(film):  # as editors trim without encoding anew: what is before time 0 is not shown
+            if packet.dts is not None:
+                packet.pts, packet.dts, packet.stream = packet.pts - before, packet.dts - before, stream
+                trimmed.mux(packet)
+    photos = read_photos(tmp_path / "a.mov", tmp_path / "out", count=(4, 4))
+    seconds = photos.seconds.tolist()
+    assert [round(10 * second) // 2 for second in seconds] == [0, 1, 2, 3], "one of each quarter of what is left"
+    for second, path in zip(seconds, photos.paths, strict=True):
+        assert np.abs(_read(path) - _images(24)[16 + round(10 * second)]).mean() < 12
+
+
+def test_black_frames_of_a_covered_lens_are_left_out(tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    black = [random.normal(5, 4, (240, 320, 3)).clip(0, 255).astype(np.uint8) for _ in range(4)]
+    dim = [image // 8 for image in _images(8)]
+    write_video(tmp_path / "a.mp4", black + dim + black)
+    photos = read_photos(tmp_path / "a.mp4", tmp_path / "out", count=(16, 16))
+    assert [round(10 * second) for second in photos.seconds.tolist()] == list(range(4, 12))
+    write_video(tmp_path / "b.mp4", black)
+    with pytest.raises(CaptureError, match=r"b\.mp4: expected frames that are not black"):
+        read_photos(tmp_path / "b.mp4", tmp_path / "none")
 
 
 def test_black_bars_around_a_film_are_cut_off(tmp_path: Path) -> None:

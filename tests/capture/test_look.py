@@ -24,6 +24,7 @@ GOOD = Look(60, 120.0, 900.0, 0.98, 0.1, 0.2, math.radians(20))
         ({"images": 2}, "too few images: 2"),
         ({"brightness": 12.0}, "too dark: the mean grey of the images is 12 of 255"),
         ({"keypoints": 80.0, "verified": 0.1}, "textureless: even the better images show 80"),
+        ({"bare": 0.4, "verified": 0.1}, "textureless: 40% of the images show fewer than 100 points"),
         ({"verified": 0.56}, "moved too fast: .* in only 56%"),
         ({"verified": 0.56, "few": True}, "photos too far apart"),
         ({"turned": 0.99, "angle": 0.0}, "only turned on the spot: .* 99%"),
@@ -56,6 +57,17 @@ def test_figures_are_those_of_the_pairs() -> None:
     assert (figures.verified, figures.turned, figures.keypoints) == (0.5, 0.5, 400)
     assert figures.shift == pytest.approx(0.2) and figures.angle == pytest.approx(0.18)
     assert summed(seen, found, few=True).verified == pytest.approx(1 / 5)
+
+
+def test_bare_views_do_not_pass_for_fast_motion() -> None:
+    points = [500, 500, 20, 500, 500, 99, 500, 500, 100, 500]
+    seen = [Features(np.zeros((count, 2)), np.zeros((count, 128)), count, 50.0, (64, 48)) for count in points]
+    moved, none = Pair("moved", 0.2, 0.3), Pair("none")
+    found = {(0, 3): moved, (1, 4): moved, (2, 5): none, (3, 6): moved, (4, 7): moved, (5, 8): none, (6, 9): none}
+    figures = summed(seen, found, few=False)
+    assert figures.verified == pytest.approx(4 / 5) and figures.bare == pytest.approx(2 / 10)
+    found[5, 8] = moved
+    assert summed(seen, found, few=False) == figures, "what bare images share does not count either"
 
 
 def test_faint_points_connect_images_and_do_not_count_as_distinct(tmp_path: Path) -> None:
