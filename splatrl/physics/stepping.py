@@ -101,11 +101,13 @@ class Physics:
             ctrl: [B, nu], the model's controls.
         """
         device = state.device
+        if not len(state):  # MuJoCo's rollout crashes without rows
+            return Stepped(state, state.new_zeros(0, self.substeps, self.model.nsensordata), state.new_zeros(0).bool())
         before = np.ascontiguousarray(state.detach().cpu().numpy(), np.float64)
         held = np.ascontiguousarray(ctrl.detach().cpu().numpy(), np.float64)[:, None]
         count = len(before)
         rows = np.clip(np.nan_to_num(before[:, 0]), 0, len(self.models) - 1).astype(np.int64)
-        models = [self.models[row] for row in rows] if len(self.models) > 1 and count else self.model
+        models = [self.models[row] for row in rows] if len(self.models) > 1 else self.model
         with self._lock:
             states, sensed = self._rollout.rollout(
                 models,
