@@ -78,6 +78,11 @@ OUTSIDE = "expected a path in the folder of the file"
         ('<a:extension xmlns:a="b"><a:plugin plugin="any"/></a:extension>', BALL, "without XML namespaces"),
         ('<extension xmlns="b"><plugin plugin="any"/></extension>', BALL, "without XML namespaces"),
         ('<asset xmlns:a="b"><mesh name="m" a:file="/etc/passwd"/></asset>', BALL, "without XML namespaces"),
+        (
+            "",
+            '<body pos="nan 0 0"><freejoint/><geom size="0.1"/></body>',
+            "expected finite numbers, got others in qpos0",
+        ),
         ('<size memory="900G"/>', BALL, r"memory: expected less than 1G, got 900G"),
         ('<size nuserdata="900000000"/>', BALL, r"nuserdata: expected at most"),
     ],
