@@ -52,7 +52,6 @@ class Physics:
         require_number("substeps", substeps, 1, 10_000, whole=True)
         if not self.models:
             raise ValueError("models: expected at least one, got none")
-        mujoco.set_mju_user_warning(_quiet)  # it would write a file MUJOCO_LOG.TXT wherever a program runs
         self._spec = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
         sizes = {(mujoco.mj_stateSize(model, self._spec), model.nu, model.nsensordata) for model in self.models}
         if len(sizes) > 1:
@@ -132,7 +131,3 @@ class Physics:
             return None
         first = int(self.model.sensor_adr[number])
         return slice(first, first + int(self.model.sensor_dim[number]))
-
-
-def _quiet(message: str) -> None:
-    """Pass over what MuJoCo warns of: a row that lost its numbers is told by ``Stepped.sound``."""

@@ -56,6 +56,7 @@ ERRORS = [
     ("train grid", "grid: expected key=value; did you mean task=grid?"),
     ("train --task=fps", "--task=fps: expected task=fps, without --"),
     ("train landmarks.goal=[0.4,0.4", "landmarks.goal=[0.4,0.4: expected landmarks.goal=value with closed brackets"),
+    ("train 'hydra.run.dir=a = b'", "hydra.run.dir=a = b: expected hydra.run.dir=value with closed brackets"),
     ("train landmarks.goal=0.4,0.4,0", "landmarks.goal: expected one value, got 0.4,0.4,0; type landmarks.goal=[0.4"),
     ("train -m seed=0,x", "seed: expected a number such as 0, got x"),
     # Values of another kind, or out of range.

@@ -87,13 +87,17 @@ OUTSIDE = "expected a path in the folder of the file"
         ('<size nuserdata="900000000"/>', BALL, r"nuserdata: expected at most"),
     ],
 )
-def test_what_is_wrong_or_dangerous_is_refused_in_one_line(tmp_path: Path, head: str, body: str, message: str) -> None:
+def test_what_is_wrong_or_dangerous_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, head: str, body: str, message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
     write_mesh(tmp_path / "secret.stl")
     path = written(tmp_path, body, head)
     (path.parent / "link.stl").symlink_to(tmp_path / "secret.stl")
     with pytest.raises(ValueError, match=message) as caught:
         read_mjcf(path)
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
 DOUBLING = '<!DOCTYPE a [<!ENTITY b "c"><!ENTITY d "&b;&b;">]><mujoco model="&d;"/>'
