@@ -1,7 +1,7 @@
 """Values of settings: numbers checked where they come in, dotted keys."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 
@@ -23,6 +23,20 @@ def require_number(name: str, value: object, low: float, high: float = math.inf,
     if not (right and math.isfinite(value)):  # type: ignore[arg-type]
         limit = f"of at least {low}" if high == math.inf else f"from {low} to {high}"
         raise ValueError(f"{name}: expected a {'whole number' if whole else 'number'} {limit}, got {value!r}")
+
+
+def require_rgb(name: str, value: Sequence[float]) -> None:
+    """Refuse anything but a colour.
+
+    Args:
+        name: the key, for the message.
+        value: what came.
+
+    Raises:
+        ValueError: names the key and what came.
+    """
+    if len(value) != 3 or not all(isinstance(one, int | float) and 0.0 <= one <= 1.0 for one in value):
+        raise ValueError(f"{name}: expected red, green and blue in [0, 1], got {list(value)}")
 
 
 def flat(node: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, Any]]:

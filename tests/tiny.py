@@ -225,7 +225,6 @@ def tiny_overrides(folder: Path, task: str = "grid") -> list[str]:
     if task == "gates":
         bounds += ["task.courses=3", "task.test_courses=2", "task.course.gates=2", "task.course.clearance=0.15"]
         bounds += ["task.course.height=[0.6,0.8]", "task.course.distance=[0.8,1.4]", "task.motion.ceiling=1.5"]
-        bounds += ["~task.motion.things.gate3", "~task.motion.things.gate4"]
     if task == "walk":
         bounds += [
             "task.courses=3",

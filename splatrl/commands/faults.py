@@ -2,6 +2,7 @@
 
 import functools
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -16,6 +17,9 @@ from omegaconf.errors import OmegaConfBaseException
 USERS = (ValueError, OSError, ImportError, HydraException, OmegaConfBaseException)
 FULL = "HYDRA_FULL_ERROR"
 """Set in the environment, it shows where an error came from."""
+
+UNKNOWN = re.compile(r"(\w+)(?:\.__init__)?\(\) got an unexpected keyword argument '(\w+)'")
+"""What Python says of an argument that a constructor does not take."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -79,6 +83,8 @@ def line(error: BaseException) -> str:
         _, _, key = str(error).rpartition("full_key: ")
         error = error.__cause__ or error
     text = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, TypeError) and (unknown := UNKNOWN.fullmatch(text)):
+        return f"{key.strip()}.{unknown[2]}: no such key of {unknown[1]}"
     if not isinstance(error, USERS):
         text = f"{type(error).__name__}: {text}"
     key = key.strip()

@@ -61,6 +61,9 @@ def command_line(name: str, arguments: Sequence[str]) -> list[str]:
             return result  # Hydra itself reports a key that a config of one's own does not have
         sweeps = any(argument in SWEEP for argument in arguments)
         overrides = [_parsed(word, sweeps) for word in result if _is_plain(word)]
+        for word in result:
+            if "=" in word and word.startswith(("+", "~", "hydra")):
+                _parsed(word, sweeps=True)
         _check_overrides(name, overrides, sweeps)
         if any(argument in HELP for argument in arguments):
             single = [str(override.input_line) for override in overrides if not override.is_sweep_override()]

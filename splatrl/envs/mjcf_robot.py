@@ -39,7 +39,7 @@ def mjcf_robot(
     Raises:
         FileNotFoundError: for MJCF that is not there.
         ImportError: without the extra ``physics``.
-        ValueError: for MJCF that is refused, or has no such camera.
+        ValueError: for MJCF that is refused, or has no such camera, or a body that stands in the ground.
     """
     place = mjcf_path(str(path))
     model = read_mjcf(place).compile()
@@ -51,10 +51,16 @@ def mjcf_robot(
     number = names.index(camera)
     turn = quats_to_rotations(torch.from_numpy(model.cam_quat[number].copy())) @ TO_OPENCV
     mount = rigid(turn, torch.from_numpy(model.cam_pos[number].copy()))
+    stands = float(at_home(model).xpos[int(model.cam_bodyid[number]), 2])
+    if not stands > body.half_height:
+        raise ValueError(
+            f"robot.body: expected one that ends above the ground, less than {2 * stands:.3g} m high around the body "
+            f"that carries the camera of {place}, got {2 * body.half_height:.3g} m"
+        )
     wide = math.tan(0.5 * math.radians(float(model.cam_fovy[number]))) * image_width / image_height
     return Robot(
         body=body,
-        height=float(at_home(model).xpos[int(model.cam_bodyid[number]), 2]),
+        height=stands,
         fov_deg=2.0 * math.degrees(math.atan(wide)),
         image_width=image_width,
         image_height=image_height,

@@ -122,6 +122,8 @@ class PhysicsMotion(nn.Module):
         self.models = Models()
         self._single: Physics | None = None
         require_number("task.motion.time_step", time_step, 1e-4, 10.0)
+        if substep is not None:
+            require_number("task.motion.substep", substep, 1e-5, 1.0)
         if ceiling is not None:
             require_number("task.motion.ceiling", ceiling, 0.2, 1e3)
         if unknown := set(self.pushed) - set(self.thing_paths):
@@ -181,6 +183,18 @@ class PhysicsMotion(nn.Module):
         self.kinematics = Kinematics(model, [self._eye(model), *self._shown])
         hits = [self.physics.sensor(f"touch/{name}") for name in (SCENE, *self.thing_paths) if name not in self.pushed]
         self.hits = [columns for columns in hits if columns is not None]
+
+    def repeat(self, count: int) -> None:
+        """Have as many of each thing as asked, whose names are numbered from 1."""
+
+        def numbered(name: str) -> list[str]:
+            return [f"{name}{number}" for number in range(1, count + 1)]
+
+        self.thing_paths = {one: path for name, path in self.thing_paths.items() for one in numbered(name)}
+        self.looks = {one: path for name, path in self.looks.items() for one in numbered(name)}
+        self.pushed = tuple(one for name in self.pushed for one in numbered(name))
+        self.models = Models()
+        self.settle(self.terrain)
 
     @property
     def held(self) -> float:

@@ -43,7 +43,7 @@ class CourseSettings(ABC):
     """The attribute that counts the places."""
 
     def __post_init__(self) -> None:
-        require_number(f"task.course.{self.places}", self.length, 1, 64, whole=True)
+        require_number(f"task.course.{self.places}", getattr(self, self.places), 1, 64, whole=True)
         require_number("task.course.turn_deg", self.turn_deg, 0.0, 120.0)
         require_number("task.course.clearance", self.clearance, 0.0, 10.0)
         self._require_range("distance")

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
+from splatrl.values import require_rgb
 
 OPACITY, SPREAD, THICKNESS = 0.97, 0.6, 0.001
 """Of each Gaussian: standard deviation along the disc, as a share of the distance between two; across, metres."""
@@ -79,8 +80,7 @@ def beacon(radius: float, rgb: Sequence[float], height: float) -> Gaussians:
 
 def _coloured(means: Tensor, quats: Tensor, scales: Tensor, rgb: Sequence[float]) -> Gaussians:
     """Opaque Gaussians of one size and colour: [N, 3], [N, 4], [3]."""
-    if len(rgb) != 3 or not all(0.0 <= value <= 1.0 for value in rgb):
-        raise ValueError(f"task.mark_rgb: expected red, green and blue in [0, 1], got {list(rgb)}")
+    require_rgb("rgb", rgb)
     count, colour = len(means), (torch.tensor([float(value) for value in rgb]) - 0.5) / C0
     return Gaussians(
         means=means,

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import numpy as np
+
 from splatrl.physics.optional import needed
 
 MOST_TEXT = 4 * 2**20
@@ -25,6 +27,8 @@ MULTIPLYING = {"replicate", "composite", "flexcomp", "plugin", "extension", "mod
 """Elements that make many of one, load code, or read further models."""
 FOLDERS = {"mesh": "meshdir", "skin": "meshdir", "texture": "texturedir", "hfield": "meshdir"}
 """Which attribute of ``<compiler>`` says where the files of an element lie."""
+NUMBERS = ("qpos0", "body_pos", "body_quat", "body_mass", "geom_size", "cam_pos", "cam_fovy", "actuator_ctrlrange")
+"""Of a model, in which MuJoCo lets numbers that are not finite pass."""
 
 
 @dataclass
@@ -62,9 +66,11 @@ def read_mjcf(path: Path | str) -> Any:
             _read_files(path, node, places, reading)
     try:
         spec = mujoco.MjSpec.from_string(text.decode(), include=reading.included, assets=reading.assets)
-        spec.copy().compile()
+        model = spec.copy().compile()
     except (ValueError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: expected MJCF, got {_one_line(error)}") from error
+    if odd := [name for name in NUMBERS if not np.isfinite(getattr(model, name)).all()]:
+        raise ValueError(f"{path}: expected finite numbers, got others in {odd[0]}")
     return spec
 
 

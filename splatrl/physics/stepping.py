@@ -52,7 +52,6 @@ class Physics:
         require_number("substeps", substeps, 1, 10_000, whole=True)
         if not self.models:
             raise ValueError("models: expected at least one, got none")
-        mujoco.set_mju_user_warning(_quiet)  # it would write a file MUJOCO_LOG.TXT wherever a program runs
         self._spec = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
         sizes = {(mujoco.mj_stateSize(model, self._spec), model.nu, model.nsensordata) for model in self.models}
         if len(sizes) > 1:
@@ -101,11 +100,13 @@ class Physics:
             ctrl: [B, nu], the model's controls.
         """
         device = state.device
+        if not len(state):  # MuJoCo's rollout crashes without rows
+            return Stepped(state, state.new_zeros(0, self.substeps, self.model.nsensordata), state.new_zeros(0).bool())
         before = np.ascontiguousarray(state.detach().cpu().numpy(), np.float64)
         held = np.ascontiguousarray(ctrl.detach().cpu().numpy(), np.float64)[:, None]
         count = len(before)
         rows = np.clip(np.nan_to_num(before[:, 0]), 0, len(self.models) - 1).astype(np.int64)
-        models = [self.models[row] for row in rows] if len(self.models) > 1 and count else self.model
+        models = [self.models[row] for row in rows] if len(self.models) > 1 else self.model
         with self._lock:
             states, sensed = self._rollout.rollout(
                 models,
@@ -130,7 +131,3 @@ class Physics:
             return None
         first = int(self.model.sensor_adr[number])
         return slice(first, first + int(self.model.sensor_dim[number]))
-
-
-def _quiet(message: str) -> None:
-    """Pass over what MuJoCo warns of: a row that lost its numbers is told by ``Stepped.sound``."""

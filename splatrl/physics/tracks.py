@@ -52,7 +52,9 @@ class TrackSettings(CourseSettings):
         super().__post_init__()
         require_number("task.course.skew_deg", self.skew_deg, 0.0, 90.0)
         self._require_range("height")
-        if not 0.0 < self.opening < self.frame:
+        for name in ("opening", "frame"):
+            require_number(f"task.course.{name}", getattr(self, name), 1e-3, 1e3)
+        if self.opening >= self.frame:
             raise ValueError(f"task.course.opening: expected metres below frame, {self.frame}, got {self.opening}")
 
     def drawn(self, room: Room, draw: np.random.Generator) -> Floats | None:

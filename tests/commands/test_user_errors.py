@@ -56,6 +56,7 @@ ERRORS = [
     ("train grid", "grid: expected key=value; did you mean task=grid?"),
     ("train --task=fps", "--task=fps: expected task=fps, without --"),
     ("train landmarks.goal=[0.4,0.4", "landmarks.goal=[0.4,0.4: expected landmarks.goal=value with closed brackets"),
+    ("train 'hydra.run.dir=a = b'", "hydra.run.dir=a = b: expected hydra.run.dir=value with closed brackets"),
     ("train landmarks.goal=0.4,0.4,0", "landmarks.goal: expected one value, got 0.4,0.4,0; type landmarks.goal=[0.4"),
     ("train -m seed=0,x", "seed: expected a number such as 0, got x"),
     # Values of another kind, or out of range.
@@ -85,6 +86,16 @@ ERRORS = [
     (f"train {ROOM} scene.bounds=[[0,0,0],[0,0,0]]", "scene: bounds: expected lower below upper along x"),
     (f"train {ROOM} scene.world_from_splat.scale=-1", "scene: world_from_splat.scale: expected a finite number above"),
     (f"train {ROOM} curriculum.stride=0", "curriculum.stride: expected a whole number of at least 1"),
+    ("train task=gates +task.course.gate=3", "task.course.gate: no such key of TrackSettings"),
+    ("train task=gates motion@task.motion=drive", "task.motion.things: no such key of DriveMotion"),
+    (
+        "train task=route task.later_rgb=[1,2,3]",
+        "task.later_rgb: expected red, green and blue in [0, 1], got [1, 2, 3]",
+    ),
+    (
+        "train task=push robot.body.size=[0.2,0.2,0.6]",
+        "robot.body: expected one that ends above the ground, less than 0.54 m high around",
+    ),
     (
         "train sensors=[imu]",
         "sensors.imu.path: expected robot.path to be there, got none; choose a robot=... that has it",

@@ -184,6 +184,8 @@ MOTOR = '<actuator><general site="s" ctrlrange="-1 1" name="push"/></actuator>'
         ),
         (BODY, MOTOR, {}, "task.motion.linear: expected a value for .* no actuator called 'forward'"),
         (BODY, MOTOR, {"time_step": 0.003}, "time_step: expected a multiple of the robot's 0.002 s, got 0.003"),
+        (BODY, MOTOR, {"substep": 0}, "task.motion.substep: expected a number from 1e-05 to 1.0, got 0"),
+        (BODY, MOTOR, {"substep": "x"}, "task.motion.substep: expected a number"),
         (BODY, MOTOR, {"pushed": ["egg"]}, "pushed: expected names of things, got egg"),
     ],
 )

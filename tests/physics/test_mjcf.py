@@ -78,17 +78,26 @@ OUTSIDE = "expected a path in the folder of the file"
         ('<a:extension xmlns:a="b"><a:plugin plugin="any"/></a:extension>', BALL, "without XML namespaces"),
         ('<extension xmlns="b"><plugin plugin="any"/></extension>', BALL, "without XML namespaces"),
         ('<asset xmlns:a="b"><mesh name="m" a:file="/etc/passwd"/></asset>', BALL, "without XML namespaces"),
+        (
+            "",
+            '<body pos="nan 0 0"><freejoint/><geom size="0.1"/></body>',
+            "expected finite numbers, got others in qpos0",
+        ),
         ('<size memory="900G"/>', BALL, r"memory: expected less than 1G, got 900G"),
         ('<size nuserdata="900000000"/>', BALL, r"nuserdata: expected at most"),
     ],
 )
-def test_what_is_wrong_or_dangerous_is_refused_in_one_line(tmp_path: Path, head: str, body: str, message: str) -> None:
+def test_what_is_wrong_or_dangerous_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, head: str, body: str, message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
     write_mesh(tmp_path / "secret.stl")
     path = written(tmp_path, body, head)
     (path.parent / "link.stl").symlink_to(tmp_path / "secret.stl")
     with pytest.raises(ValueError, match=message) as caught:
         read_mjcf(path)
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
 DOUBLING = '<!DOCTYPE a [<!ENTITY b "c"><!ENTITY d "&b;&b;">]><mujoco model="&d;"/>'

@@ -36,6 +36,13 @@ def run(physics: Physics, state: torch.Tensor, steps: int = 8) -> torch.Tensor:
     return state
 
 
+def test_no_rows_step_to_no_rows() -> None:
+    physics = Physics(model(), 3, 1)
+    after, sensed, sound = physics.step(physics.state_of().repeat(4, 1)[:0], torch.zeros(0, 2))
+    assert after.shape == (0, physics.size) and sound.shape == (0,) and sound.dtype == torch.bool
+    assert sensed.shape == (0, 3, physics.model.nsensordata) and sensed.dtype == torch.float64
+
+
 def test_a_row_has_the_same_bytes_alone_in_any_order_with_any_threads_and_in_parts() -> None:
     physics = Physics(model(), 10, 1)
     start = scattered(physics, 7)

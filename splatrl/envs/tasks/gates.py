@@ -15,6 +15,7 @@ from splatrl.physics.tracks import TrackSettings
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.spherical_harmonics import C0
+from splatrl.values import require_rgb
 
 LOW = 0.08
 """Height above the ground below which a quadrotor has crashed, metres."""
@@ -37,7 +38,7 @@ class Gates(Course):
         [0, 0, 0, 0, 0, 0]
 
     Args:
-        motion: how the robot moves; its things are the gates of one track, and nothing else.
+        motion: how the robot moves; its one thing is a gate, of which it gets as many as a track has.
         rewards: see ``CourseRewards``.
         course: what tracks are like.
         courses: number of tracks of training.
@@ -47,8 +48,8 @@ class Gates(Course):
         max_steps: an episode is truncated after this many steps.
 
     Raises:
-        ValueError: for a motion without physics, without a ceiling, or with other things than the track's gates, or a
-            number out of range.
+        ValueError: for a motion without physics, without a ceiling, or with other things than one gate, or a number out
+            of range.
     """
 
     name = "gate"
@@ -69,10 +70,12 @@ class Gates(Course):
         super().__init__(motion, course or TrackSettings(), rewards, courses, test_courses, seed, max_steps)
         if motion.ceiling is None:
             raise ValueError("task.motion.ceiling: expected metres, got None")
-        if len(motion.thing_paths) != self.course.gates:
+        if len(motion.thing_paths) != 1:
             raise ValueError(
-                f"task.motion.things: expected the {self.course.gates} gates of a track, got {len(motion.thing_paths)}"
+                f"task.motion.things: expected one, the gate of a track, got {', '.join(motion.thing_paths) or 'none'}"
             )
+        require_rgb("task.lit", lit)
+        motion.repeat(self.course.gates)
         self.lit = tuple(map(float, lit))
 
     @property

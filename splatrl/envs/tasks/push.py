@@ -20,7 +20,7 @@ from splatrl.physics.kinematics import matrices
 from splatrl.physics.marks import beacon
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
-from splatrl.values import require_number
+from splatrl.values import require_number, require_rgb
 
 CELL = 0.05
 """Distance between the places where a ball or a mark can be, metres."""
@@ -154,6 +154,7 @@ class Push(TaskModule):
         self.success_distance, self.nearest, self.farthest = success_distance, nearest, farthest
         self.apart, self.ahead, self.clearance = apart, math.radians(ahead_deg), clearance
         self.turn = math.cos(math.radians(turn_deg)) - 1e-9
+        require_rgb("task.mark_rgb", mark_rgb)
         self.leeway, self.drawn = leeway, Models([beacon(mark_radius, mark_rgb, mark_height)])
         self.rest = float(motion.home[self.ball][2])  # of the ball's centre above the ground
         self.register_buffer("places", torch.zeros(0, 2, dtype=torch.float64), persistent=False)

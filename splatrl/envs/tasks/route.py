@@ -15,7 +15,7 @@ from splatrl.physics.marks import ball
 from splatrl.physics.routes import RouteSettings
 from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
-from splatrl.values import require_number
+from splatrl.values import require_number, require_rgb
 
 LIFT = 0.15
 """How far the middle of a mark is above the ground, metres: ground is grass, too."""
@@ -80,6 +80,8 @@ class Route(Course):
         for name, value in (("reach", reach), ("wheelbase", wheelbase), ("mark_radius", mark_radius)):
             require_number(f"task.{name}", value, 1e-3, 1e3)
         require_number("task.leeway", leeway, 0.0, 1e3)
+        for name, rgb in (("mark_rgb", mark_rgb), ("later_rgb", later_rgb)):
+            require_rgb(f"task.{name}", rgb)
         if motion.limits.shape[1] != 2:
             raise ValueError(
                 f"task.motion: expected a speed and a steering angle, got {motion.limits.shape[1]} actions"

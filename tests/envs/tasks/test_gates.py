@@ -21,7 +21,7 @@ HOVER = torch.tensor([1.0, 0.0, 0.0, 0.0])
 
 def gates(courses: int = 2, test_courses: int = 3, **settings: Any) -> Gates:
     """The task around a post, with tracks of two gates."""
-    things = {"one": "gate", "two": "gate"}
+    things = {"gate": "gate"}
     motion = PhysicsMotion(
         "quadrotor", "eye", things, time_step=0.05, linear=(-1.0, 1.0), angular_deg=90.0, lower=(-2.0, -2.0),
         upper=(2.0, 2.0), ceiling=2.0, threads=1,
@@ -123,9 +123,19 @@ def test_a_quadrotor_that_hovers_passes_nothing() -> None:
     assert wander(gates(), 40, (1.0, 0.0, 0.0, 0.0)).max() == 0
 
 
-def test_other_things_than_the_gates_of_a_track_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"task\.motion\.things: expected the 3 gates of a track, got 2"):
-        Gates(gates().motion, course=TrackSettings(gates=3))
+def test_other_things_than_one_gate_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"task\.motion\.things: expected one, the gate of .* got gate1, gate2"):
+        Gates(gates().motion)
+
+
+def test_a_track_has_as_many_gates_as_its_settings_say() -> None:
+    assert list(gates().motion.thing_paths) == ["gate1", "gate2"]
+
+
+@pytest.mark.parametrize("lit", [(1.0, 0.5), (255, 0, 0), "red"])
+def test_a_light_that_is_no_colour_is_refused(lit: Any) -> None:
+    with pytest.raises(ValueError, match=r"task\.lit: expected red, green and blue in \[0, 1\], got"):
+        gates(lit=lit)
 
 
 class TestGates(ConfiguredContract, CourseContract):
