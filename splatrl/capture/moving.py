@@ -109,7 +109,7 @@ class Look:
     Attributes:
         rows: [R] int64, which photos.
         unlike: [R, h, w] float32, how different a photo is there, of 1, averaged over some pixels.
-        agreeing: [R, h, w] int64, how many of the others show the place that the fit shows there, and look like it.
+        agreeing: [R, h, w] int16, how many of the others show the place that the fit shows there, and look like it.
         disagreeing: how many show that place, and look different.
         through: how many see through it.
     """
@@ -158,13 +158,16 @@ def look(fitting: Fitting, seen: Pictures, reconstruction: Reconstruction, ignor
     poses = reconstruction.camera_to_world[rows]
     renderer = NativeRenderer(fitting.model.gaussians(fitting.frame), threads=fitting.threads)
     drawn = renderer.render(Cameras(poses.float(), seen.K, width, height))
-    images = zip(drawn.rgb.double().numpy(), seen.pixels[rows].numpy() / 255.0, ignored[rows].numpy(), strict=True)
-    unlike = torch.from_numpy(np.stack([difference(*image) for image in images])).float()
+    apart = [
+        difference(view.double().numpy(), seen.pixels[row].numpy() / 255.0, ignored[row].numpy())
+        for view, row in zip(drawn.rgb, rows.tolist(), strict=True)
+    ]
+    unlike = torch.from_numpy(np.stack(apart)).float()
     unlike = torch.nn.functional.avg_pool2d(unlike[:, None], 2)[:, 0]
     height, width = unlike.shape[1:]
     depth = torch.where(drawn.alpha > OPAQUE, drawn.depth, 0.0)[:, : 2 * height : 2, : 2 * width : 2]
     signed = torch.where(unlike < SUSPECT, depth, -depth)  # positive where a photo looks as the fit does
-    K, counts = reconstruction.K_at(width, height), torch.zeros(3, len(rows), height, width, dtype=torch.int64)
+    K, counts = reconstruction.K_at(width, height), torch.zeros(3, len(rows), height, width, dtype=torch.int16)
     for row, pose in enumerate(poses):
         places = placed_pixels(depth[row], pose, K)
         for other in asked(row, len(rows)):
