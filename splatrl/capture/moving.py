@@ -2,7 +2,7 @@
 
 A small fit shows what the photos have in common. Where one shows something else, although others of the same place look
 as the fit does, something was in the way. What is suspected is left out while the small fit goes on, so that it shows
-more of what is behind, and the next look decides better.
+more of what is behind, and the next round decides better.
 """
 
 import math
@@ -22,11 +22,11 @@ from splatrl.capture.progress import Progress, silent
 from splatrl.capture.stereo import Depths, confirmed, resized
 from splatrl.renderers import NativeRenderer
 
-LOOKS = 3
+ROUNDS = 3
 SHARE = 0.64
 """Of the views of the whole fit: what the small one draws, on images as large as the depths, which are a quarter."""
-FEWER = 7
-"""Times as few Gaussians as the whole fit may have."""
+GAUSSIANS = 8_000
+"""Of the small fit, at most, and no more than the whole one may have."""
 SMOOTH = 2.0
 """Pixels over which differences are averaged, so that fine texture that is not drawn yet does not count."""
 GAINS = (0.7, 1.4)
@@ -47,6 +47,8 @@ APART = 3
 """They are farther than this in the order of the photos: what moves slowly is in those too."""
 LARGE = 1 / 90
 """Of an image: a thing is no smaller."""
+GROWN = 6
+"""Pixels of half the size by which a thing grows into what is suspect around it, whatever others say of that."""
 CONFIRMED = 0.5
 """Share of a thing's pixels whose depth other photos confirm: of what moves it is less."""
 OPAQUE = 0.5
@@ -76,7 +78,7 @@ def find_moving(
     small = replace(
         settings,
         width=depths.known.shape[2],
-        cap=max(1, settings.cap // FEWER),
+        cap=min(GAUSSIANS, settings.cap),
         views=max(1, round(settings.views * SHARE)),
         levels=((0.0, 1.0),),
         sh_degree=0,
@@ -91,61 +93,64 @@ def find_moving(
     seen, _ = fitting.level(0.0)
     moving = torch.zeros_like(depths.known, dtype=torch.bool)
     steps = math.ceil(small.views / fitting.views)
-    ends = [round(steps * (number + 1) / LOOKS) for number in range(LOOKS)]
+    ends = [round(steps * (number + 1) / ROUNDS) for number in range(ROUNDS)]
     for step in range(steps):
         fitting.step(step, steps)
         progress("moving", step + 1, steps)
         if step + 1 in ends:
             last = step + 1 == steps
-            moving[rows] = look(fitting, seen, reconstruction, moving).things(depths.known > 0, last)
+            found = compared(fitting, seen, reconstruction, moving, depths.known > 0)
+            moving[rows] = resized(found.things(last).float(), moving.shape[1:]) > 0
             fitting.levels = {1.0: (seen, depths.without(moving).at(seen, rows))}
     return moving
 
 
 @dataclass(frozen=True)
-class Look:
+class Comparison:
     """How photos differ from a fit, and what other photos say of these places, at half the size.
 
     Attributes:
-        rows: [R] int64, which photos.
+        known: [R, h, w] bool, whether other photos confirm the depth of a pixel.
         unlike: [R, h, w] float32, how different a photo is there, of 1, averaged over some pixels.
         agreeing: [R, h, w] int16, how many of the others show the place that the fit shows there, and look like it.
         disagreeing: how many show that place, and look different.
         through: how many see through it.
     """
 
-    rows: Tensor
+    known: Tensor
     unlike: Tensor
     agreeing: Tensor
     disagreeing: Tensor
     through: Tensor
 
-    def things(self, known: Tensor, strict: bool) -> Tensor:
-        """The pixels of what moved, or without ``strict`` of what may have: [R, H, W] bool.
+    def things(self, strict: bool) -> Tensor:
+        """The pixels of what moved, or without ``strict`` of what may have: [R, h, w] bool.
 
         Args:
-            known: [N, H, W] bool, whether other photos confirm the depth of a pixel.
             strict: whether to find only large and clear things, about whose place other photos agree with the fit.
         """
         clear = (self.unlike > UNLIKE) & (self.agreeing >= AGREEING) & (self.agreeing > self.disagreeing)
         ghosts = (self.through >= AGREEING) & (self.through > 2 * (self.agreeing + self.disagreeing))
         candidates = (clear if strict else (self.unlike > SUSPECT) | ghosts).numpy()
-        size, height, width = known.shape[1:], *self.unlike.shape[1:]
-        sure = known[self.rows][:, : 2 * height : 2, : 2 * width : 2].numpy()
-        found = np.zeros_like(candidates)
+        known, found = self.known.numpy(), np.zeros_like(candidates)
         for row, (pixels, unlike) in enumerate(zip(candidates, self.unlike.numpy(), strict=True)):
             pixels = ndimage.binary_opening(pixels, np.ones((3, 3) if strict else (2, 2)))
             labels, count = ndimage.label(pixels)
             each = np.arange(1, count + 1)
-            kept = ndimage.mean(sure[row], labels, each) < CONFIRMED
+            kept = ndimage.mean(known[row], labels, each) < CONFIRMED
             if strict:
-                kept &= ndimage.sum(pixels, labels, each) >= LARGE * height * width
+                kept &= ndimage.sum(pixels, labels, each) >= LARGE * pixels.size
                 kept &= ndimage.mean(unlike, labels, each) > CLEAR
-            found[row] = _rounded(np.isin(labels, each[kept]))
-        return resized(torch.from_numpy(found).float(), size) > 0
+            things = np.isin(labels, each[kept])
+            if strict:
+                things |= ndimage.binary_dilation(things, iterations=GROWN, mask=(unlike > SUSPECT) & ~known[row])
+            found[row] = _rounded(things)
+        return torch.from_numpy(found)
 
 
-def look(fitting: Fitting, seen: Pictures, reconstruction: Reconstruction, ignored: Tensor) -> Look:
+def compared(
+    fitting: Fitting, seen: Pictures, reconstruction: Reconstruction, ignored: Tensor, known: Tensor
+) -> Comparison:
     """Compare the photos that a fit is trained on with it.
 
     Args:
@@ -153,6 +158,8 @@ def look(fitting: Fitting, seen: Pictures, reconstruction: Reconstruction, ignor
         seen: its photos.
         reconstruction: their poses.
         ignored: [N, H, W] bool, pixels that do not count where exposures are sought.
+        known: [N, H, W] bool, whether other photos confirm the depth of a pixel; only there can a photo agree, since
+            where the sky is nobody knows.
     """
     rows, (height, width) = fitting.trained, seen.pixels.shape[1:3]
     poses = reconstruction.camera_to_world[rows]
@@ -166,7 +173,9 @@ def look(fitting: Fitting, seen: Pictures, reconstruction: Reconstruction, ignor
     unlike = torch.nn.functional.avg_pool2d(unlike[:, None], 2)[:, 0]
     height, width = unlike.shape[1:]
     depth = torch.where(drawn.alpha > OPAQUE, drawn.depth, 0.0)[:, : 2 * height : 2, : 2 * width : 2]
-    signed = torch.where(unlike < SUSPECT, depth, -depth)  # positive where a photo looks as the fit does
+    known = known[rows][:, : 2 * height : 2, : 2 * width : 2]
+    alike = torch.where(known, depth, 0.0)
+    signed = torch.where(unlike < SUSPECT, alike, -depth)  # positive where a photo looks as the fit does
     K, counts = reconstruction.K_at(width, height), torch.zeros(3, len(rows), height, width, dtype=torch.int16)
     for row, pose in enumerate(poses):
         places = placed_pixels(depth[row], pose, K)
@@ -176,7 +185,7 @@ def look(fitting: Fitting, seen: Pictures, reconstruction: Reconstruction, ignor
             same = (z - far).abs() < SAME * far
             votes = torch.stack([same & (told > 0), same & (told < 0), (far > 0) & (z < THROUGH * far)])
             counts[:, row] += (votes & (depth[row].reshape(-1) > 0)).view(3, height, width)
-    return Look(rows, unlike, *counts)
+    return Comparison(known, unlike, *counts)
 
 
 def difference(drawn: Floats, photo: Floats, ignored: Mask) -> Floats:
