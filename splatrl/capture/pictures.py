@@ -102,7 +102,8 @@ def draw_moving(photos: Sequence[Path], moving: Tensor, path: Path) -> None:
         moving: [N, h, w] bool, where each shows what moved.
         path: where to; ends in .png.
     """
-    rows = moving.flatten(1).float().mean(1).argsort(descending=True, stable=True)[:ROWS].sort().values
+    shares = moving.flatten(1).float().mean(1)
+    rows = shares.argsort(descending=True, stable=True)[: min(ROWS, int((shares > 0).sum()))].sort().values
     size = WIDTH, max(1, round(WIDTH * moving.shape[1] / moving.shape[2]))
     page = Image.new("RGB", (2 * size[0] + 4, -(-len(rows) // 2) * (size[1] + 4) - 4), "white")
     for place, row in enumerate(rows.tolist()):

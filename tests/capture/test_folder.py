@@ -117,6 +117,7 @@ def test_what_moved_is_shown_and_said(tmp_path: Path) -> None:
     write_scene(folder, tiny_gaussians(), placed, HELD_OUT, moving=moving)
     assert "1 % of what the images show moved and was left out" in (folder / "report.html").read_text()
     page = np.asarray(Image.open(folder / "moving.png")).astype(int)
+    assert page.shape[0] == 320, "one image, the only one that shows something"
     red = (page[..., 0] > page[..., 1] + 60).reshape(page.shape[0], 2, -1).mean((0, 2))
     assert red.max() > 0.02 and red.min() < 0.005
     write_scene(folder, tiny_gaussians(), placed, HELD_OUT, force=True)
