@@ -18,6 +18,7 @@ from splatrl.files import new_folder
 from splatrl.values import require_number
 from splatrl.viewer.driver import Takes
 from splatrl.viewer.driving import Driving
+from splatrl.viewer.keys import keys_of
 from splatrl.viewer.page import Page
 
 BY = ("planner", "keys")
@@ -59,6 +60,7 @@ def planned(cfg: DictConfig, world: World) -> Demonstrations:
 def driven(cfg: DictConfig, world: World) -> Demonstrations:
     """Let a person drive in the browser until there are enough episodes, or they end it there or by an interrupt."""
     require_number("episodes", cfg.episodes, 1, 10**6, whole=True)
+    keys_of(world.task.motion)  # refuses what keys cannot drive before a page is opened
     page = Page(world.scene, cfg.host, cfg.port)
     print(f"{page.address}: drive to the goal {cfg.episodes} times; Ctrl-C writes what there is", flush=True)
     try:

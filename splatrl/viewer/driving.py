@@ -27,16 +27,18 @@ class Driving:
         seed: of starts and noise.
         takes: where episodes that succeed are kept; None keeps none.
         wanted: number of episodes to keep.
+
+    Raises:
+        ValueError: for a task whose actions keys cannot tell.
     """
 
     def __init__(self, page: Page, world: World, seed: int = 0, takes: Takes | None = None, wanted: int = 0):
         self.world, self.takes, self.wanted, self._turn = world, takes, wanted, page.turn
-        server = page.server
+        server, keys = page.server, keys_of(world.task.motion)
         self.driver = Driver(world, seed, self._keep)
         self.finished = threading.Event()
         self._places, self._busy = threading.BoundedSemaphore(2), threading.Lock()
         self.shown = RobotShown(server, "/robot", world.robot)
-        keys = keys_of(world.task.motion)
         driver, gui = self.driver, server.gui
         self.view = gui.add_image(enlarged(driver.pixels), label="what the robot sees")
         self.status = gui.add_markdown("")

@@ -91,6 +91,22 @@ def test_a_bare_splat_is_shown_without_anything_to_drive(tmp_path: Path) -> None
     page.close()
 
 
+def test_a_robot_that_keys_cannot_drive_is_shown_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco", reason="needs the extra physics")
+    monkeypatch.setattr(sys, "argv", ["splatrl-record", "task=gates", "by=keys", f"out={tmp_path / 'new'}"])
+    told = "task: expected actions that keys can tell, a speed and a turn, got 4 numbers an action"
+    with pytest.raises(SystemExit, match=told):
+        record.main()
+    cfg = load_config(["task=gates"], "view")
+    page = Page(view.instantiate(cfg.scene), port=0)
+    furnish(page, cfg)()
+    visitor = Visitor(page.address)
+    visitor.field("save into scene.yaml")
+    assert any(f"Nothing to drive here: {told}" in str(message) for message in visitor.messages)
+    visitor.close()
+    page.close()
+
+
 def test_what_can_be_dragged_comes_from_the_config(place: Path) -> None:
     cfg = load_config([*GRID, f"scene='{place}'"], "view")
     values = place_values(cfg, view.instantiate(cfg.scene))
