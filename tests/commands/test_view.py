@@ -93,7 +93,7 @@ def test_a_bare_splat_is_shown_without_anything_to_drive(tmp_path: Path) -> None
 
 def test_a_robot_that_keys_cannot_drive_is_shown_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco", reason="needs the extra physics")
-    monkeypatch.setattr(sys, "argv", ["splatrl-record", "task=gates", "by=keys", f"out={tmp_path / 'new'}"])
+    monkeypatch.setattr(sys, "argv", ["splatrl-record", "task=gates", "by=keys", "port=70000", f"out={tmp_path}/new"])
     told = "task: expected actions that keys can tell, a speed and a turn, got 4 numbers an action"
     with pytest.raises(SystemExit, match=told):
         record.main()
