@@ -84,7 +84,8 @@ def test_a_file_without_lines_is_left_to_its_author(folder: Path) -> None:
 
 
 def test_comments_within_a_block_stay(folder: Path) -> None:
-    (folder / "scene.yaml").write_text(TEXT.replace("- 0.75\n  - 1.0", "- 0.75  # from the door\n  # measured\n  - 1.0"))
+    commented = TEXT.replace("- 0.75\n", "- 0.75  # from the door\n  # measured\n")
+    (folder / "scene.yaml").write_text(commented)
     edit_description(folder, {"object": [1.0, 2.0, 0.5]})
     expected = "object: [1.0, 2.0, 0.5]\n  # from the door\n  # measured\nwalk:\n"
     assert expected in (folder / "scene.yaml").read_text()
@@ -105,6 +106,6 @@ def test_line_ends_permissions_and_links_stay(folder: Path) -> None:
 
 def test_what_is_read_only_is_not_replaced(folder: Path) -> None:
     (folder / "scene.yaml").chmod(0o444)
-    with pytest.raises(PermissionError, match="read-only.*scene.yaml"):
+    with pytest.raises(PermissionError, match=r"read-only.*scene.yaml"):
         edit_description(folder, {"goal": [1.0, 0.0, 0.0]})
     assert (folder / "scene.yaml").read_text() == TEXT
