@@ -9,6 +9,7 @@ from tensordict import TensorDictBase
 
 from splatrl.envs.tasks.base import Outcome
 from splatrl.envs.world import World
+from splatrl.values import tenths
 from splatrl.viewer.driver import Driver, Takes
 from splatrl.viewer.keys import AGAIN, DISCARD, OTHER, input_script, keys_of
 from splatrl.viewer.page import Page
@@ -102,7 +103,7 @@ class Driving:
         if driver.outcome is not Outcome.COLLISION and driver.free < 1:
             result = f"{result}, blocked"
         kept = "" if self.takes is None else f" · kept {len(self.takes.episodes)} of {self.wanted}"
-        self.status.content = f"step {driver.steps} · return {driver.episode_return:.1f} · {result}{kept}"
+        self.status.content = f"step {driver.steps} · return {tenths(driver.episode_return)} · {result}{kept}"
 
 
 def _run_script(server: "viser.ViserServer", source: str) -> None:
