@@ -1,5 +1,7 @@
 """``splatrl-record``: record demonstrations of a task into a folder."""
 
+import errno
+import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -36,6 +38,8 @@ def run(cfg: DictConfig) -> None:
         if path.exists():
             raise ValueError(f"{key}: expected a new folder, but {path} is there")
         path.parent.mkdir(parents=True, exist_ok=True)
+        if not os.access(path.parent, os.W_OK):  # said before anybody has shown anything
+            raise PermissionError(errno.EACCES, "cannot write", str(path))
     torch.set_num_threads(cfg.threads)
     cfg.device = "cpu"  # so that a replay gives the same bytes anywhere
     world = build_one_world(cfg)

@@ -1,5 +1,6 @@
 """``splatrl-view``, ``splatrl-train view=true`` and ``splatrl-record by=keys`` from the outside."""
 
+import os
 import re
 import signal
 import sys
@@ -223,6 +224,15 @@ def test_nothing_shown_writes_nothing(tmp_path: Path) -> None:
     assert "splatrl-record: by=keys: expected at least one episode that reached the goal, got none" in output
     assert not (tmp_path / "demos").exists()
     visitor.close()
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_page_opens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path)
+    monkeypatch.setattr(sys, "argv", ["splatrl-record", "by=keys", "port=70000", f"out={tmp_path / 'new'}"])
+    with pytest.raises(SystemExit, match=r"cannot write: .*new"):
+        record.main()
 
 
 def test_by_names_its_choices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
