@@ -39,6 +39,11 @@ def require_rgb(name: str, value: Sequence[float]) -> None:
         raise ValueError(f"{name}: expected red, green and blue in [0, 1], got {list(value)}")
 
 
+def tenths(value: float) -> str:
+    """A number with one decimal, for people: what rounds to zero has no sign."""
+    return f"{round(value, 1) + 0.0:.1f}"
+
+
 def flat(node: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, Any]]:
     """Dotted keys and their values, of settings within settings; an empty mapping is a value.
 

@@ -1,5 +1,7 @@
 """``splatrl-record``: record demonstrations of a task into a folder."""
 
+import errno
+import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -18,6 +20,7 @@ from splatrl.files import new_folder
 from splatrl.values import require_number
 from splatrl.viewer.driver import Takes
 from splatrl.viewer.driving import Driving
+from splatrl.viewer.keys import keys_of
 from splatrl.viewer.page import Page
 
 BY = ("planner", "keys")
@@ -35,6 +38,8 @@ def run(cfg: DictConfig) -> None:
         if path.exists():
             raise ValueError(f"{key}: expected a new folder, but {path} is there")
         path.parent.mkdir(parents=True, exist_ok=True)
+        if not os.access(path.parent, os.W_OK):  # said before anybody has shown anything
+            raise PermissionError(errno.EACCES, "cannot write", str(path))
     torch.set_num_threads(cfg.threads)
     cfg.device = "cpu"  # so that a replay gives the same bytes anywhere
     world = build_one_world(cfg)
@@ -59,6 +64,7 @@ def planned(cfg: DictConfig, world: World) -> Demonstrations:
 def driven(cfg: DictConfig, world: World) -> Demonstrations:
     """Let a person drive in the browser until there are enough episodes, or they end it there or by an interrupt."""
     require_number("episodes", cfg.episodes, 1, 10**6, whole=True)
+    keys_of(world.task.motion)  # refuses what keys cannot drive before a page is opened
     page = Page(world.scene, cfg.host, cfg.port)
     print(f"{page.address}: drive to the goal {cfg.episodes} times; Ctrl-C writes what there is", flush=True)
     try:

@@ -109,7 +109,10 @@ def furnish(
             rollout.start()
             stop.append(rollout.stop)
     with tabs.add_tab("drive"):
-        Driving(page, world)
+        try:
+            Driving(page, world)
+        except ValueError as error:
+            gui.add_markdown(f"Nothing to drive here: {line(error)}")
     with tabs.add_tab("place"):
         Placing(page, world, place_values(cfg, scene), folder, lambda stated: _check(cfg, scene, stated))
     return lambda: [each() for each in stop]

@@ -16,6 +16,7 @@ from splatrl.evaluation.pictures import Pictures
 from splatrl.evaluation.report import by_scene, summarise, write_json
 from splatrl.evaluation.rollouts import given_episodes, run_episodes, save_episodes, spread_starts
 from splatrl.files import refusing
+from splatrl.values import tenths
 
 EPISODES_IN_VIDEO = 4
 SCENES_SHOWN = 4
@@ -123,7 +124,7 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     rates = [f"success {summary['success_rate']:.3f} (argmax {summary['success_rate_argmax']:.3f})"]
     by_steps = f"SPL by steps {summary['step_spl']:.3f}" if "step_spl" in summary else ""
     by_distance = f"SPL {summary['spl']:.3f}, soft SPL {summary['soft_spl']:.3f}" if "spl" in summary else ""
-    rates.append(by_distance or by_steps or f"return {summary['mean_return']:.1f}")
+    rates.append(by_distance or by_steps or f"return {tenths(summary['mean_return'])}")
     if summary["mean_goals"] > summary["success_rate"]:  # in tasks that go on after a goal
         rates.append(f"{summary['mean_goals']:.2f} goals an episode")
     if "spl" in summary:

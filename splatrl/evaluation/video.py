@@ -21,6 +21,7 @@ from splatrl.evaluation.figures import INK
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView
 from splatrl.files import replacing
+from splatrl.values import tenths
 
 PANEL, WIDEST, GAP, STRIP = 384, 512, 8, 60
 """Height of both panels, largest width of the map, space around them and height of the text, pixels."""
@@ -89,7 +90,7 @@ def _frames(
                 ("episode", f"{number} of {len(recordings)}"),
                 ("step", str(step)),
                 ("action", _action(recording.action[step - 1], action_names) if step else "none yet"),
-                ("return", f"{recording.episode_return[step]:.1f}"),
+                ("return", tenths(float(recording.episode_return[step]))),
             ]
             _caption(page, facts, recording.outcome if step == last else Outcome.RUNNING)
             for _ in range(1 + round(HOLD * fps) * (step == last)):

@@ -9,6 +9,7 @@ from tensordict import TensorDictBase
 
 from splatrl.envs.tasks.base import Outcome
 from splatrl.envs.world import World
+from splatrl.values import tenths
 from splatrl.viewer.driver import Driver, Takes
 from splatrl.viewer.keys import AGAIN, DISCARD, OTHER, input_script, keys_of
 from splatrl.viewer.page import Page
@@ -27,16 +28,18 @@ class Driving:
         seed: of starts and noise.
         takes: where episodes that succeed are kept; None keeps none.
         wanted: number of episodes to keep.
+
+    Raises:
+        ValueError: for a task whose actions keys cannot tell.
     """
 
     def __init__(self, page: Page, world: World, seed: int = 0, takes: Takes | None = None, wanted: int = 0):
         self.world, self.takes, self.wanted, self._turn = world, takes, wanted, page.turn
-        server = page.server
+        server, keys = page.server, keys_of(world.task.motion)
         self.driver = Driver(world, seed, self._keep)
         self.finished = threading.Event()
         self._places, self._busy = threading.BoundedSemaphore(2), threading.Lock()
         self.shown = RobotShown(server, "/robot", world.robot)
-        keys = keys_of(world.task.motion)
         driver, gui = self.driver, server.gui
         self.view = gui.add_image(enlarged(driver.pixels), label="what the robot sees")
         self.status = gui.add_markdown("")
@@ -100,7 +103,7 @@ class Driving:
         if driver.outcome is not Outcome.COLLISION and driver.free < 1:
             result = f"{result}, blocked"
         kept = "" if self.takes is None else f" · kept {len(self.takes.episodes)} of {self.wanted}"
-        self.status.content = f"step {driver.steps} · return {driver.episode_return:.1f} · {result}{kept}"
+        self.status.content = f"step {driver.steps} · return {tenths(driver.episode_return)} · {result}{kept}"
 
 
 def _run_script(server: "viser.ViserServer", source: str) -> None:

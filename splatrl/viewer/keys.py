@@ -53,12 +53,21 @@ def keys_of(motion: PlannedMotion) -> list[Key]:
 
     Args:
         motion: how it moves. Of continuous actions its ``actions()`` are taken, from which paths are made.
+
+    Raises:
+        ValueError: for continuous actions other than those from which paths are made, such as those of twelve joints.
     """
-    actions = motion.actions().cpu()
-    named = [(NAMES.get(name, ""), name) for name in motion.action_names]
-    if not named:
-        signs = [tuple(row) for row in torch.sign(actions).int().reshape(len(actions), -1).tolist()]
-        words = [" ".join(f"{value:.3g}" for value in row) for row in actions.reshape(len(actions), -1).tolist()]
+    if motion.action_names:
+        actions = torch.arange(len(motion.action_names))  # paths may do without some, such as stop
+        named = [(NAMES.get(name, ""), name) for name in motion.action_names]
+    else:
+        actions, wanted = motion.actions().cpu(), motion.action_spec.shape
+        if actions.shape[1:] != wanted:
+            numbers = f"{wanted.numel()} numbers"
+            raise ValueError(f"task: expected actions that keys can tell, a speed and a turn, got {numbers} an action")
+        actions = motion.action_spec.cpu().project(actions)
+        signs = [tuple(row) for row in torch.sign(actions).int().tolist()]
+        words = [" ".join(f"{value:.3g}" for value in row) for row in actions.tolist()]
         named = [SPEEDS.get(sign, ("", word)) for sign, word in zip(signs, words, strict=True)]
     digits = iter("1234567890")
     found = [Key(key or next(digits, ""), name, action) for (key, name), action in zip(named, actions, strict=True)]

@@ -2,7 +2,7 @@
 
 import math
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ import torch
 
 from splatrl.envs.world import World
 from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
-from splatrl.scenes.description import SCENE_FILE
+from splatrl.scenes.description import SCENE_FILE, read_description
 from splatrl.scenes.editing import edit_description
 from splatrl.viewer.page import Page
 from splatrl.viewer.place import CORNERS, Handle, changes, dragged, handles
@@ -46,6 +46,7 @@ class Placing:
     ):
         self.page, self.world, self.folder, self.check = page, world, folder, check
         self.saved, self.values = dict(values), dict(values)
+        self._stated = {} if folder is None else read_description(folder)
         self.height = world.robot.height
         self._lock, self._looks = threading.Lock(), threading.Lock()
         self.controls: dict[str, viser.TransformControlsHandle] = {}
@@ -69,7 +70,9 @@ class Placing:
             self.save()
 
     def drag(self, handle: Handle) -> None:
-        """Take over where a handle was dragged to."""
+        """Take over where a handle was dragged to, unless that is nowhere: at the horizon."""
+        if not all(map(math.isfinite, (*handle.position, handle.yaw))):
+            return
         step = self.world.task.motion.step
         with self._lock:
             self.values = dragged(self.values, handle, step)
@@ -83,13 +86,22 @@ class Placing:
             changed = changes(self.saved, self.values)
             try:
                 if changed:
+                    self._require_unchanged(self.folder, changed)
                     edit_description(self.folder, changed, self.check)
+                    self._stated = read_description(self.folder)
                 self.saved |= changed
             except (ValueError, OSError) as error:
                 self.status.content = f"**not saved**: {error}"
                 return False
         self.status.content = f"saved {', '.join(changed)}" if changed else "nothing has changed"
         return True
+
+    def _require_unchanged(self, folder: Path, keys: Iterable[str]) -> None:
+        """Refuse to write over what somebody else wrote since the page was opened or saved."""
+        now = read_description(folder)
+        others = [f"{key}: {now.get(key)}" for key in keys if now.get(key) != self._stated.get(key)]
+        if others:
+            raise ValueError(f"{SCENE_FILE} has been changed meanwhile, {', '.join(others)}; open the page again")
 
     def _follow(self, key: str) -> None:
         """Show a value that has changed, in numbers, lines and picture."""

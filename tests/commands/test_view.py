@@ -1,5 +1,6 @@
 """``splatrl-view``, ``splatrl-train view=true`` and ``splatrl-record by=keys`` from the outside."""
 
+import os
 import re
 import signal
 import sys
@@ -87,6 +88,22 @@ def test_a_bare_splat_is_shown_without_anything_to_drive(tmp_path: Path) -> None
     visitor.find("GaussianSplatsMessage")
     visitor.field("solid")
     assert any("robot.height: expected a value, got none" in str(message) for message in visitor.messages)
+    visitor.close()
+    page.close()
+
+
+def test_a_robot_that_keys_cannot_drive_is_shown_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco", reason="needs the extra physics")
+    monkeypatch.setattr(sys, "argv", ["splatrl-record", "task=gates", "by=keys", "port=70000", f"out={tmp_path}/new"])
+    told = "task: expected actions that keys can tell, a speed and a turn, got 4 numbers an action"
+    with pytest.raises(SystemExit, match=told):
+        record.main()
+    cfg = load_config(["task=gates"], "view")
+    page = Page(view.instantiate(cfg.scene), port=0)
+    furnish(page, cfg)()
+    visitor = Visitor(page.address)
+    visitor.field("save into scene.yaml")
+    assert any(f"Nothing to drive here: {told}" in str(message) for message in visitor.messages)
     visitor.close()
     page.close()
 
@@ -207,6 +224,15 @@ def test_nothing_shown_writes_nothing(tmp_path: Path) -> None:
     assert "splatrl-record: by=keys: expected at least one episode that reached the goal, got none" in output
     assert not (tmp_path / "demos").exists()
     visitor.close()
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_page_opens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path)
+    monkeypatch.setattr(sys, "argv", ["splatrl-record", "by=keys", "port=70000", f"out={tmp_path / 'new'}"])
+    with pytest.raises(SystemExit, match=r"cannot write: .*new"):
+        record.main()
 
 
 def test_by_names_its_choices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

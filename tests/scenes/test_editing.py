@@ -81,3 +81,31 @@ def test_a_file_without_lines_is_left_to_its_author(folder: Path) -> None:
     with pytest.raises(ValueError, match="expected a line for each key"):
         edit_description(folder, {"goal": [1.0, 0.0, 0.0]})
     assert (folder / "scene.yaml").read_text() == text
+
+
+def test_comments_within_a_block_stay(folder: Path) -> None:
+    commented = TEXT.replace("- 0.75\n", "- 0.75  # from the door\n  # measured\n")
+    (folder / "scene.yaml").write_text(commented)
+    edit_description(folder, {"object": [1.0, 2.0, 0.5]})
+    expected = "object: [1.0, 2.0, 0.5]\n  # from the door\n  # measured\nwalk:\n"
+    assert expected in (folder / "scene.yaml").read_text()
+    edit_description(folder, {"object": [1.0, 2.0, 0.75]})
+    assert expected.replace("0.5]", "0.75]") in (folder / "scene.yaml").read_text()
+
+
+def test_line_ends_permissions_and_links_stay(folder: Path) -> None:
+    real, link = folder / "shared.yaml", folder / "scene.yaml"
+    link.unlink()
+    link.symlink_to(real)
+    real.write_bytes(TEXT.replace("\n", "\r\n").encode())
+    real.chmod(0o620)
+    edit_description(folder, {"goal": [0.25, -1.0, 90.0]})
+    assert link.is_symlink() and real.stat().st_mode & 0o777 == 0o620
+    assert real.read_bytes() == TEXT.replace("[0.5, 1.0, 0.0]", "[0.25, -1.0, 90.0]").replace("\n", "\r\n").encode()
+
+
+def test_what_is_read_only_is_not_replaced(folder: Path) -> None:
+    (folder / "scene.yaml").chmod(0o444)
+    with pytest.raises(PermissionError, match=r"read-only.*scene.yaml"):
+        edit_description(folder, {"goal": [1.0, 0.0, 0.0]})
+    assert (folder / "scene.yaml").read_text() == TEXT

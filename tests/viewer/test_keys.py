@@ -2,11 +2,13 @@
 
 import shutil
 import subprocess
+from unittest.mock import patch
 
 import pytest
 import torch
+from torchrl.data import Bounded
 
-from splatrl.motions import DriveMotion, ForwardMotion, LatticeMotion
+from splatrl.motions import DriveMotion, ForwardMotion, LatticeMotion, NavigateMotion
 from splatrl.viewer.keys import input_script, keys_of
 
 
@@ -33,6 +35,25 @@ def test_a_drive_has_full_speed_turns_and_arcs() -> None:
     assert found["O"].tolist() == pytest.approx([ahead, -left])
     assert all(motion.action_spec.is_in(action) for action in found.values())
     assert len(found) == len(motion.actions())
+
+
+def test_actions_of_which_no_paths_are_made_have_keys_too() -> None:
+    found = {key.key: (key.name, int(key.action)) for key in keys_of(NavigateMotion(0.4))}
+    assert found == {"1": ("stop", 0), "I": ("forward", 1), "J": ("left", 2), "L": ("right", 3)}
+
+
+def test_actions_are_within_what_the_robot_can_be_told() -> None:
+    motion = DriveMotion(0.4)
+    narrow = Bounded(low=-0.1, high=0.1, shape=(2,), dtype=torch.float32)
+    with patch.object(DriveMotion, "action_spec", narrow):
+        assert all(narrow.is_in(key.action) for key in keys_of(motion))
+
+
+def test_actions_that_keys_cannot_tell_are_refused() -> None:
+    joints = Bounded(low=-1.0, high=1.0, shape=(12,), dtype=torch.float32)
+    refused = pytest.raises(ValueError, match=r"expected actions that keys can tell, .*, got 12 numbers an action")
+    with patch.object(DriveMotion, "action_spec", joints), refused:
+        keys_of(DriveMotion(0.4))
 
 
 def test_unknown_actions_take_the_digits() -> None:

@@ -196,6 +196,28 @@ def test_what_does_not_fit_is_said_and_not_saved(page: Page, world: World, folde
     assert read_description(folder)["goal"] == [0.5, 1.0, 0.0]
 
 
+def test_what_somebody_else_wrote_meanwhile_is_not_overwritten(page: Page, world: World, folder: Path) -> None:
+    from splatrl.viewer.place import Handle
+
+    placing, path = Placing(page, world, VALUES, folder), folder / "scene.yaml"
+    placing.drag(Handle("goal", (0.25, 1.0, 0.5)))
+    assert placing.save()
+    placing.drag(Handle("goal", (0.0, 1.0, 0.5)))
+    path.write_text(path.read_text().replace("[0.25, 1.0, 0.0]", "[-0.5, 1.0, 0.0]"))
+    assert not placing.save()
+    assert "scene.yaml has been changed meanwhile, goal: [-0.5, 1.0, 0.0]; open" in placing.status.content
+    assert read_description(folder)["goal"] == [-0.5, 1.0, 0.0]
+
+
+def test_a_drag_to_nowhere_is_left_out(page: Page, world: World, folder: Path) -> None:
+    from splatrl.viewer.place import Handle
+
+    placing = Placing(page, world, VALUES, folder)
+    for name in ("goal", "walk 0"):
+        placing.drag(Handle(name, (float("nan"), float("inf"), 0.0)))
+    assert placing.values == placing.saved
+
+
 def test_without_a_folder_nothing_is_saved(page: Page, world: World) -> None:
     placing = Placing(page, world, VALUES)
     assert placing.button.disabled and not placing.save()

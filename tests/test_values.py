@@ -1,0 +1,12 @@
+"""Numbers as people read them."""
+
+import pytest
+
+from splatrl.values import tenths
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"), [(-0.04, "0.0"), (-0.0, "0.0"), (0.04, "0.0"), (-0.06, "-0.1"), (12.34, "12.3")]
+)
+def test_what_rounds_to_zero_has_no_sign(value: float, expected: str) -> None:
+    assert tenths(value) == expected
