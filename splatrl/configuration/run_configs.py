@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,6 +27,9 @@ def _new_folder(path: str) -> str:
             return str(folder)
         except FileExistsError:
             continue
+        except OSError as error:  # Hydra asks before a command begins, and would print where in itself
+            told = f"{folder}: cannot be made: {error.strerror}; say where to write by hydra.run.dir="
+            sys.exit(f"splatrl-{HydraConfig.get().job.name}: {told}")
     raise AssertionError
 
 

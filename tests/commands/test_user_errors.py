@@ -149,6 +149,17 @@ def test_what_is_typed_wrong_is_answered_in_one_line(
     assert not (places / "nowhere").exists()
 
 
+def test_where_no_run_can_be_written_is_said_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "outputs").touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["splatrl-train", "device=cpu"])
+    with pytest.raises(SystemExit, match=r"^splatrl-train: outputs/.*: cannot be made: Not a directory; say where"):
+        MAINS["train"]()
+    assert not capsys.readouterr().err
+
+
 def test_the_list_is_long_enough_to_mean_something() -> None:
     assert len(ERRORS) >= 40 and len({said for _, said in ERRORS}) > 35
 
