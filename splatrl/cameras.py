@@ -118,3 +118,21 @@ def depths_at(
     inside = (z > nearest) & (column >= 0) & (row >= 0) & (column < width) & (row < height)
     said = depth.double()[row.clamp(0, height - 1), column.clamp(0, width - 1)]
     return z, torch.where(inside, said, 0.0)
+
+
+def pixel_places(depth: Tensor, camera_to_world: Tensor, K: Tensor) -> Tensor:
+    """Where what the pixels of an image show is.
+
+    Args:
+        depth: [H, W] along the optical axis, metres.
+        camera_to_world: [4, 4] float64 pose of the camera.
+        K: [3, 3] float64 intrinsics for images of that size, pixels.
+
+    Returns:
+        [H W, 3] float64, world, metres, line by line.
+    """
+    height, width = depth.shape
+    down, across = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+    rays = torch.stack([(across - K[0, 2]) / K[0, 0], (down - K[1, 2]) / K[1, 1], torch.ones_like(across)], -1)
+    local = (rays * depth[..., None]).reshape(-1, 3).double()
+    return local @ camera_to_world[:3, :3].T + camera_to_world[:3, 3]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
-from splatrl.cameras import Cameras, depths_at
+from splatrl.cameras import Cameras, depths_at, pixel_places
 from splatrl.capture.base import Reconstruction
 from splatrl.capture.fit import FitSettings, Fitting, trained
 from splatrl.capture.fit_pictures import Pictures, frame_of, pictures
@@ -158,8 +158,8 @@ def compared(
         seen: its photos.
         reconstruction: their poses.
         ignored: [N, H, W] bool, pixels that do not count where exposures are sought.
-        known: [N, H, W] bool, whether other photos confirm the depth of a pixel; only there can a photo agree, since
-            where the sky is nobody knows.
+        known: [N, H, W] bool, whether other photos confirm the depth of a pixel; elsewhere a photo that looks as the
+            fit does has no vote, since where the sky is nobody knows.
     """
     rows, (height, width) = fitting.trained, seen.pixels.shape[1:3]
     poses = reconstruction.camera_to_world[rows]
@@ -178,7 +178,7 @@ def compared(
     signed = torch.where(unlike < SUSPECT, alike, -depth)  # positive where a photo looks as the fit does
     K, counts = reconstruction.K_at(width, height), torch.zeros(3, len(rows), height, width, dtype=torch.int16)
     for row, pose in enumerate(poses):
-        places = placed_pixels(depth[row], pose, K)
+        places = pixel_places(depth[row], pose, K)
         for other in asked(row, len(rows)):
             z, told = depths_at(places, signed[other], poses[other], K, 0.0)
             far = told.abs()
@@ -212,15 +212,6 @@ def difference(drawn: Floats, photo: Floats, ignored: Mask) -> Floats:
         weights = counted / np.maximum(np.abs(apart), STEADY)
     largest: Floats = np.abs(ndimage.gaussian_filter(apart, (SMOOTH, SMOOTH, 0.0))).max(-1)
     return largest
-
-
-def placed_pixels(depth: Tensor, camera_to_world: Tensor, K: Tensor) -> Tensor:
-    """Where the pixels of an image are: depths [H, W] along the optical axis -> [H W, 3] float64, in the world."""
-    height, width = depth.shape
-    down, across = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
-    rays = torch.stack([(across - K[0, 2]) / K[0, 0], (down - K[1, 2]) / K[1, 1], torch.ones_like(across)], -1)
-    local = (rays * depth[..., None]).reshape(-1, 3).double()
-    return local @ camera_to_world[:3, :3].T + camera_to_world[:3, 3]
 
 
 def asked(row: int, count: int) -> list[int]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -199,8 +200,17 @@ def build_scene(
     size = f"{finely.width} pixels wide, {carved} voxels of floaters carved away"
     say(f"fit         {gaussians.numel():,} Gaussians to images {size}")
     unseen = held_out(len(placed.reconstruction.paths)).tolist()
-    far, splat = depths.far(frame), settings.splat
-    quality = write_scene(folder, gaussians, placed, unseen, None, notes, settings.force, far, splat, depths.moving)
+    quality = write_scene(
+        folder,
+        gaussians,
+        placed,
+        unseen,
+        notes=notes,
+        force=settings.force,
+        known=depths.far(frame),
+        splat=settings.splat,
+        moving=depths.moving,
+    )
     say("\n".join([f"check       {_words(quality)}", *(f"            {problem}" for problem in quality.problems)]))
     return quality
 
@@ -225,29 +235,36 @@ def _unless_forced(cause: str, force: bool, stage: str, say: Callable[[str], obj
 
 def _depths(placed: Placed, frame: Frame, stages: Path, progress: Progress) -> Depths:
     """How far away the photos' pixels are, found once and kept."""
-    path, digest = stages / "depths.npz", _digest(placed.reconstruction)
-    with suppress(FileNotFoundError, ValueError):  # what is damaged is found again
-        kept = read_arrays(path)
-        if str(kept.get("digest")) == digest:
-            return Depths(torch.from_numpy(kept["likely"]), torch.from_numpy(kept["known"]))
-    rows = trained(len(placed.reconstruction.paths))
-    depths = find_depths(placed.reconstruction, frame, rows, progress=progress)
-    with replacing(path) as stream:
-        np.savez(stream, digest=digest, likely=depths.likely.numpy(), known=depths.known.numpy())
-    return depths
+    found, rows = placed.reconstruction, trained(len(placed.reconstruction.paths))
+
+    def find() -> dict[str, torch.Tensor]:
+        depths = find_depths(found, frame, rows, progress=progress)
+        return {"likely": depths.likely, "known": depths.known}
+
+    return Depths(**_kept(stages / "depths.npz", _digest(found), find))
 
 
 def _moving(placed: Placed, depths: Depths, stages: Path, settings: FitSettings, progress: Progress) -> torch.Tensor:
     """Where the photos show what moved, found once and kept."""
-    path, digest = stages / "moving.npz", _digest(placed.reconstruction, settings)
+    found = placed.reconstruction
+
+    def find() -> dict[str, torch.Tensor]:
+        return {"moving": find_moving(found, depths, settings, progress)}
+
+    return _kept(stages / "moving.npz", _digest(found, settings), find)["moving"]
+
+
+def _kept(path: Path, digest: str, find: Callable[[], dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
+    """What a stage finds, found once and kept with a fingerprint of all that it depends on."""
     with suppress(FileNotFoundError, ValueError):  # what is damaged is found again
         kept = read_arrays(path)
-        if str(kept.get("digest")) == digest:
-            return torch.from_numpy(kept["moving"])
-    moving = find_moving(placed.reconstruction, depths, settings, progress)
+        if str(kept.pop("digest", None)) == digest:
+            return {name: torch.from_numpy(values) for name, values in kept.items()}
+    found = find()
+    arrays: dict[str, Any] = {name: values.numpy() for name, values in found.items()}
     with replacing(path) as stream:
-        np.savez(stream, digest=digest, moving=moving.numpy())
-    return moving
+        np.savez(stream, digest=digest, **arrays)
+    return found
 
 
 def _fitted(

@@ -37,7 +37,7 @@ FEWEST = 10
 AT_ONCE = 16
 """Photos between two words of progress."""
 IGNORED = -1.0
-"""In place of an inverse depth: what a photo shows there is not compared (``FIT_IGNORED`` of the native fit)."""
+"""In place of an inverse depth: what a photo shows there is not compared."""
 
 
 @dataclass(frozen=True)

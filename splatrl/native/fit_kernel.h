@@ -11,7 +11,6 @@ namespace splatrl {
 constexpr int FIT_BLOCK = 4;   // a block is 4×4 pixels: the lanes of a vector
 constexpr int FIT_LANES = FIT_BLOCK * FIT_BLOCK;
 constexpr int FIT_HARMONICS = 16;  // of degree 3
-constexpr float FIT_IGNORED = -1.0f;  // in place of an inverse depth: what the pixel shows does not count
 constexpr int SSIM_RADIUS = 5;  // of the window, which has 11×11 pixels
 
 // The rows of the parameters; each has `stride` floats, one for each Gaussian. Harmonics follow by coefficient, colour.
@@ -60,7 +59,7 @@ struct FitScratch {
     uint32_t* taken;       // [blocks] how many of its list were blended
     uint32_t* spans;       // [rows of blocks of all splats]: first block and last block of a row
     uint32_t* list;        // [pairs of splat and block]
-    float* known;          // [area] inverse depths, 0 where unknown; FIT_IGNORED where a pixel is not compared
+    float* known;          // [area] inverse depths, 0 where unknown, below 0 where a pixel is not compared
     float* image;          // [FIT_CHANNELS, area]
     float* slopes;         // [FIT_CHANNELS, area]: the loss by the image
     float* maps;           // [11, area] of the structural similarity

@@ -9,16 +9,16 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from splatrl.cameras import Cameras, intrinsics, look_at
+from splatrl.cameras import Cameras
 from splatrl.capture.base import Reconstruction
 from splatrl.capture.fit import FitSettings, fit, held_out, trained
 from splatrl.capture.fit_pictures import frame_of
 from splatrl.capture.moving import asked, difference, find_moving
 from splatrl.capture.stereo import Depths, find_depths
 from splatrl.renderers import NativeRenderer
-from tests.capture.test_stereo import speckled
+from tests.capture.test_stereo import HEIGHT, WIDTH, photographed, speckled
 
-WIDTH, HEIGHT, COUNT = 96, 72, 24
+COUNT = 24
 RADIUS = 13
 """Pixels: of the ball that is in each third photo, where it never is in another."""
 SETTINGS = FitSettings(width=WIDTH, cap=14_000, views=1_000, sh_degree=0, levels=((0.0, 0.5), (0.3, 1.0)), threads=1)
@@ -32,29 +32,15 @@ def ball(row: int) -> Tensor:
     return inside & (row % 3 == 1)
 
 
-def photographed(folder: Path, with_ball: bool) -> Reconstruction:
-    """A speckled wall and a box before it, from places in a row, each photo as bright as it likes."""
-    scene, across = speckled(), torch.linspace(-0.6, 0.6, COUNT)
-    eyes = torch.stack([across, 0.1 * torch.sin(9 * across), torch.zeros(COUNT)], 1)
-    poses, K = look_at(eyes, eyes + torch.tensor([0.0, 0.0, 1.0]), up=(0.0, -1.0, 0.0)), intrinsics(0.9, WIDTH, HEIGHT)
-    paths = []
-    for row, image in enumerate(NativeRenderer(scene, threads=1).pixels(Cameras(poses, K, WIDTH, HEIGHT)).float()):
+def row_of_photos(folder: Path, with_ball: bool) -> Reconstruction:
+    """A speckled wall and a box before it, each photo as bright as it likes."""
+
+    def changed(row: int, image: Tensor) -> Tensor:
         if with_ball:
-            image[ball(row)] = torch.tensor([250.0, 240.0, 20.0])
-        paths.append(folder / f"{row:02d}.png")
-        Image.fromarray((image * (1.0 - 0.1 * (row % 2))).byte().numpy()).save(paths[-1])
-    points = scene.means[::40].double()
-    return Reconstruction(
-        paths=paths,
-        width=WIDTH,
-        height=HEIGHT,
-        K=K.double(),
-        camera_to_world=poses.double(),
-        points=points,
-        colors=torch.full((len(points), 3), 128, dtype=torch.uint8),
-        seen_point=torch.arange(len(points)).repeat(COUNT),
-        seen_by=torch.arange(COUNT).repeat_interleave(len(points)),
-    )
+            image[ball(row)] = torch.tensor([250, 240, 20], dtype=torch.uint8)
+        return (image.float() * (1.0 - 0.1 * (row % 2))).byte()
+
+    return photographed(folder, COUNT, 0.6, 40, changed)
 
 
 def depths_of(capture: Reconstruction) -> Depths:
@@ -68,12 +54,12 @@ def photos_of(capture: Reconstruction) -> Tensor:
 
 @pytest.fixture(scope="module")
 def still(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
-    return photographed(tmp_path_factory.mktemp("still"), with_ball=False)
+    return row_of_photos(tmp_path_factory.mktemp("still"), with_ball=False)
 
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
-    return photographed(tmp_path_factory.mktemp("with_ball"), with_ball=True)
+    return row_of_photos(tmp_path_factory.mktemp("with_ball"), with_ball=True)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Depths of photos from their neighbours: right where photos decide, silent where they do not, or a sensor's."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,18 +43,19 @@ def speckled() -> Gaussians:
     )
 
 
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
-    folder = tmp_path_factory.mktemp("photos")
-    scene, across = speckled(), torch.linspace(-0.4, 0.4, COUNT)
-    eyes = torch.stack([across, 0.1 * torch.sin(9 * across), torch.zeros(COUNT)], 1)
+def photographed(
+    folder: Path, count: int, side: float, every: int, changed: Callable[[int, Tensor], Tensor]
+) -> Reconstruction:
+    """The sheets from places in a row, so far to each side, each image [H, W, 3] uint8 changed by its number."""
+    scene, across = speckled(), torch.linspace(-side, side, count)
+    eyes = torch.stack([across, 0.1 * torch.sin(9 * across), torch.zeros(count)], 1)
     poses = look_at(eyes, eyes + torch.tensor([0.0, 0.0, 1.0]), up=(0.0, -1.0, 0.0))
     K = intrinsics(0.9, WIDTH, HEIGHT)
     paths = []
-    for row, image in enumerate(NativeRenderer(scene).pixels(Cameras(poses, K, WIDTH, HEIGHT))):
+    for row, image in enumerate(NativeRenderer(scene, threads=1).pixels(Cameras(poses, K, WIDTH, HEIGHT))):
         paths.append(folder / f"{row:02d}.png")
-        Image.fromarray(image.numpy()).save(paths[-1])
-    points = scene.means[::150].double()
+        Image.fromarray(changed(row, image).numpy()).save(paths[-1])
+    points = scene.means[::every].double()
     return Reconstruction(
         paths=paths,
         width=WIDTH,
@@ -62,9 +64,14 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
         camera_to_world=poses.double(),
         points=points,
         colors=torch.zeros(len(points), 3, dtype=torch.uint8),
-        seen_point=torch.arange(len(points)).repeat(COUNT),
-        seen_by=torch.arange(COUNT).repeat_interleave(len(points)),
+        seen_point=torch.arange(len(points)).repeat(count),
+        seen_by=torch.arange(count).repeat_interleave(len(points)),
     )
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
+    return photographed(tmp_path_factory.mktemp("photos"), COUNT, 0.4, 150, lambda row, image: image)
 
 
 def drawn_depths(capture: Reconstruction) -> Tensor:

@@ -16,7 +16,7 @@ struct FitViews {
     const float* camera_to_world;  // [views, 4, 4]
     const float* K;                // [views, 3, 3]
     const int64_t* photos;         // [views] which photo each is compared with
-    const float* known;            // [photos, height, width] inverse depths, 0 where unknown; FIT_IGNORED where not compared
+    const float* known;            // [photos, height, width] inverse depths, 0 where unknown, below 0 where not compared
     int views, width, height;
 
     INLINE_MEMBER int across() const { return (width + FIT_TILE - 1) / FIT_TILE; }
