@@ -87,7 +87,7 @@ def _read_ply(path: Path) -> NDArray[np.float64]:
             f"{path}: expected vertices with x, y and z, got none with {', '.join(missing)}; "
             f"they have {', '.join(vertex.properties) or 'nothing'}"
         )
-    (points,) = vertex_columns(path, header, [AXES], np.float64)
+    (points,) = vertex_columns(path, header, [AXES], [np.float64])
     return points
 
 

@@ -93,7 +93,7 @@ def look(options: argparse.Namespace) -> None:
     upright = print_guess(gaussians, stated.up() if up is None else up, up is not None, stated.scale or scale)
     frame = stated.frame(upright)
     world_from_splat = similarity(**frame)
-    standing = gaussians.transformed(world_from_splat)
+    standing = read_gaussians(path, transform=world_from_splat)
     scene = Scene(path.stem, standing, robust_bounds(standing))
     drawn, floor = antialiased_beside(path), floor_height(upright, world_from_splat)
     proposals = {} if drawn is None else {"antialiased": drawn}

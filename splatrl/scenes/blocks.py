@@ -56,8 +56,7 @@ class Block:
             FileNotFoundError: where the file is gone.
             ValueError: for a damaged file.
         """
-        gaussians = read_gaussians(self.splat, self.max_inflation)
-        return gaussians if self.world_from_splat is None else gaussians.transformed(self.world_from_splat)
+        return read_gaussians(self.splat, self.max_inflation, self.world_from_splat)
 
     @cached_property
     def digest(self) -> str:

@@ -45,6 +45,8 @@ class Gaussians(TensorClass):
     def transformed(self, transform: Tensor) -> "Gaussians":
         """The same Gaussians in another frame; their spherical harmonics rotate with them.
 
+        Means that are more precise than all else, as those of a file with doubles, are rounded after they moved.
+
         Args:
             transform: [4, 4], a rotation, a uniform positive scale and a translation.
 
@@ -58,7 +60,7 @@ class Gaussians(TensorClass):
             raise ValueError(f"transform: expected a rotation times a positive scale, got {matrix[:3, :3].tolist()}")
         turn = rotation.to(self.means)
         return Gaussians(
-            means=self.means @ (turn.T * scale.to(self.means)) + matrix[:3, 3].to(self.means),
+            means=(self.means @ (turn.T * scale.to(self.means)) + matrix[:3, 3].to(self.means)).to(self.scales.dtype),
             quats=multiply_quats(rotations_to_quats(rotation).to(self.quats), self.quats),
             scales=self.scales * scale.to(self.scales),
             opacities=self.opacities,
@@ -77,7 +79,7 @@ def checked_gaussians(
 
     Args:
         source: what the values came from, for the messages.
-        means: [N, 3].
+        means: [N, 3]; doubles stay doubles, to be ``transformed`` before they are rounded.
         quats: [N, 4] wxyz, any length.
         scales: [N, 3] metres.
         opacities: [N].
@@ -95,8 +97,9 @@ def checked_gaussians(
             raise ValueError(f"{source}: {name}: expected shape {list(shape)}, got {list(value.shape)}")
     if sh.ndim != 3 or sh.shape[0] != count or sh.shape[1] not in (1, 4, 9, 16) or sh.shape[2] != 3:
         raise ValueError(f"{source}: sh: expected shape [{count}, 1 or 4 or 9 or 16, 3], got {list(sh.shape)}")
-    means, quats, scales, opacities, sh = (v.float() for v in (means, quats, scales, opacities, sh))
-    finite = torch.stack([_finite(v.reshape(count, -1)) for v in (means, quats, scales, opacities, sh)]).all(0)
+    places, quats, scales, opacities, sh = (v.float() for v in (means, quats, scales, opacities, sh))
+    means = means if means.dtype == torch.float64 else places
+    finite = torch.stack([_finite(v.reshape(count, -1)) for v in (places, quats, scales, opacities, sh)]).all(0)
     norms = quats.double().norm(dim=1, keepdim=True)  # float64: squares neither underflow nor overflow
     finite &= (norms[:, 0] > 0) & (scales > 0).all(1)
     visible = opacities >= INVISIBLE

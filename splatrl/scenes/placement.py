@@ -43,12 +43,11 @@ def upright_frame(
         scale: metres per unit.
         translation: [3] metres, added last.
     """
-    scale = upright.metres_per_unit if scale is None else scale
-    shift = [0.0, 0.0, -upright.floor * scale] if translation is None else translation
-    short = [_rounded(value) for value in shift]
+    scale = _rounded(upright.metres_per_unit) if scale is None else scale
+    short = [0.0, 0.0, _rounded(-upright.floor * scale)] if translation is None else list(translation)
     name = axis_name(upright.up)
     if axes is not None or name is not None:
-        return {"axes": list(axes or STANDING[str(name)]), "scale": _rounded(scale), "translation": short}
+        return {"axes": list(axes or STANDING[str(name)]), "scale": scale, "translation": short}
     transform = np.eye(4)
     transform[:3, :3] = scale * _standing(upright.up)
     transform[:3, 3] = short
@@ -58,7 +57,8 @@ def upright_frame(
 def matrix_frame(transform: Tensor | ArrayLike) -> Frame:
     """The frame of a 4×4 similarity, with numbers short enough to read."""
     matrix = checked_similarity(torch.as_tensor(np.asarray(transform, np.float64)))
-    return {"matrix": [[_rounded(value, 8) for value in row] for row in matrix.tolist()]}
+    rows = [[*(_rounded(value, 8) for value in row[:3]), _rounded(row[3], 12)] for row in matrix.tolist()]
+    return {"matrix": rows}
 
 
 def nerfstudio_transform(path: Path) -> Tensor:

@@ -92,7 +92,6 @@ def read_scene(
         warn_of_scale(splat, stated)
         free = None if _says_something(world_from_splat) else _free_space(splat, stated)
         splat = splat / stated["splat"]
-    gaussians = read_gaussians(splat, max_inflation)
     transform = _transform(stated.get("world_from_splat"), world_from_splat)
     if transform is None:
         transform = transform_beside(splat)
@@ -102,8 +101,7 @@ def read_scene(
                 "how it lies, or state world_from_splat",
                 stacklevel=2,
             )
-    if transform is not None:
-        gaussians = gaussians.transformed(transform)
+    gaussians = read_gaussians(splat, max_inflation, transform)
     corners = stated.get("bounds") if bounds is None else bounds
     return Scene(
         name=name or stated.get("name", fallback),

@@ -30,7 +30,9 @@ def read_ply(path: Path, max_inflation: float) -> Gaussians:
         return read_compressed_ply(path, header)
     rest = np.array(_checked_fields(path, header), object).reshape(3, -1).T  # the file keeps channels together
     groups = (MEANS, QUATS, SCALES, ("opacity",), (*SH0, *rest.ravel()))
-    means, quats, log_scales, logits, sh = vertex_columns(path, header, groups, np.float32)
+    doubles = {"double", "float64"} & {header.elements["vertex"].properties[name] for name in MEANS}
+    dtypes = [np.float64 if doubles else np.float32, *[np.float32] * (len(groups) - 1)]
+    means, quats, log_scales, logits, sh = vertex_columns(path, header, groups, dtypes)
     return activated(path, means, quats, log_scales, logits[:, 0], sh.reshape(len(sh), 1 + len(rest), 3))
 
 

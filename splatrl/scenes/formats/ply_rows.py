@@ -19,9 +19,10 @@ TYPES |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
 BLOCK = 1 << 14
 """Rows that are read at once, so that a file is never held whole beside what it becomes."""
 Names = Sequence[Sequence[str]]
+Dtypes = Sequence[np.dtype[Any]]
 
 
-def vertex_columns(path: Path, header: PlyHeader, groups: Names, dtype: DTypeLike) -> list[NDArray[Any]]:
+def vertex_columns(path: Path, header: PlyHeader, groups: Names, dtypes: Sequence[DTypeLike]) -> list[NDArray[Any]]:
     """Some properties of a file's vertices.
 
     Lists, whose lengths are only in the rows, are refused in the vertices and before them, and not read after them.
@@ -30,7 +31,7 @@ def vertex_columns(path: Path, header: PlyHeader, groups: Names, dtype: DTypeLik
         path: of the file.
         header: of the file; it has an element vertex with these properties.
         groups: names of the properties, of each array of the result, in order.
-        dtype: of the result; a double that is too large for it becomes infinite.
+        dtypes: of each array; a double that is too large for it becomes infinite.
 
     Returns:
         Of each group [N, len(names)], contiguous.
@@ -45,7 +46,7 @@ def vertex_columns(path: Path, header: PlyHeader, groups: Names, dtype: DTypeLik
     read = _ascii if header.format == "ascii" else _binary
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            return read(path, header, groups, np.dtype(dtype))
+            return read(path, header, groups, [np.dtype(dtype) for dtype in dtypes])
     except (ValueError, OverflowError, IndexError) as error:
         raise ValueError(f"{path}: expected the rows that the header describes, got a damaged file: {error}") from error
 
@@ -54,8 +55,8 @@ def _before_vertices(header: PlyHeader) -> list[PlyElement]:
     return [header.elements[name] for name in itertools.takewhile(lambda name: name != "vertex", header.elements)]
 
 
-def _ascii(path: Path, header: PlyHeader, groups: Names, dtype: np.dtype[Any]) -> list[NDArray[Any]]:
-    vertex, found = header.elements["vertex"], _empty(header, groups, dtype)
+def _ascii(path: Path, header: PlyHeader, groups: Names, dtypes: Dtypes) -> list[NDArray[Any]]:
+    vertex, found = header.elements["vertex"], _empty(header, groups, dtypes)
     places = {name: place for place, name in enumerate(vertex.properties)}
     chosen = [places[name] for names in groups for name in names]
     ends = np.cumsum([len(names) for names in groups])[:-1]
@@ -73,7 +74,7 @@ def _ascii(path: Path, header: PlyHeader, groups: Names, dtype: np.dtype[Any]) -
     return found
 
 
-def _binary(path: Path, header: PlyHeader, groups: Names, dtype: np.dtype[Any]) -> list[NDArray[Any]]:
+def _binary(path: Path, header: PlyHeader, groups: Names, dtypes: Dtypes) -> list[NDArray[Any]]:
     vertex = header.elements["vertex"]
     sizes = [element.size for element in _before_vertices(header)]
     if None in sizes:
@@ -83,7 +84,7 @@ def _binary(path: Path, header: PlyHeader, groups: Names, dtype: np.dtype[Any]) 
     row = np.dtype([(name, order + TYPES[kind]) for name, kind in vertex.properties.items()])
     if header.file_size - start < vertex.count * row.itemsize:
         raise ValueError(f"expected {vertex.count * row.itemsize} bytes of vertices, got {header.file_size - start}")
-    found = _empty(header, groups, dtype)
+    found = _empty(header, groups, dtypes)
     with path.open("rb") as stream:
         stream.seek(start)
         for first in range(0, vertex.count, BLOCK):
@@ -94,5 +95,6 @@ def _binary(path: Path, header: PlyHeader, groups: Names, dtype: np.dtype[Any]) 
     return found
 
 
-def _empty(header: PlyHeader, groups: Names, dtype: np.dtype[Any]) -> list[NDArray[Any]]:
-    return [np.empty((header.elements["vertex"].count, len(names)), dtype) for names in groups]
+def _empty(header: PlyHeader, groups: Names, dtypes: Dtypes) -> list[NDArray[Any]]:
+    count = header.elements["vertex"].count
+    return [np.empty((count, len(names)), dtype) for names, dtype in zip(groups, dtypes, strict=True)]

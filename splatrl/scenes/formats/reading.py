@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 
 import numpy as np
+from torch import Tensor
 
 from splatrl.files import refusing
 from splatrl.scenes.formats.limits import MAX_INFLATION
@@ -29,14 +30,18 @@ def readers() -> dict[str, Reader]:
     return {ending: read for module in modules for ending, read in vars(module).get("READERS", {}).items()}
 
 
-def read_gaussians(path: str | os.PathLike[str], max_inflation: float = MAX_INFLATION) -> Gaussians:
-    """Read a splat file, in the file's own frame and unit.
+def read_gaussians(
+    path: str | os.PathLike[str], max_inflation: float = MAX_INFLATION, transform: Tensor | None = None
+) -> Gaussians:
+    """Read a splat file, in the file's own frame and unit, or in another one.
 
     Args:
         path: a .ply (3DGS as trainers write it, or compressed), .spz (version 2 to 4), .splat or .sog file, or the
             folder or the meta.json of an unpacked SOG. SOG, compressed PLY and SPZ 4 need the extra:
             ``pip install 'splatrl[gsply]'``.
         max_inflation: bytes that a byte of a compressed file may unpack to; more than ``MAX_INFLATION`` is rarely real.
+        transform: [4, 4] similarity from the file's frame to that of the result. Places that a PLY holds as doubles are
+            moved as doubles, so that georeferenced ones keep their millimetres.
 
     Raises:
         FileNotFoundError: where there is no such file.
@@ -59,6 +64,9 @@ def read_gaussians(path: str | os.PathLike[str], max_inflation: float = MAX_INFL
         raise ValueError(f"{path}: expected a splat file, got an empty one")
     with refusing(path, "a whole splat file"):
         gaussians = reader(path, max_inflation)
+    if transform is not None:
+        gaussians = gaussians.transformed(transform)
+    gaussians.means = gaussians.means.float()
     _warn_of_distance(path, gaussians)
     return gaussians
 
@@ -70,6 +78,7 @@ def _warn_of_distance(path: Path, gaussians: Gaussians) -> None:
     if step > float(gaussians.scales.amax(1).median()):
         warnings.warn(
             f"{path}: half of its Gaussians lie more than {away:.3g} units from the origin, where single precision "
-            f"rounds places to {step:.2g} and they are smaller: subtract an offset before they are written",
+            f"rounds places to {step:.2g} and they are smaller: subtract an offset before they are written, or of a "
+            "PLY with doubles by world_from_splat.translation",
             stacklevel=3,
         )

@@ -14,13 +14,18 @@ Floats = NDArray[np.float32]
 
 
 def activated(
-    source: object, means: Floats, quats: Floats, log_scales: Floats, opacity_logits: Floats, sh: Floats
+    source: object,
+    means: Floats | NDArray[np.float64],
+    quats: Floats,
+    log_scales: Floats,
+    opacity_logits: Floats,
+    sh: Floats,
 ) -> Gaussians:
     """Gaussians from the values that a file stores.
 
     Args:
         source: what the values came from, for the messages.
-        means: [N, 3].
+        means: [N, 3], or float64 where the file holds doubles.
         quats: [N, 4] wxyz, any length.
         log_scales: [N, 3].
         opacity_logits: [N].

@@ -1,0 +1,79 @@
+"""Places that a PLY holds as doubles, such as those of a map's grid, keep their millimetres when they are moved."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from splatrl.commands import scene as scene_command
+from splatrl.scenes import Gaussians, read_gaussians, read_scene
+from splatrl.scenes.blocks import Block
+from splatrl.scenes.frame import similarity
+from tests.scenes.samples import ply_fields, sample_gaussians
+from tests.tiny import tiny_gaussians
+
+PLACE = np.array([500_000.25, 5_400_000.125, 431.5])
+"""Metres east, north and up: single precision rounds them to 0.03 and 0.5 m."""
+SHIFT = {"translation": (-PLACE).tolist()}
+
+
+def doubles(path: Path, gaussians: Gaussians, at: np.ndarray = PLACE, kind: str = "binary_little_endian") -> Path:
+    """A PLY whose places are doubles and whose other fields are single."""
+    fields: dict[str, Any] = ply_fields(gaussians)
+    fields |= {name: fields[name].astype(np.float64) + at[i] for i, name in enumerate("xyz")}
+    rows = np.rec.fromarrays([*fields.values()], dtype=[(n, "<f8" if n in "xyz" else "<f4") for n in fields])
+    types = [f"property {'double' if name in 'xyz' else 'float'} {name}" for name in fields]
+    header = ["ply", f"format {kind} 1.0", f"element vertex {len(rows)}", *types, "end_header", ""]
+    body = rows.tobytes()
+    if kind == "ascii":
+        body = "".join(" ".join(repr(float(value)) for value in row) + "\n" for row in rows).encode()
+    path.write_bytes("\n".join(header).encode() + body)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["binary_little_endian", "ascii"])
+def test_a_scene_is_moved_before_its_places_are_rounded(kind: str, tmp_path: Path) -> None:
+    near = sample_gaussians(50, 1)
+    scene = read_scene(doubles(tmp_path / "a.ply", near, kind=kind), world_from_splat=SHIFT)
+    assert scene.gaussians.means.dtype == torch.float32
+    torch.testing.assert_close(scene.gaussians.means, near.means, atol=1e-6, rtol=0.0)
+
+
+def test_so_is_a_block_and_a_folder(tmp_path: Path) -> None:
+    near = sample_gaussians(50, 0)
+    path = doubles(tmp_path / "a.ply", near)
+    block = Block(path, ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)), similarity(**SHIFT))
+    (tmp_path / "scene.yaml").write_text(f"splat: a.ply\nworld_from_splat: {{translation: {SHIFT['translation']}}}\n")
+    for moved in (block.read(), read_scene(tmp_path).gaussians):
+        torch.testing.assert_close(moved.means, near.means, atol=1e-6, rtol=0.0)
+
+
+def test_without_a_frame_places_are_single_and_those_beyond_its_range_are_dropped(tmp_path: Path) -> None:
+    near = sample_gaussians(4, 0)
+    assert read_gaussians(doubles(tmp_path / "a.ply", near, 0 * PLACE)).means.dtype == torch.float32
+    near.means[1, 2] = torch.inf
+    with pytest.warns(UserWarning, match="dropped 1 non-finite"):
+        assert len(read_gaussians(doubles(tmp_path / "a.ply", near, 0 * PLACE))) == 3
+    with pytest.raises(ValueError, match="expected at least one finite, visible Gaussian"):
+        read_gaussians(doubles(tmp_path / "b.ply", sample_gaussians(4, 0), np.array([0.0, 0.0, 1e200])))
+
+
+def test_splatrl_scene_takes_an_offset_before_it_rounds(tmp_path: Path) -> None:
+    path = doubles(tmp_path / "a.ply", tiny_gaussians())
+    x, y, z = SHIFT["translation"]
+    frames = [
+        ["--axes=x,y,z", "--scale=1", f"--translation={x},{y},{z}"],
+        [f"--matrix=1,0,0,{x},0,1,0,{y},0,0,1,{z},0,0,0,1"],
+    ]
+    for words, out in [(frames[0], "a"), (frames[1], "b"), (frames[0], "c.spz")]:
+        scene_command.main([str(path), *words, "--height=0.5", "--out", str(tmp_path / out)])
+        moved = read_scene(tmp_path / out.removesuffix(".spz")).gaussians
+        torch.testing.assert_close(moved.means, tiny_gaussians().means, atol=1e-3, rtol=0.0)
+
+
+def test_doubles_that_are_still_far_away_are_warned_of_with_what_to_do(tmp_path: Path) -> None:
+    near = sample_gaussians(50, 0)
+    with pytest.warns(UserWarning, match="or of a PLY with doubles by world_from_splat.translation"):
+        read_gaussians(doubles(tmp_path / "a.ply", near))
