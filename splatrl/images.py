@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps
+from PIL import Image, ImageChops, ImageOps
 
 from splatrl.files import refusing
 
@@ -23,10 +23,12 @@ ORIENTATION = 0x0112
 """The tag of EXIF."""
 MAX_PIXELS = 64 * 2**20
 """Of one image: more than any phone takes."""
+MOST_OBLONG = 4.0
+"""Longer side of a video's pixels over the shorter one, at most; those of anamorphic lenses have 2."""
 
 
 def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True) -> Image.Image:
-    """Read a photo, RGB.
+    """Read a photo, RGB: of 16 bits the higher eight, and black where it is transparent.
 
     Args:
         path: of a PNG, a JPEG or a WebP.
@@ -37,7 +39,21 @@ def read_photo(path: Path, stream: BinaryIO | None = None, upright: bool = True)
         ValueError: for a file that is broken, of another kind, or too large.
     """
     with _opened(path, stream, PHOTO_FORMATS) as image:
-        return (ImageOps.exif_transpose(image) if upright else image).convert("RGB")
+        if upright:
+            ImageOps.exif_transpose(image, in_place=True)
+        return _rgb(image)
+
+
+def _rgb(image: Image.Image) -> Image.Image:
+    """What an image shows; Pillow alone makes most of 16 bits white, and shows what is hidden."""
+    if image.mode.startswith("I;16"):
+        return Image.fromarray((np.asarray(image) >> 8).astype(np.uint8)).convert("RGB")
+    if not image.has_transparency_data:
+        return image.convert("RGB")
+    image = image if "A" in image.mode else image.convert("RGBA")
+    shown = image.convert("RGB")
+    shown.paste("black", mask=ImageChops.invert(image.getchannel("A")))
+    return shown
 
 
 def photo_size(path: Path) -> tuple[int, int]:
@@ -88,7 +104,8 @@ def open_video(path: Path) -> Iterator["InputContainer"]:
         path: of the file.
 
     Raises:
-        ValueError: where it cannot be read, is not a video in one of ``CONTAINERS``, or has too large images.
+        ValueError: where it cannot be read, is not a video in one of ``CONTAINERS``, or has too large images or too
+            oblong pixels.
     """
     import av
 
@@ -100,9 +117,28 @@ def open_video(path: Path) -> Iterator["InputContainer"]:
         if not container.streams.video:
             raise ValueError(f"{path}: expected a video, found no stream of images")
         track = container.streams.video[0]
-        require_small(path, track.width, track.height)
+        aspect = pixel_aspect(container)
+        if not 1.0 / MOST_OBLONG <= aspect <= MOST_OBLONG:
+            raise ValueError(f"{path}: expected pixels about as wide as high, got {track.sample_aspect_ratio}")
+        require_small(path, *square_size(track.width, track.height, aspect))
         track.codec_context.options = {"max_pixels": str(MAX_PIXELS)}  # images may say more than their container
         yield container
+
+
+def pixel_aspect(container: "InputContainer") -> float:
+    """How wide a video's pixels are meant to be shown, in heights of them: 1 unless it is anamorphic."""
+    return float(container.streams.video[0].sample_aspect_ratio or 1)
+
+
+def square_size(width: int, height: int, aspect: float) -> tuple[int, int]:
+    """Width and height of an image with square pixels, none fewer than it has in any direction."""
+    return (round(width * aspect), height) if aspect > 1.0 else (width, round(height / aspect))
+
+
+def square_pixels(image: Image.Image, aspect: float) -> Image.Image:
+    """An image of a video of some ``pixel_aspect`` as it is meant to be shown."""
+    size = square_size(*image.size, aspect)
+    return image if size == image.size else image.resize(size, Image.Resampling.BILINEAR)
 
 
 def require_small(path: Path, width: int, height: int) -> None:

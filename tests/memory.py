@@ -239,6 +239,8 @@ COSTLY = {
     "pcd": Costly("a.pcd", _ascii("\x01\x01\x01", PCD + "binary\n", 400_000), read_points, 32),
     "ascii pcd": Costly("a.pcd", _ascii("1 1 1\n", PCD + "ascii\n", 400_000), read_points, 24),
     "photo": Costly("a.png", lambda: _png(8192, 8192, 2, 3, 8), read_photo, 0, 900 * MIB),
+    "transparent photo": Costly("a.png", lambda: _png(8192, 8192, 6, 4, 8), read_photo, 0, 900 * MIB),
+    "grey photo of 16 bits": Costly("a.png", lambda: _png(8192, 8192, 0, 1, 16), read_photo, 0, 900 * MIB),
     "depth": Costly("a.png", lambda: _png(8192, 8192, 0, 1, 16), read_grey, 0, 480 * MIB),
     "sprite": Costly("a.png", lambda: _png(4096, 4096, 6, 4, 8), load_sprite, 0, 900 * MIB),
     "yaml": Costly("a.yaml", lambda: b"a: [" + b"[]," * 10_000 + b"]", read_yaml, 2000),

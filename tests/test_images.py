@@ -1,10 +1,12 @@
-"""Videos from strangers: what their images say holds, not what the file says of them."""
+"""Photos and videos from strangers: each kind shows what was meant, and images hold of which a file says less."""
 
+from fractions import Fraction
 from pathlib import Path
 
 import av
 import numpy as np
 import pytest
+from PIL import Image
 
 from splatrl import images
 from splatrl.evaluation.clip_files import film_images
@@ -42,3 +44,77 @@ def test_an_image_that_is_larger_than_its_file_says_is_not_decoded(
         list(film_images(path))
     monkeypatch.setattr(images, "MAX_PIXELS", 256 * 256)
     assert {image.size for image in film_images(path)} == {(32, 32), (256, 256)}
+
+
+RAMP = np.linspace(0, 255, 12).round().astype(np.uint8)[:, None].repeat(8, 1)
+"""[12, 8] dark above, bright below."""
+
+
+def test_a_grey_photo_of_16_bits_shows_their_higher_half(tmp_path: Path) -> None:
+    Image.fromarray(RAMP.astype(np.uint16) * 256 + 77).save(tmp_path / "a.png")
+    assert np.array_equal(np.asarray(images.read_photo(tmp_path / "a.png")), RAMP[..., None].repeat(3, 2))
+
+
+@pytest.mark.parametrize("kind", ["RGBA", "LA", "P"])
+def test_what_is_transparent_is_black_whatever_is_hidden_there(kind: str, tmp_path: Path) -> None:
+    alpha = np.full_like(RAMP, 255)
+    alpha[:3], alpha[3:6] = 0, 128
+    colors = np.concatenate([RAMP[..., None].repeat(3, 2), alpha[..., None]], 2)
+    colors[:3, :, 1] = 250  # hidden
+    image = Image.fromarray(colors)
+    if kind == "P":
+        image = image.quantize(256, Image.Quantize.FASTOCTREE)
+    (image.convert("LA") if kind == "LA" else image).save(tmp_path / "a.png")
+    with Image.open(tmp_path / "a.png") as written:
+        assert written.mode == kind
+    shown = np.asarray(images.read_photo(tmp_path / "a.png")).astype(int)
+    assert shown[:3].max() <= 2
+    assert np.abs(shown[3:6] - RAMP[3:6, :, None] * 0.5).max() <= 4 and np.abs(shown[6:] - RAMP[6:, :, None]).max() <= 6
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_photos_are_upright_however_the_camera_was_held(orientation: int, tmp_path: Path) -> None:
+    stored = {
+        2: Image.Transpose.FLIP_LEFT_RIGHT,
+        3: Image.Transpose.ROTATE_180,
+        4: Image.Transpose.FLIP_TOP_BOTTOM,
+        5: Image.Transpose.TRANSPOSE,
+        6: Image.Transpose.ROTATE_90,
+        7: Image.Transpose.TRANSVERSE,
+        8: Image.Transpose.ROTATE_270,
+    }
+    upright = np.stack([RAMP, RAMP // 2, np.linspace(0, 90, 8).astype(np.uint8)[None].repeat(12, 0)], 2)
+    image, exif = Image.fromarray(upright), Image.Exif()
+    exif[images.ORIENTATION] = orientation
+    (image.transpose(stored[orientation]) if orientation > 1 else image).save(tmp_path / "a.png", exif=exif)
+    assert np.array_equal(np.asarray(images.read_photo(tmp_path / "a.png")), upright)
+    assert images.photo_size(tmp_path / "a.png") == (8, 12)
+
+
+def anamorphic(path: Path, size: tuple[int, int], aspect: Fraction) -> Path:
+    """A film in lossless RGB whose left third is red."""
+    pixels = np.full((size[1], size[0], 3), 60, np.uint8)
+    pixels[:, : size[0] // 3] = (250, 20, 20)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264rgb", rate=10, options={"qp": "0"})
+        stream.width, stream.height, stream.pix_fmt = *size, "rgb24"
+        stream.codec_context.sample_aspect_ratio = aspect
+        for _ in range(6):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels)))
+        container.mux(stream.encode(None))
+    return path
+
+
+@pytest.mark.parametrize(("aspect", "shown"), [("4/3", (128, 72)), ("1/2", (96, 144)), ("1", (96, 72))])
+def test_anamorphic_films_have_square_pixels(aspect: str, shown: tuple[int, int], tmp_path: Path) -> None:
+    path = anamorphic(tmp_path / "film.mkv", (96, 72), Fraction(aspect))
+    for image in film_images(path):
+        pixels = np.asarray(image).astype(int)
+        assert image.size == shown
+        assert pixels[:, : shown[0] // 3 - 2, 0].min() > 240 and pixels[:, shown[0] // 3 + 2 :].max() < 70
+
+
+def test_pixels_of_a_film_that_are_hardly_any_are_refused(tmp_path: Path) -> None:
+    path = anamorphic(tmp_path / "film.mkv", (96, 72), Fraction(60, 1))
+    with pytest.raises(ValueError, match=r"film\.mkv: expected pixels about as wide as high, got 60"):
+        list(film_images(path))

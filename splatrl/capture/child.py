@@ -16,7 +16,11 @@ from typing import IO
 from splatrl.capture.base import CaptureError
 from splatrl.capture.progress import Progress
 
-COLMAP_TELLS = {"extract": re.compile(r"Processed file \[(\d+)/(\d+)\]"), "match": re.compile(r"block \[(\d+)/(\d+)")}
+COLMAP_TELLS = {
+    "extract": re.compile(r"Processed file \[(\d+)/(\d+)\]"),
+    "match": re.compile(r"block \[(\d+)/(\d+)"),
+    "map at once": re.compile(r"bundle adjustment iteration (\d+) / (\d+) finished"),
+}
 KEPT_LINES = 12
 FULL = re.compile(r"disk is full|No space left", re.IGNORECASE)
 """What SQLite and the system say; the lines of COLMAP's crash that follow hide it."""

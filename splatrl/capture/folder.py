@@ -102,7 +102,8 @@ def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
     checks = {
         "It is not metric: nothing told its scale. Film a printed marker, or state a distance or the camera's height; "
         "until then lengths are those of a camera 1.5 m above the floor.": not placed.metric,
-        "Up comes from how the camera was held, because too little of a floor was seen.": placed.up_from == "cameras",
+        "Up comes from how the camera was held, because too little of a floor was seen: it may be off by "
+        f"{placed.up_error_deg:.0f}°, and the floor may be lower.": placed.up_from == "cameras",
         f"{100 * missing:.0f} % of the images have no pose.": missing > MOST_MISSING,
         f"Something is solid where the camera was, on {100 * (1 - quality.path_free):.0f} % of its path "
         "(red in the map).": quality.path_free < GOOD_PATH,

@@ -18,6 +18,7 @@ from splatrl.capture import photo_files, videos
 from splatrl.capture.base import CaptureError, Photos
 from splatrl.capture.progress import Progress, silent
 from splatrl.files import new_folder
+from splatrl.images import PHOTO_SUFFIXES
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -28,7 +29,7 @@ PER_SECOND = 4.0
 SHARPNESS_WIDTH = 480
 BLACK = 10.0
 """Mean grey below which a frame of a video shows nothing: the lens was covered, or clips were faded into each other."""
-VERSION = 5
+VERSION = 6
 Thing = TypeVar("Thing")
 
 
@@ -69,6 +70,8 @@ def read_photos(
         raise ValueError(f"longest: expected at least 16 pixels, got {longest}")
     if not source.exists():
         raise CaptureError(f"{source}: expected a video or a folder of photos, found none")
+    if source.is_file() and source.suffix.lower() in (*PHOTO_SUFFIXES, *photo_files.UNREAD):
+        raise CaptureError(f"{source}: expected a video or a folder of photos, got a photo: name its folder")
     digest = _digest(source, [VERSION, count, longest])
     kept = folder / "frames"
     if _index(kept).get("digest") != digest:
@@ -120,7 +123,7 @@ def sharpest(graded: Iterable[tuple[int, Thing, float]]) -> Iterator[Thing]:
 def _from_video(source: Path, count: tuple[int, int], longest: int, progress: Progress) -> Iterator[_Taken]:
     times = videos.packet_times(source)
     ends, start, found = buckets(times, count), float(times[0]), False
-    transfer = videos.transfer_of(source)
+    encoding = videos.encoding_of(source)
 
     def graded() -> Iterator[tuple[int, "VideoFrame", float]]:
         for number, (seconds, frame) in enumerate(videos.frames(source)):
@@ -131,7 +134,7 @@ def _from_video(source: Path, count: tuple[int, int], longest: int, progress: Pr
 
     for best in sharpest(graded()):
         found = True
-        yield _Taken(videos.upright(best, longest, transfer), float(best.time) - start)
+        yield _Taken(videos.upright(best, longest, encoding), float(best.time) - start)
     if not found:
         raise CaptureError(f"{source}: expected frames that are not black, could decode none")
     progress("frames", len(times), len(times))

@@ -22,7 +22,7 @@ from splatrl.capture.fit_pictures import Frame, frame_of
 from splatrl.capture.floaters import without_floaters
 from splatrl.capture.folder import share_of, write_scene
 from splatrl.capture.frames import read_photos
-from splatrl.capture.ground import on_its_side
+from splatrl.capture.ground import on_its_side, upside_down
 from splatrl.capture.look import look
 from splatrl.capture.marker import MARKER_SIDE
 from splatrl.capture.moving import find_moving
@@ -32,6 +32,7 @@ from splatrl.capture.recordings import is_recording, read_recording
 from splatrl.capture.resolution import Resolution
 from splatrl.capture.scale import Distance
 from splatrl.capture.stereo import Depths, find_depths
+from splatrl.capture.structure import ENOUGH
 from splatrl.capture.world import Placed, held_poses, place
 from splatrl.files import alone_in, remove_stale, replacing
 from splatrl.native import _core
@@ -47,6 +48,11 @@ LIES = (
     "`ffmpeg -display_rotation 90 -i FILM -c copy TURNED.mp4` (or 270), and capture that."
 )
 
+UPSIDE_DOWN = (
+    "is upside down: expected upright images, got cameras that look up on average, at a place mostly above them. Turn "
+    "it by `ffmpeg -display_rotation 180 -i FILM -c copy TURNED.mp4`, and capture that."
+)
+
 
 @dataclass(frozen=True)
 class CaptureSettings:
@@ -55,7 +61,8 @@ class CaptureSettings:
     Attributes:
         count: fewest and most images that are taken of a video.
         longest: the most pixels along the longer side of these images.
-        force: whether to go on with a capture that a first look refuses, and to replace a scene that is there.
+        force: whether to go on with a capture that a first look refuses, or without the images that cannot be joined,
+            and to replace a scene that is there.
         seed: of everything that is random.
         camera_height: of the camera above the floor on average, metres, where that tells the scale.
         distance: between two points in an image, where that tells the scale.
@@ -155,10 +162,13 @@ def reconstruct(
     knows = f", with poses{' and depth' if photos.depths else ''}" if known else ""
     say(f"frames      {len(photos.paths)} of {photos.width} × {photos.height} pixels{knows}")
     notes = [] if known else _first_look(photos, settings.force, progress, say)
-    found = with_measured_points(find_poses(photos, stages, settings.seed, progress))
+    least = 0.0 if settings.force else ENOUGH
+    found = with_measured_points(find_poses(photos, stages, settings.seed, progress, least=least))
     say(f"poses       {len(found.paths)} of {len(photos.paths)} images, {len(found.points):,} points")
-    if photos.up is None and on_its_side(held_poses(found)):
-        notes.append(_unless_forced(LIES, settings.force, "poses", say))
+    if photos.up is None:
+        held = held_poses(found)
+        wrong = LIES if on_its_side(held) else UPSIDE_DOWN if upside_down(held, found.points.numpy()) else None
+        notes += [_unless_forced(wrong, settings.force, "poses", say)] if wrong else []
     placed = place(found, photos.up, photos.metric, settings.marker, settings.distance, settings.camera_height)
     say(f"world       up by {placed.up_from}, scale by {placed.scale_from}, camera {placed.camera_height:.2f} m high")
     return placed, notes

@@ -17,7 +17,7 @@ from splatrl.capture.optional import needed
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.undistort import undistorted
 
-VERSION = 6
+VERSION = 7
 DIGEST = "digest.txt"
 
 
@@ -83,11 +83,12 @@ def _job(photos: Photos, seed: int, exact_camera: bool) -> structure.Job:
         fixed=exact_camera,
         camera_to_world=None if photos.camera_to_world is None else photos.camera_to_world.tolist(),
         seed=seed,
+        seconds=photos.seconds.tolist() if _timed(photos) else None,
     )
 
 
 def _digest(photos: Photos, job: structure.Job) -> str:
-    settings = [VERSION, job.names, job.K, job.fixed, job.camera_to_world, job.seed]
+    settings = [VERSION, job.names, job.K, job.fixed, job.camera_to_world, job.seed, job.seconds]
     digest = hashlib.blake2b(json.dumps(settings).encode(), digest_size=16)
     digest.update(str(getattr(needed("pycolmap"), "__version__", "")).encode())
     for path in photos.paths:
@@ -108,7 +109,7 @@ def _check_share(photos: Photos, found: np.ndarray, least: float) -> None:
     count = len(photos.paths)
     if len(found) >= max(2, least * count):
         return
-    timed = not torch.equal(photos.seconds, torch.arange(count, dtype=photos.seconds.dtype))
+    timed = _timed(photos)
     parts = []
     for first, last in missing_runs(found, count):
         names = (photos.paths[first].name, photos.paths[last].name)
@@ -116,9 +117,14 @@ def _check_share(photos: Photos, found: np.ndarray, least: float) -> None:
         parts.append(" to ".join(times if timed else names) + f" ({last - first + 1} images)")
     raise CaptureError(
         f"broke off: only {len(found)} of {count} images could be joined ({len(found) / count:.0%}; at least "
-        f"{least:.0%} are needed). Missing: {', '.join(parts)}. Film these parts again, more slowly and with more "
-        "overlap, or cut them out."
+        f"{least:.0%} are needed). Missing: {', '.join(parts)}. Film again, more slowly and with more overlap, "
+        "there and on the way there, and turn in a curve rather than on the spot; --force leaves these parts out."
     )
+
+
+def _timed(photos: Photos) -> bool:
+    """Whether something says when the images were taken; photos of a folder are numbered."""
+    return not torch.equal(photos.seconds, torch.arange(len(photos.paths), dtype=photos.seconds.dtype))
 
 
 def missing_runs(found: np.ndarray, count: int, most: int = 4) -> list[tuple[int, int]]:

@@ -39,6 +39,9 @@ ENOUGH = 0.8
 """Share of images whose pose must be found; where image after image reaches fewer, all are sought at once."""
 NARROWER = (1.0, 0.75)
 """Focal lengths from which that begins, times the first guess; it fails from one that is a quarter too long."""
+JERKY = 12.0
+"""How much larger one change of a camera's velocity in a hundred is than half of them, where a film was bent or broken:
+29 along a street of the town whose beginning was joined to it wrongly, at most 7.5 in films whose poses were right."""
 SPARSE = 40
 """Up to so many images: all pairs, and features from the doubled image, as photos far from each other need."""
 
@@ -56,6 +59,7 @@ class Job:
         fixed: whether K is exact and the images are without lens distortion.
         camera_to_world: [N][4][4] known poses, which stay as they are; None where they are to be found.
         seed: of every random sample.
+        seconds: [N] when each image of a film was taken, ascending; None for photos.
     """
 
     images: str
@@ -66,6 +70,7 @@ class Job:
     fixed: bool = False
     camera_to_world: list[list[list[float]]] | None = None
     seed: int = 0
+    seconds: list[float] | None = None
 
 
 def write_job(folder: Path, job: Job) -> None:
@@ -206,7 +211,28 @@ def _map(pycolmap: Any, folder: Path, job: Job, options: Any) -> Any:
         if len(_joined(found)) >= ENOUGH * len(job.names):
             break
         found = _largest([found, *_map_at_once(pycolmap, folder, job, options.min_model_size, share)])
+    if _jerks(found, job) > JERKY:
+        other = _largest(_map_at_once(pycolmap, folder, job, options.min_model_size, 1.0))
+        if len(_joined(other)) >= len(_joined(found)) and _jerks(other, job) < JERKY:
+            return other
     return found
+
+
+def _jerks(model: Any, job: Job) -> float:
+    """How unevenly the camera of a film went, see ``JERKY``; 0 where nothing says when images were taken."""
+    if job.seconds is None or len(joined := _joined(model)) < SPARSE:
+        return 0.0
+    when = dict(zip(job.names, job.seconds, strict=True))
+    images = sorted((model.images[number] for number in joined), key=lambda image: when[image.name])
+    places = np.array([image.cam_from_world().inverse().translation for image in images])
+    return jerks(places, np.array([when[image.name] for image in images]))
+
+
+def jerks(places: np.ndarray, seconds: np.ndarray) -> float:
+    """One change of velocity in a hundred is so many times as large as half of them: [N, 3], [N] ascending."""
+    velocity = np.diff(places, axis=0) / np.maximum(np.diff(seconds), 1e-3)[:, None]
+    changes = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
+    return float(np.quantile(changes, 0.99) / max(float(np.median(changes)), 1e-12))
 
 
 def _map_at_once(pycolmap: Any, folder: Path, job: Job, least: int, share: float) -> list[Any]:
@@ -231,6 +257,7 @@ def _map_at_once(pycolmap: Any, folder: Path, job: Job, least: int, share: float
         camera.focal_length *= share
         database.update_camera(camera)
         database.close()
+    _tell("map at once", 0, mapper.ba_num_iterations)  # COLMAP says when each of them has ended
     models = pycolmap.global_mapping(own / DATABASE, job.images, own, options)
     shutil.rmtree(own)
     return [*models.values()]

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -53,8 +53,20 @@ def size(path: Path) -> tuple[int, int]:
         return container.streams.video[0].width, container.streams.video[0].height
 
 
-def transfer_of(path: Path) -> int:
-    """FFmpeg's number of the function by which a video's values stand for light.
+class Encoding(NamedTuple):
+    """How a video's images are to be shown.
+
+    Attributes:
+        transfer: FFmpeg's number of the function by which values stand for light.
+        aspect: width of a pixel over its height.
+    """
+
+    transfer: int = UNKNOWN
+    aspect: float = 1.0
+
+
+def encoding_of(path: Path) -> Encoding:
+    """How a video's images are to be shown.
 
     Args:
         path: of the video.
@@ -63,7 +75,8 @@ def transfer_of(path: Path) -> int:
         CaptureError: as by ``open_video``.
     """
     with open_video(path) as container:
-        return int(container.streams.video[0].codec_context.color_trc)
+        transfer = int(container.streams.video[0].codec_context.color_trc)
+        return Encoding(transfer, images.pixel_aspect(container))
 
 
 def packet_times(path: Path) -> np.ndarray:
@@ -103,9 +116,9 @@ def frames(path: Path) -> Iterator[tuple[float, "VideoFrame"]]:
     with open_video(path) as container:
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
-        size = None
+        size, aspect = None, images.pixel_aspect(container)
         for frame in container.decode(stream):
-            images.require_small(path, frame.width, frame.height)
+            images.require_small(path, *images.square_size(frame.width, frame.height, aspect))
             if frame.time is None:
                 continue
             size = size or (frame.width, frame.height)
@@ -126,18 +139,18 @@ def grey(frame: "VideoFrame", longest: int) -> np.ndarray:
     return small.to_ndarray()
 
 
-def upright(frame: "VideoFrame", longest: int, transfer: int = UNKNOWN) -> Image.Image:
-    """The image of a frame, turned as the phone was held, scaled down by area, in the usual range of brightness.
+def upright(frame: "VideoFrame", longest: int, encoding: Encoding) -> Image.Image:
+    """The image of a frame, turned as the phone was held, with square pixels, scaled down by area, in the usual range.
 
     Args:
         frame: as decoded.
         longest: the most pixels along the longer side.
-        transfer: of the video, as ``transfer_of`` tells it.
+        encoding: of the video.
     """
-    image = frame.to_image()
+    image = images.square_pixels(frame.to_image(), encoding.aspect)
     if frame.rotation:
         image = image.rotate(frame.rotation, expand=True)
-    return usual_range(shrunk(image, longest), transfer)
+    return usual_range(shrunk(image, longest), encoding.transfer)
 
 
 def shrunk(image: Image.Image, longest: int) -> Image.Image:

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from splatrl.capture.base import CaptureError, Reconstruction
-from splatrl.capture.ground import ERROR_DEG, Ground, UpFrom, find_ground
+from splatrl.capture.ground import Ground, UpFrom, find_ground
 from splatrl.capture.marker import MARKER_SIDE, scale_by_marker
 from splatrl.capture.scale import Distance, ScaleFrom, scale_by_distance, scale_by_gps
+from splatrl.capture.upright import entropy
 
 Floats = NDArray[np.float64]
 
@@ -22,7 +23,6 @@ SCALE_ERROR = {"recorded": 0.01, "distance": 0.03, "camera_height": 0.05}
 OUTERMOST = (0.05, 0.95)
 """Quantiles of the cameras' heights beyond which they are taken for wrong."""
 _TURNS = np.radians(np.arange(0.0, 90.0, 0.5))
-_CELLS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def place(
         scale_from,
         error,
         ground.up_from,
-        ERROR_DEG[ground.up_from],
+        ground.error_deg,
         scale * (above + ground.below),
         ground.inliers,
     )
@@ -209,9 +209,7 @@ def wall_direction(places: Floats) -> float:
 
     def spread(yaw: float) -> float:
         along = (places - middle) @ np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-        cells = np.clip((along / size + 0.5) * _CELLS, 0, _CELLS - 1).astype(int)
-        counts = np.stack([np.bincount(cells[:, axis], minlength=_CELLS) for axis in (0, 1)]) / len(places)
-        return float(-(counts * np.log(np.maximum(counts, 1e-12))).sum())
+        return sum(entropy(2.0 * along[:, axis] / size) for axis in (0, 1))
 
     coarse = float(_TURNS[int(np.argmin([spread(yaw) for yaw in _TURNS]))])
     fine = coarse + np.radians(np.arange(-0.5, 0.51, 0.1))

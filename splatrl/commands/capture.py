@@ -10,12 +10,12 @@ from splatrl.capture.fit import FitSettings
 from splatrl.capture.marker import MARKER_SIDE, write_marker_page
 from splatrl.capture.pipeline import CaptureSettings, capture
 from splatrl.capture.resolution import Resolution
+from splatrl.commands.entries import INTERRUPTED
 from splatrl.commands.entries import capture as main
 from splatrl.device import chosen_device, device_line
 from splatrl.envs.robot import Robot
 from splatrl.scenes.description import scene_folder
 
-INTERRUPTED = 130
 SELDOM = 10.0
 """Seconds between the lines of a bar that goes to a file."""
 

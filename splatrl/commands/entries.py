@@ -10,6 +10,8 @@ from importlib import import_module
 
 from splatrl.commands import parsers
 
+INTERRUPTED = 130
+"""Exit code of a command that Ctrl-C ended."""
 PARSERS = {"capture": parsers.capture, "scene": parsers.scene, "gait": parsers.gait}
 """Commands that take options; the others have a config."""
 
@@ -21,7 +23,14 @@ def start(name: str, arguments: Sequence[str] | None = None) -> None:
         name: of its module, and of its root config where it has one.
         arguments: what was typed; None takes the command line.
     """
-    typed = sys.argv[1:] if arguments is None else arguments
+    try:
+        _start(name, sys.argv[1:] if arguments is None else arguments)
+    except KeyboardInterrupt:  # commands that can go on say so themselves
+        print(f"\nsplatrl-{name}: interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
+
+def _start(name: str, typed: Sequence[str]) -> None:
     if name in PARSERS:
         options = PARSERS[name](typed)
         import_module(f"splatrl.commands.{name}").run(options)

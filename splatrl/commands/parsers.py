@@ -36,7 +36,11 @@ def capture(arguments: Sequence[str]) -> argparse.Namespace:
         help="folder of the scene; by default the source's name without its ending, and -scene after it where that is "
         "the source itself; garden.spz makes a folder garden with a small splat",
     )
-    result.add_argument("--force", action="store_true", help="go on where a first look says no; replace a scene")
+    result.add_argument(
+        "--force",
+        action="store_true",
+        help="go on where a first look says no, or without images that cannot be joined; replace a scene",
+    )
     result.add_argument(
         "--camera-height",
         type=float,

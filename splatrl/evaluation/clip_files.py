@@ -18,7 +18,15 @@ from PIL import Image
 from torch import Tensor
 
 from splatrl.files import natural, new_folder
-from splatrl.images import PHOTO_SUFFIXES, open_video, read_photo, require_small
+from splatrl.images import (
+    PHOTO_SUFFIXES,
+    open_video,
+    pixel_aspect,
+    read_photo,
+    require_small,
+    square_pixels,
+    square_size,
+)
 
 VIDEOS = (".mp4", ".mov")
 ACTIONS = "actions.csv"
@@ -163,9 +171,10 @@ def _listed(folder: Path) -> list[Path]:
 
 def _video(path: Path) -> Iterator[Image.Image]:
     with open_video(path) as container:
+        aspect = pixel_aspect(container)
         for frame in container.decode(container.streams.video[0]):
-            require_small(path, frame.width, frame.height)  # the size may change within a stream
-            yield frame.to_image().rotate(frame.rotation, expand=True)
+            require_small(path, *square_size(frame.width, frame.height, aspect))  # it may change within a stream
+            yield square_pixels(frame.to_image(), aspect).rotate(frame.rotation, expand=True)
 
 
 def write_clip(folder: Path, images: Tensor, allowed: Tensor, action_names: Sequence[str]) -> None:

@@ -1,5 +1,6 @@
 """Frames of videos and photos: the sharpest, upright, kept, and nothing read but the source."""
 
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -11,6 +12,7 @@ from PIL import Image, ImageFilter
 from splatrl.capture.base import CaptureError
 from splatrl.capture.frames import buckets, read_photos, sharpness
 from tests.capture.ray_cast import room_image, walk, write_video
+from tests.test_images import anamorphic
 
 PLAYLISTS = {
     "concat": "ffconcat version 1.0\nfile '{}'\n",
@@ -49,6 +51,13 @@ def test_a_frame_of_a_turned_phone_is_upright_and_scaled(tmp_path: Path) -> None
     assert (photos.width, photos.height) == (120, 160)
     shown = _read(photos.paths[0])
     assert shown[10, 110, 0] > 200 and shown[10, 10, 0] < 100 and shown[150, 110, 0] < 100
+
+
+def test_frames_of_an_anamorphic_film_have_square_pixels(tmp_path: Path) -> None:
+    film = anamorphic(tmp_path / "film.mkv", (96, 72), Fraction(4, 3))
+    photos = read_photos(film, tmp_path / "out", count=(2, 2))
+    assert (photos.width, photos.height) == (128, 72)
+    assert _read(photos.paths[0])[:, :40, 0].min() > 200 > 100 > _read(photos.paths[0])[:, 46:].max()
 
 
 def test_what_was_trimmed_off_a_film_takes_no_part(tmp_path: Path) -> None:
@@ -141,6 +150,13 @@ def test_what_is_no_video_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.mp4").write_bytes(content)
     with pytest.raises(CaptureError, match=r"a\.mp4"):
         read_photos(tmp_path / "a.mp4", tmp_path / "out")
+
+
+@pytest.mark.parametrize("name", ["a.JPG", "a.heic"])
+def test_a_single_photo_is_refused_by_its_kind(name: str, tmp_path: Path) -> None:
+    Image.new("RGB", (8, 8)).save(tmp_path / name, "JPEG")
+    with pytest.raises(CaptureError, match="expected a video or a folder of photos, got a photo: name its folder"):
+        read_photos(tmp_path / name, tmp_path / "out")
 
 
 def test_photos_come_upright_in_the_order_of_their_numbers_with_the_focal_length_of_their_exif(tmp_path: Path) -> None:

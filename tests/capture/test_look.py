@@ -23,8 +23,8 @@ GOOD = Look(60, 120.0, 900.0, 0.98, 0.1, 0.2, math.radians(20))
     [
         ({"images": 2}, "too few images: 2"),
         ({"brightness": 12.0}, "too dark: the mean grey of the images is 12 of 255"),
-        ({"keypoints": 80.0, "verified": 0.1}, "textureless: even the better images show 80"),
-        ({"bare": 0.4, "verified": 0.1}, "textureless: 40% of the images show fewer than 100 points"),
+        ({"keypoints": 40.0, "verified": 0.1}, "textureless: even the better images show 40"),
+        ({"bare": 0.5, "verified": 0.1}, "textureless: 50% of the images show fewer than 100 points"),
         ({"verified": 0.56}, "moved too fast: .* in only 56%"),
         ({"verified": 0.56, "few": True}, "photos too far apart"),
         ({"turned": 0.99, "angle": 0.0}, "only turned on the spot: .* 99%"),

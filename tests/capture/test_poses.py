@@ -14,11 +14,13 @@ import torch
 
 from splatrl.array_files import read_arrays
 from splatrl.capture import poses as poses_module
+from splatrl.capture import structure
 from splatrl.capture.base import CaptureError
-from splatrl.capture.child import run_child
+from splatrl.capture.child import _pass_on, run_child
 from splatrl.capture.optional import needed
+from splatrl.capture.pipeline import CaptureSettings, reconstruct
 from splatrl.capture.poses import find_poses, missing_runs
-from splatrl.capture.structure import MODEL, SHARED, Job, _keep, pairs, run, write_job
+from splatrl.capture.structure import MODEL, SHARED, SPARSE, Job, _keep, pairs, run, write_job
 from tests.capture import ray_cast
 from tests.capture.ray_cast import HALF, photos_of, walk
 
@@ -88,6 +90,9 @@ def test_the_part_that_breaks_off_is_named(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=r"only 8 of 11 images .* Missing: 4\.0 s to 5\.0 s \(3 images\)"):
         find_poses(photos, tmp_path / "out")
     assert find_poses(photos, tmp_path / "out", least=0.5).missing == pytest.approx(3 / 11)
+    settings = CaptureSettings(camera_height=1.0, marker=None, force=True)
+    placed, _ = reconstruct(tmp_path / "in", tmp_path / "scene", settings, say=lambda _: None)
+    assert placed.reconstruction.missing == pytest.approx(3 / 11), "forced, it goes on without them"
 
 
 def test_images_of_faint_things_are_posed(tmp_path: Path) -> None:
@@ -101,7 +106,7 @@ def test_images_of_faint_things_are_posed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("fixed", [False, True])
 def test_images_that_no_pair_of_them_begins_are_posed_at_once(
-    fixed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    fixed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     truth = walk(24)[::3]
     photos = photos_of(tmp_path / "in", [room_image(pose) for pose in truth])
@@ -120,6 +125,10 @@ def test_images_that_no_pair_of_them_begins_are_posed_at_once(
     assert distance < 0.02 and angle < 0.01
     assert models[0]["camera"][0] == pytest.approx(K[0, 0], rel=1e-9 if fixed else 0.03)
     assert all(np.array_equal(models[0][key], models[-1][key]) for key in models[0])
+    told: list[tuple[object, ...]] = []
+    for line in "".join(capfd.readouterr()).splitlines():
+        _pass_on(line, lambda *far: told.append(far))
+    assert {("map at once", 0, 3), ("map at once", 1, 3)} <= set(told)
 
 
 def _model(tracks: list[list[int]], count: int) -> SimpleNamespace:
@@ -146,6 +155,31 @@ def test_of_images_that_share_no_points_the_larger_part_is_kept(tmp_path: Path) 
     assert kept["seen_by"].tolist() == [0, 1, 2] * SHARED
     _keep(tmp_path, Job("", names, 8, 6, camera_to_world=[np.eye(4).tolist()] * 5), model)
     assert len(read_arrays(tmp_path / MODEL)["images"]) == 5, "known poses need no points to hold together"
+
+
+@pytest.mark.parametrize(("bent", "other", "taken"), [(True, False, 1), (False, False, 0), (True, True, 0)])
+def test_a_film_that_was_bent_is_mapped_at_once(
+    bent: bool, other: bool, taken: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    count = SPARSE + 8
+    seconds = np.arange(count) / 4.0 + np.random.default_rng(0).uniform(0.0, 0.15, count)
+    names = [chr(97 + number) for number in range(count)]
+    models = []
+    for broken in (bent, other):
+        places = np.stack([seconds, np.sin(0.5 * seconds), 0 * seconds], 1)
+        places[10:] += [0.0, 4.0 * broken, 0.0]
+        model = _model([list(range(1, count + 1))] * SHARED, count)
+        for number, place in enumerate(places, 1):
+            inverse = SimpleNamespace(translation=place)
+            model.images[number].cam_from_world = lambda inverse=inverse: SimpleNamespace(inverse=lambda: inverse)
+        models.append(model)
+    colmap = SimpleNamespace(incremental_mapping=lambda *_, **__: {0: models[0]})
+    monkeypatch.setattr(structure, "_map_at_once", lambda *_: [models[1]])
+    job = Job("", names, 8, 6, seconds=seconds.tolist())
+    assert structure._map(colmap, tmp_path, job, SimpleNamespace(min_model_size=3)) is models[taken]
+    photos = dataclasses.replace(job, seconds=None)
+    (tmp_path / "sparse").rmdir()
+    assert structure._map(colmap, tmp_path, photos, SimpleNamespace(min_model_size=3)) is models[0]
 
 
 def test_known_poses_without_intrinsics_are_refused(tmp_path: Path) -> None:

@@ -8,9 +8,10 @@ import pytest
 import torch
 
 from splatrl.capture.base import CaptureError
-from splatrl.capture.ground import cameras_up, find_ground, on_its_side
+from splatrl.capture.ground import cameras_up, find_ground, on_its_side, upside_down
 from splatrl.capture.scale import Click, Distance, ScaleFrom, clicked_point
 from splatrl.capture.world import Placed, place, wall_direction
+from splatrl.evaluation.phone_walk import camera_poses
 from tests.capture.walks import ABOVE, CAMERAS, K, strewn, walk, without_points
 
 
@@ -117,13 +118,13 @@ def test_the_same_reconstruction_is_placed_the_same_to_the_last_bit() -> None:
     assert torch.equal(first.reconstruction.points, again.reconstruction.points)
 
 
-def test_cameras_alone_tell_up_where_the_floor_is_a_narrow_strip() -> None:
+def test_walls_tell_up_where_the_floor_is_a_narrow_strip() -> None:
     points = walk().points
     thinned = torch.arange(len(points)) % 4 == 0
     strip = (points[:, 2] > 0.4) & thinned | (points[:, 2] < 0.1) & (points[:, 0].abs() < 0.15)
     assert find_ground(walk().camera_to_world.numpy(), points.numpy()).up_from == "floor"
     ground = find_ground(walk().camera_to_world.numpy(), points[strip].numpy())
-    assert ground.up_from == "cameras" and ground.up[2] > math.cos(math.radians(3.0))
+    assert ground.up_from == "walls" and ground.up[2] > math.cos(math.radians(1.0))
     assert abs(ground.height) < 0.05
 
 
@@ -159,10 +160,66 @@ def test_a_film_on_its_side_is_told_from_an_upright_one(side: float) -> None:
     assert not on_its_side(lying[:1].repeat(9, 0)), "who never turns leaves it open"
 
 
+def one_way(pitch_deg: float, seed: int) -> np.ndarray:
+    """Poses [40, 4, 4] of a camera that goes past the yard's far fence and looks at it, somewhat up or down."""
+    rng, yaw = np.random.default_rng(seed), 0.5 * math.pi
+    turned = np.radians(rng.normal(0.0, 1.0, (40, 3))) + np.array([yaw, math.radians(pitch_deg), 0.0])
+    eyes = np.stack([np.linspace(-2.0, 2.0, 40), np.full(40, -1.5), np.full(40, ABOVE)], 1)
+    return camera_poses(torch.from_numpy(np.concatenate([eyes, turned], 1))).numpy()
+
+
+@pytest.mark.parametrize("pitch_deg", [-10.0, 0.0, 15.0, 30.0])
+def test_a_camera_that_looks_one_way_and_down_stands_upright(pitch_deg: float) -> None:
+    ground = find_ground(one_way(pitch_deg, 0), walk().points.numpy())
+    assert ground.up[2] > math.cos(math.radians(0.5)) and abs(ground.height) < 0.05
+    assert (ground.up_from, ground.error_deg) == ("floor", 1.5)
+
+
+def test_walls_tell_up_to_a_camera_that_looks_one_way_where_no_floor_is_seen() -> None:
+    points = walk().points.numpy()
+    fences = (points[:, 2] > 0.3) & (np.abs(points[:, :2]).max(1) > 2.3)
+    ground = find_ground(one_way(20.0, 1), points[fences])
+    assert ground.up[2] > math.cos(math.radians(1.0)) and ground.up_from == "walls"
+
+
+def test_nothing_but_cameras_that_look_one_way_says_how_little_it_knows() -> None:
+    ground = find_ground(one_way(20.0, 2), np.random.default_rng(0).normal(size=(3000, 3)))
+    assert ground.up_from == "cameras" and ground.error_deg > 35.0
+    around = find_ground(walk().camera_to_world.numpy(), np.random.default_rng(0).normal(size=(3000, 3)))
+    np.testing.assert_array_equal(around.up, cameras_up(walk().camera_to_world.numpy()).up)
+    assert around.up_from == "cameras" and around.error_deg < 10.0
+
+
+@pytest.mark.parametrize("seed", [None, 3])
+def test_a_film_held_upside_down_is_told_from_an_upright_one(seed: int | None) -> None:
+    upright = walk() if seed is None else strewn(seed)[0]
+    poses, points = upright.camera_to_world.numpy(), upright.points.numpy()
+    turned = poses.copy()
+    turned[:, :3, :2] *= -1.0
+    assert upside_down(turned, points) and not upside_down(poses, points)
+
+
+def test_level_cameras_below_a_high_place_and_those_that_look_up_from_one_are_not_taken_for_upside_down() -> None:
+    level, looking = (walk().camera_to_world.numpy().copy() for _ in range(2))
+    level[:, :3, :3] = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
+    overhead = walk().points.numpy() * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * ABOVE]
+    assert not upside_down(level, overhead)
+    looking[:, :3, :2] *= -1.0
+    assert not upside_down(looking, overhead)
+
+
+def test_who_films_trees_and_walls_above_is_not_taken_for_upside_down() -> None:
+    yaw = np.linspace(0.0, math.tau, 40)
+    around = np.stack([np.cos(yaw), np.sin(yaw), np.full(40, ABOVE), yaw, np.full(40, -0.35), np.zeros(40)], 1)
+    poses, points = camera_poses(torch.from_numpy(around)).numpy(), walk().points.numpy()
+    crowns = np.random.default_rng(0).uniform([-3.0, -3.0, 1.5], [3.0, 3.0, 5.0], (9000, 3))
+    assert not upside_down(poses, crowns) and not upside_down(poses, np.concatenate([crowns, points]))
+
+
 def test_cameras_that_all_look_one_way_still_have_an_up() -> None:
     poses = walk().camera_to_world.numpy()[:1].repeat(5, 0)
     own = -poses[0, :3, 1]
-    assert cameras_up(poses) @ own > math.cos(math.radians(5.0))
+    assert cameras_up(poses).up @ own > math.cos(math.radians(5.0))
 
 
 def test_recorded_gravity_and_metres_go_first() -> None:

@@ -64,7 +64,7 @@ def stages(
         progress("frames", 1, 2)
         return photos
 
-    def find_poses(photos: Photos, folder: Path, seed: int, progress: Progress) -> Reconstruction:
+    def find_poses(photos: Photos, folder: Path, seed: int, progress: Progress, least: float) -> Reconstruction:
         called.append("poses")
         return found
 
@@ -277,6 +277,15 @@ def test_a_film_on_its_side_is_refused_before_the_fit(
 ) -> None:
     monkeypatch.setattr(pipeline, "on_its_side", lambda poses: True)
     with pytest.raises(SystemExit, match=r"splatrl-capture: lies on its side: .* -display_rotation 90 .* --force"):
+        capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
+    assert stages == ["frames", "poses"]
+
+
+def test_a_film_that_is_upside_down_is_refused_before_the_fit(
+    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "upside_down", lambda poses, points: True)
+    with pytest.raises(SystemExit, match=r"splatrl-capture: is upside down: .* -display_rotation 180 .* --force"):
         capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
     assert stages == ["frames", "poses"]
 

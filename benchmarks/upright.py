@@ -1,0 +1,125 @@
+"""How well up is found where a camera looks one way: python benchmarks/upright.py
+
+Made-up films of generated yards and of the backyard: a camera goes straight ahead or sideways, looks one way within
+some degrees, and up or down; what it sees of the place's Gaussians, hidden or not, are the points of a reconstruction
+that lies anyhow. ``--floor 0.06`` keeps so many of the points on the ground, as structure from motion does of a lawn.
+Prints how far up is off, and the camera's height, of all places and both ways.
+"""
+
+import argparse
+import math
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from record import print_markdown
+from scipy import ndimage
+
+import splatrl
+from splatrl.capture.ground import Ground, find_ground
+from splatrl.evaluation.phone_walk import camera_poses
+from splatrl.scenes import Scene
+
+Floats = NDArray[np.float64]
+
+YARDS = range(300, 312)
+CAMERAS, HEIGHT, LENGTH = 150, 1.5, 3.5
+"""Images of a film; metres above the ground, and to go."""
+WOBBLE, ROLL = math.radians(3.0), math.radians(1.0)
+"""Up and down, and about the view."""
+HALF = math.tan(math.radians(34.5)), math.tan(math.radians(21.1))
+"""Of the image, at a depth of 1."""
+NEAREST, FARTHEST, SIGHTINGS, POINTS, NOISE = 0.3, 15.0, 3, 7000, 0.004
+"""Metres; images of every fifth that see a point; how many points, and their noise as a share of the distance."""
+GROUND = 0.05
+"""Metres below which a point lies on the ground."""
+
+
+def points_of(scene: Scene, floor: float) -> Floats:
+    """Every seventh of its opaque Gaussians' middles, and of those on the ground a share: [P, 3]."""
+    gaussians = scene.gaussians
+    middles = gaussians.means[gaussians.opacities > 0.5][::7].double().numpy()
+    return middles[(middles[:, 2] > GROUND) | (np.random.default_rng(1).random(len(middles)) < floor)]
+
+
+def drift(random: np.random.Generator, most: float) -> Floats:
+    """A slow sway about 0, [CAMERAS]."""
+    sway = ndimage.gaussian_filter1d(random.normal(size=CAMERAS), 6)
+    return np.asarray(most * sway / sway.std())
+
+
+def film(middle: Floats, spread_deg: float, pitch_deg: float, sideways: bool, random: np.random.Generator) -> Floats:
+    """Poses [CAMERAS, 4, 4] of a straight walk past the middle of a place."""
+    ahead = random.uniform(0.0, math.tau)
+    way, look = (np.array([math.cos(yaw), math.sin(yaw)]) for yaw in (ahead + 0.5 * math.pi * sideways, ahead))
+    along = np.linspace(-0.5, 0.5, CAMERAS)[:, None] * LENGTH
+    places = middle + along * way - (1.2 if sideways else 0.35) * look
+    yaw = ahead + drift(random, math.radians(spread_deg))
+    pitch = math.radians(pitch_deg) + drift(random, WOBBLE)
+    roll = drift(random, ROLL) + ROLL * random.normal()
+    walk = np.stack([*places.T, HEIGHT + drift(random, 0.03), yaw, pitch, roll], 1)
+    return camera_poses(torch.from_numpy(walk)).numpy()
+
+
+def seen(points: Floats, poses: Floats, random: np.random.Generator) -> Floats:
+    """What several images see of a place, with noise: [P, 3]."""
+    count = np.zeros(len(points), int)
+    for pose in poses[::5]:
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        depth = np.maximum(local[:, 2], 1e-9)
+        inside = (np.abs(local[:, :2]) < depth[:, None] * HALF).all(1)
+        count += inside & (local[:, 2] > NEAREST) & (local[:, 2] < FARTHEST)
+    found = points[count >= SIGHTINGS]
+    found = found[random.permutation(len(found))[:POINTS]]
+    near = np.linalg.norm(found[:, None] - poses[None, ::30, :3, 3], axis=2).min(1)
+    return np.asarray(found + NOISE * near[:, None] * random.normal(size=found.shape))
+
+
+def errors(points: Floats, poses: Floats, random: np.random.Generator) -> tuple[float, float, Ground]:
+    """How far up is off, degrees, and the height of the camera, as a share, in a frame of its own."""
+    turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    lying = poses.copy()
+    lying[:, :3] = turn @ poses[:, :3]
+    ground = find_ground(lying, points @ turn.T)
+    above = float((lying[:, :3, 3] @ ground.up).mean()) - ground.height
+    return math.degrees(math.acos(min(1.0, float(ground.up @ turn[:, 2])))), abs(above / HEIGHT - 1.0), ground
+
+
+def main() -> None:
+    """Measure and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--spreads", type=float, nargs="+", default=[0.5, 5.0, 25.0], help="degrees of the view")
+    parser.add_argument("--pitches", type=float, nargs="+", default=[-10.0, 0.0, 10.0, 20.0, 30.0], help="degrees down")
+    parser.add_argument("--floor", type=float, default=1.0, help="share of the points on the ground")
+    options = parser.parse_args()
+    scenes = [splatrl.backyard(), *map(splatrl.yard, YARDS)]
+    places = [(points_of(scene, options.floor), np.mean(scene.bounds, 0)[:2]) for scene in scenes]
+    rows = []
+    for spread in options.spreads:
+        for pitch in options.pitches:
+            found = []
+            for number, (points, middle) in enumerate(places):
+                for sideways in (False, True):
+                    random = np.random.default_rng([number, sideways])
+                    poses = film(middle, spread, pitch, sideways, random)
+                    found.append(errors(seen(points, poses, random), poses, random))
+            off, height, grounds = zip(*found, strict=True)
+            beyond = np.mean([up > ground.error_deg for up, ground in zip(off, grounds, strict=True)])
+            by = [sum(ground.up_from == name for ground in grounds) for name in ("floor", "walls", "cameras")]
+            rows.append(
+                [
+                    f"{spread:g}°",
+                    f"{pitch:g}°",
+                    f"{np.median(off):.1f}, {np.quantile(off, 0.9):.1f}, {max(off):.1f}°",
+                    f"{100 * beyond:.0f} %",
+                    f"{100 * np.median(height):.0f}, {100 * max(height):.0f} %",
+                    ", ".join(map(str, by)),
+                ]
+            )
+    heads = ["views within", "down", "up: median, 90 %, worst", "worse than said", "height", "by floor, walls, cameras"]
+    print_markdown(heads, rows)
+
+
+if __name__ == "__main__":
+    main()

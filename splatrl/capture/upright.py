@@ -1,0 +1,101 @@
+"""Up, made more exact by what stands upright and lies level in a place."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+WITHIN, SAMPLED, CELLS = 0.9, 6000, 200
+"""Points so near to the middle, as a quantile, are asked; about so many, in so many cells along an axis."""
+FARTHEST, STEP = 10, 1
+"""Degrees from the direction that is given, beyond its lean, and between those that are tried."""
+UNSURE, LEANING, UNLIKELY = math.radians(3.0), 0.45, 0.03
+"""Radians by which the direction that is given is usually off, and the share of its lean; the entropy that costs."""
+CLEAR = 0.25
+"""How much less entropy than at most directions nearby a place has that is clearly upright."""
+ONE_WAY = math.radians(10.0)
+"""Lean of cameras that look all around, at most; these know more than a place that is not clearly upright."""
+_YAWS = np.radians(np.arange(0.0, 90.0, 3.0))
+
+
+class Held(NamedTuple):
+    """What the way in which cameras were held says about up.
+
+    Attributes:
+        up: [3] unit vector, away from the earth.
+        side: [3] unit vector at right angles to it, about which it may be wrong: where cameras look one way, nothing
+            tells a camera that looks down from ground that falls away.
+        lean: by how much, radians; about 0 for cameras that look all around.
+    """
+
+    up: Floats
+    side: Floats
+    lean: float
+
+
+def straightened(points: Floats, held: Held) -> tuple[Floats, bool]:
+    """Turn up to where walls stand and floors lie.
+
+    Walls and floors put many points at few coordinates along three axes at right angles, one of them up. So the
+    histograms of the points' coordinates are sharpest, with the least entropy, where up is right. The axes about which
+    it may be off are tried one after the other. What is far from how the cameras were held costs entropy, and a place
+    that is not clearly upright decides nothing where cameras looked all around.
+
+    Args:
+        points: [P, 3].
+        held: what the cameras say.
+
+    Returns:
+        Up, [3] unit vector, and whether the place is clearly upright.
+    """
+    off = points - np.median(points, 0)
+    reach = np.linalg.norm(off, axis=1)
+    size = float(np.quantile(reach, WITHIN)) or 1.0
+    off = off[reach <= size]
+    off = off[:: max(1, len(off) // SAMPLED)] / size
+    up, gain = _straightest(off, held.up, held.side, held.lean)
+    for axis in (np.cross(up, held.side), held.side):
+        up, gain = _straightest(off, up, axis, 0.0)
+    clear = gain > CLEAR
+    return up if clear or held.lean > ONE_WAY else held.up, clear
+
+
+def entropy(values: Floats) -> float:
+    """Of the histogram of coordinates in [−1, 1] along an axis, [N]: the less, the sharper."""
+    cells = np.clip((values + 1.0) * (CELLS / 2), 0, CELLS - 1).astype(int)
+    shares = np.bincount(cells, minlength=CELLS) / len(values)
+    return float(-(shares * np.log(np.maximum(shares, 1e-12))).sum())
+
+
+def _straightest(off: Floats, up: Floats, side: Floats, lean: float) -> tuple[Floats, float]:
+    """The direction with the least entropy about an axis from ``up``, and how much less it is than that of most."""
+    side = side - up * (side @ up)
+    side = side / np.linalg.norm(side)
+    ahead, across = np.cross(up, side), off @ side
+
+    def direction(angle: float) -> Floats:
+        return np.asarray(math.cos(angle) * up + math.sin(angle) * ahead)
+
+    def cost(angle: float, yaws: Floats) -> tuple[float, float]:
+        """The entropy with the floor's axes as sharp as can be, and their yaw."""
+        along = off @ direction(angle + 0.5 * math.pi)
+        level = [
+            entropy(math.cos(yaw) * along + math.sin(yaw) * across)
+            + entropy(math.cos(yaw) * across - math.sin(yaw) * along)
+            for yaw in yaws
+        ]
+        best = int(np.argmin(level))
+        far = UNLIKELY * (angle / (UNSURE + LEANING * lean)) ** 2
+        return entropy(off @ direction(angle)) + level[best] + far, float(yaws[best])
+
+    most = FARTHEST + round(math.degrees(lean))
+    angles = np.radians(np.arange(-most, most + 1, STEP))
+    costs, yaws = zip(*(cost(angle, _YAWS) for angle in angles), strict=True)
+    least = int(np.argmin(costs))
+    finer = angles[least] + np.radians(np.arange(-1.0, 1.01, 0.2))
+    near = yaws[least] + np.radians(np.arange(-3.0, 3.01, 0.5))
+    angle = float(finer[int(np.argmin([cost(angle, near)[0] for angle in finer]))])
+    return direction(angle), float(np.median(costs)) - costs[least]
