@@ -64,6 +64,11 @@ class EnvMaker(ABC):
         return names
 
     @property
+    def planned(self) -> bool:
+        """Whether the planner knows the way to the goal of every episode, which ends there."""
+        return all(one.plan.field is not None for one in self.worlds) and self.task.goals_for_success is None
+
+    @property
     def told(self) -> tuple[str, ...]:
         """Keys of what sensors sense, and of what task and sensors remember of each robot."""
         sensors = self.sensors.values()

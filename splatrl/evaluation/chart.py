@@ -1,6 +1,7 @@
 """The map in a video: it is drawn once, and the robot is drawn on it for every frame."""
 
 import math
+from itertools import chain
 from pathlib import Path
 
 import matplotlib
@@ -10,12 +11,14 @@ from PIL import Image, ImageDraw, ImageFont
 
 from splatrl.bodies import Body, Box, Sphere
 from splatrl.envs.tasks import Mark, Outcome
-from splatrl.evaluation.figures import ARROW, BLUE, GOAL, INK, MISSED, PARTLY, REACHED
+from splatrl.evaluation.figures import ARROW, BLUE, INK, MISSED, PARTLY, REACHED, mark_styles
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView
 
 FINE = 2
 """Factor by which the map is drawn larger and then reduced, which smooths its lines."""
+APART = 7
+"""Pixels between the dots of a trail, at least."""
 COLORS = {
     Outcome.RUNNING: BLUE,
     Outcome.GOAL: REACHED,
@@ -56,21 +59,22 @@ class Chart:
             image[np.asarray(solid)] *= 0.45
         fine = (FINE * self.size[0], FINE * self.size[1])
         self.static = Image.fromarray(image.astype(np.uint8)).resize(fine, Image.Resampling.BICUBIC)
-        pen = ImageDraw.Draw(self.static)
-        for mark in view.marks:
-            self._mark(pen, mark)
-        self._ruler(pen)
+        self.marks = view.marks
+        self._ruler(ImageDraw.Draw(self.static))
 
     def draw(self, recording: Recording, step: int) -> Image.Image:
         """Draw the map after some steps of an episode."""
         image = self.static.copy()
         pen = ImageDraw.Draw(image)
-        for mark in recording.marks[step] if recording.marks else ():
-            self._mark(pen, mark)
+        styles = mark_styles(chain(self.marks, *recording.marks))
+        for mark in chain(self.marks, recording.marks[step] if recording.marks else ()):
+            self._mark(pen, mark, *styles[mark.name])
+        if len(styles) > 1:
+            self._legend(pen, styles)
         trail = np.asarray(recording.planar[: step + 1], dtype=np.float64)
         for color, width in (("white", 5), (BLUE, 3)):
             pen.line(self._pixels(trail[:, :2]), fill=color, width=width * FINE, joint="curve")
-        for position in trail[:, :2]:
+        for position in _apart(trail[:, :2], APART * FINE / self.scale):
             self._dot(pen, position, 3, BLUE)
         self._dot(pen, trail[0, :2], 5, "white")
         ended = step == len(recording.action)
@@ -92,17 +96,28 @@ class Chart:
         cos, sin = math.cos(planar[2]), math.sin(planar[2])
         return self._pixels(shape @ np.array([[cos, sin], [-sin, cos]]) + planar[:2])
 
-    def _mark(self, pen: ImageDraw.ImageDraw, mark: Mark) -> None:
-        """Draw a dot, with an arrow if the mark has a direction."""
+    def _mark(self, pen: ImageDraw.ImageDraw, mark: Mark, color: str, corners: int) -> None:
+        """Draw a dot or a shape with corners, with an arrow if the mark has a direction."""
         pose = np.asarray(mark.planar.cpu(), dtype=np.float64)
         if not math.isnan(pose[2]):
             length = 26 / self.scale * FINE  # metres
-            pen.polygon(self._place(ARROW * (length, 0.35 * length), pose), fill=GOAL, outline=INK, width=FINE)
-        self._dot(pen, pose[:2], 5, GOAL)
+            pen.polygon(self._place(ARROW * (length, 0.35 * length), pose), fill=color, outline=INK, width=FINE)
+        self._dot(pen, pose[:2], 5, color, corners)
 
-    def _dot(self, pen: ImageDraw.ImageDraw, position: NDArray[np.float64], radius: float, color: str) -> None:
+    def _dot(
+        self, pen: ImageDraw.ImageDraw, position: NDArray[np.float64], radius: float, color: str, corners: int = 0
+    ) -> None:
         (center,) = self._pixels(position[None])
-        pen.circle(center, radius * FINE, fill=color, outline=INK, width=FINE)
+        _shape(pen, center, radius, color, corners)
+
+    def _legend(self, pen: ImageDraw.ImageDraw, styles: dict[str, tuple[str, int]]) -> None:
+        """Name what marks of several looks are, in the lower right corner."""
+        words = font(14 * FINE)
+        left = FINE * (self.size[0] - 12) - max(pen.textlength(name, words) for name in styles)
+        for row, (name, (color, corners)) in enumerate(reversed(styles.items())):
+            y = FINE * (self.size[1] - 16 - 20 * row)
+            _shape(pen, (left - 12 * FINE, y), 5, color, corners)
+            pen.text((left, y), name, INK, words, "lm", stroke_width=2 * FINE, stroke_fill="white")
 
     def _ruler(self, pen: ImageDraw.ImageDraw) -> None:
         """Draw a scale bar of a round number of metres."""
@@ -115,6 +130,25 @@ class Chart:
             pen.rectangle(box, fill=color)
         place = (left, base - 8 * FINE)
         pen.text(place, f"{metres:g} m", INK, font(14 * FINE), "ls", stroke_width=2 * FINE, stroke_fill="white")
+
+
+def _shape(pen: ImageDraw.ImageDraw, center: tuple[float, float], radius: float, color: str, corners: int) -> None:
+    """Draw a dot, or with corners a regular polygon of about its area, one corner up, at fine pixels."""
+    if not corners:
+        pen.circle(center, radius * FINE, fill=color, outline=INK, width=FINE)
+        return
+    angles = np.linspace(0, math.tau, corners, endpoint=False)
+    points = 1.3 * radius * FINE * np.stack([np.sin(angles), -np.cos(angles)], -1) + center
+    pen.polygon([(x, y) for x, y in points.tolist()], fill=color, outline=INK, width=FINE)
+
+
+def _apart(positions: NDArray[np.float64], least: float) -> NDArray[np.float64]:
+    """Those of a way's positions that are at least as far from the one before that is taken: [N, 2] -> [M, 2]."""
+    taken = [positions[0]]
+    for position in positions[1:]:
+        if np.linalg.norm(position - taken[-1]) >= least:
+            taken.append(position)
+    return np.stack(taken)
 
 
 def _outline(body: Body) -> NDArray[np.float64]:

@@ -86,8 +86,7 @@ def evaluate(
             run_episodes(env, policy, chosen.state, how, settings.seed, bar.update, chosen.scene, chosen.memory)
             for chosen, how in ((repeated, True), (starts, False))
         )
-    ends = all(plan.field is not None for plan in plans) and world.task.goals_for_success is None
-    summary: dict[str, Any] = summarise(sampled, argmax, starts.distance if ends else None)
+    summary: dict[str, Any] = summarise(sampled, argmax, starts.distance if world.planned else None)
     summary |= trained | {
         "checkpoint": settings.checkpoint,
         "seed": seed,

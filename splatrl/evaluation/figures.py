@@ -1,7 +1,8 @@
 """The figures of a finished training: how it learned, and from which starts it succeeds."""
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,8 @@ from splatrl.files import replacing
 
 REACHED, PARTLY, MISSED = "#009e73", "#e69f00", "#d55e00"  # distinguishable with any colour vision
 GOAL, TEST, BLUE, PURPLE, INK = "#e0409f", "#f0e442", "#0072b2", "#8a5a99", "#222222"
+MARKS = ((GOAL, 0), (TEST, 4), ("#56b4e9", 3))
+"""Colour and number of corners of the marks of each name, in the order in which names come; 0 is a dot."""
 DPI = 160
 MAP_SIZE = 5.8
 """Longer side of a map, inches."""
@@ -50,8 +53,9 @@ def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
     tests = column(history, "test_success")
     levels = above.twinx()
     level = column(history, "level") + 1
-    levels.fill_between(frames, 0, level, step="mid", color=PURPLE, alpha=0.12, linewidth=0)
-    levels.step(frames, level, where="mid", color=PURPLE, linewidth=1.2)
+    begun, held = np.append(0.0, frames), np.append(level[:1], level)  # a row's level is that of the frames before it
+    levels.fill_between(begun[: len(held)], 0, held, step="pre", color=PURPLE, alpha=0.12, linewidth=0)
+    levels.step(begun[: len(held)], held, where="pre", color=PURPLE, linewidth=1.2)
     levels.set_ylim(0, max([1.0, *level[~np.isnan(level)]]) * 1.05)
     levels.yaxis.set_major_locator(MaxNLocator(integer=True))
     levels.set_ylabel("curriculum level", color=PURPLE)
@@ -186,6 +190,12 @@ def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path) -> N
     _finish(figure, _marks(axes, view.marks, 0.5 * cell), view, path)
 
 
+def mark_styles(marks: Iterable[Mark]) -> dict[str, tuple[str, int]]:
+    """How marks of each name look: colour and number of corners."""
+    names = dict.fromkeys(mark.name for mark in marks)
+    return dict(zip(names, itertools.cycle(MARKS)))
+
+
 def column(history: Sequence[Mapping[str, float]], key: str) -> NDArray[np.float64]:
     return np.array([row.get(key, math.nan) for row in history], dtype=np.float64)
 
@@ -193,13 +203,13 @@ def column(history: Sequence[Mapping[str, float]], key: str) -> NDArray[np.float
 def _curve(
     axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], weights: NDArray[np.float64], color: str
 ) -> None:
-    """Draw the raw values faintly, and their weighted running mean over a twelfth of the rows."""
+    """Draw the raw values faintly, and their weighted running mean over a twelfth of the rows, few of them as dots."""
     known = ~np.isnan(y)
     x, y, weights = x[known], y[known], weights[known]
     axes.plot(x, y, ".-", color=color, linewidth=0.8, markersize=4, alpha=0.35)
     rows = math.ceil(len(y) / 12)
     sums = [np.convolve(values, np.ones(rows))[: len(y)] for values in (weights * y, weights)] if len(y) else [y, y]
-    axes.plot(x, sums[0] / sums[1], color=color, linewidth=2)
+    axes.plot(x, sums[0] / sums[1], color=color, linewidth=2, marker="o" if rows == 1 else "", markersize=5)
 
 
 def _mean_by_row(rows: Tensor | NDArray[np.float64], values: Tensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -282,15 +292,18 @@ def _overview(axes: Axes, overview: TopDown, ground: TopDown, place: float) -> N
 
 
 def _marks(axes: Axes, marks: Sequence[Mark], length: float) -> list[Patch | Line2D]:
-    """Draw each mark as a dot, with an arrow where it has a direction; returns a legend entry for each name."""
+    """Draw each mark in the look of its name, with an arrow where it has a direction; returns the legend's entries."""
+    looks: dict[str, dict[str, Any]] = {
+        name: {"color": color, "marker": (corners, 0, 0) if corners else "o", "markeredgecolor": INK, "markersize": 6}
+        for name, (color, corners) in mark_styles(marks).items()
+    }
     for mark in marks:
-        pose = np.asarray(mark.planar.cpu(), dtype=np.float64)[None]
+        pose, look = np.asarray(mark.planar.cpu(), dtype=np.float64)[None], looks[mark.name]
         if not np.isnan(pose[0, 2]):
             arrow = list(_arrows(pose, 1.2 * length, 0.4 * length))
-            axes.add_collection(PolyCollection(arrow, facecolors=GOAL, edgecolors=INK, linewidths=1, zorder=9))
-        axes.plot(*pose[0, :2], "o", color=GOAL, markeredgecolor=INK, markersize=6, zorder=9)
-    dot: dict[str, Any] = {"color": GOAL, "marker": "o", "markeredgecolor": INK, "markersize": 6, "linewidth": 0}
-    return [Line2D([], [], label=name, **dot) for name in dict.fromkeys(mark.name for mark in marks)]
+            axes.add_collection(PolyCollection(arrow, facecolors=look["color"], edgecolors=INK, linewidths=1, zorder=9))
+        axes.plot(*pose[0, :2], zorder=9, **look)
+    return [Line2D([], [], label=name, linewidth=0, **look) for name, look in looks.items()]
 
 
 def _finish(figure: Figure, handles: list[Patch | Line2D], view: MapView, path: Path) -> None:

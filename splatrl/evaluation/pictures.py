@@ -18,9 +18,13 @@ from splatrl.evaluation.recording import Recording, record_episodes
 from splatrl.evaluation.rollouts import Chosen, Episodes
 from splatrl.evaluation.topdown import MapView, footprint, map_window, top_down
 from splatrl.evaluation.video import PANEL, rollout_video
-from splatrl.motions import PhysicsMotion
+from splatrl.motions import Motion, PhysicsMotion
 from splatrl.scenes.gaussians import Gaussians
 
+FASTEST = 60
+"""Images per second of a video, at most."""
+PACE = 6
+"""Steps per second of a video of robots whose steps take no time."""
 HEADROOM = 0.4
 """How far above the robot's body the maps cut the scene open, metres."""
 
@@ -85,7 +89,17 @@ class Pictures:
         recordings = record_episodes(env, policy, states, seed=seed, memory=memory)
         motion = env.task.motion
         outside = partial(self._outside, env) if isinstance(motion, PhysicsMotion) else None
-        rollout_video(recordings, env.robot, self.view, path, env.drawing, motion.action_names, outside=outside)
+        shown = (
+            recordings,
+            env.robot,
+            self.view,
+            path,
+            env.drawing,
+            motion.action_names,
+            steps_a_second(motion),
+            outside,
+        )
+        rollout_video(*shown, env.task.goals_for_success)
         return path
 
     def _outside(self, env: EnvBase, recording: Recording) -> Cameras:
@@ -103,3 +117,8 @@ class Pictures:
         distinct, row = places.unique(dim=0, return_inverse=True)
         fits = torch.zeros(len(distinct)).index_add(0, row, self.plan.free.float())
         return distinct[fits == 0]
+
+
+def steps_a_second(motion: Motion) -> int:
+    """How fast a video shows robots: as fast as they are where physics moves them, else at a pace to follow."""
+    return min(max(1, round(1.0 / motion.time_step)), FASTEST) if isinstance(motion, PhysicsMotion) else PACE

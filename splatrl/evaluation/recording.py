@@ -8,6 +8,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
+from splatrl.envs.sensors.goals import ImageGoal
 from splatrl.envs.tasks.base import Mark, Memory, Outcome
 from splatrl.evaluation.rollouts import acting
 from splatrl.renderers.parts import Parts
@@ -24,9 +25,11 @@ class Recording:
         action: [T, ...] actions.
         episode_return: [T + 1] float32, return so far.
         outcome: how the episode ended.
-        memory: what the task remembered, [T + 1, ...] by key.
+        memory: what the task remembered as each view was drawn, before it judged that step, [T + 1, ...] by key.
         parts: what the task placed in the picture, with T + 1 rows; None is the scene alone.
         marks: what the task shows on a map, for each of the T + 1 states; empty for a task that remembers nothing.
+        goals: [T + 1] int64, goals reached so far, where episodes have several; None where they have one.
+        goal_image: [H, W, 3] uint8, what an image goal shows; None without one.
     """
 
     planar: Tensor
@@ -38,6 +41,8 @@ class Recording:
     memory: Memory = field(default_factory=dict)
     parts: Parts | None = None
     marks: Sequence[list[Mark]] = ()
+    goals: Tensor | None = None
+    goal_image: Tensor | None = None
 
 
 def record_episodes(
@@ -86,6 +91,7 @@ def _recording(env: EnvBase, steps: list[TensorDictBase]) -> Recording:
     motion = task.motion
     memory = {key: torch.stack([now[key] for now in states]) for key in task.memory_spec}
     rows = [{key: value[row] for key, value in memory.items()} for row in range(len(states))] if memory else []
+    drawn = {key: torch.cat([value[:1], value[:-1]]) for key, value in memory.items()}
     return Recording(
         planar=motion.planar(state).cpu(),
         body_to_world=motion.body_to_world(state).cpu(),
@@ -93,7 +99,9 @@ def _recording(env: EnvBase, steps: list[TensorDictBase]) -> Recording:
         action=torch.stack([step["action"] for step in steps]),
         episode_return=episode_return.squeeze(1),
         outcome=Outcome(int(steps[-1]["next", "outcome"])),
-        memory=memory,
-        parts=task.parts(state, {key: value.to(env.device) for key, value in memory.items()}),
+        memory=drawn,
+        parts=task.parts(state, {key: value.to(env.device) for key, value in drawn.items()}),
         marks=[task.marks(row) for row in rows],
+        goals=None if task.goals_for_success is None else torch.stack([now["goals"] for now in states]).squeeze(1),
+        goal_image=states[0].get(ImageGoal.KEY, None),
     )

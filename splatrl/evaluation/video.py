@@ -42,8 +42,11 @@ def rollout_video(
     action_names: Sequence[str] = (),
     fps: int = 6,
     outside: Callable[[Recording], Cameras] | None = None,
+    goals: int | None = None,
 ) -> None:
     """Write episodes to an mp4, one after another: the ego view beside a map with the robot and its trail.
+
+    The image of an image goal is in the corner of the ego view.
 
     Args:
         recordings: the episodes.
@@ -54,6 +57,7 @@ def rollout_video(
         action_names: names of the actions, by index; empty where actions are continuous.
         fps: steps per second of video.
         outside: cameras that look at the robot of a recording, one a step, for a third panel; needs ``drawing``.
+        goals: number of goals of an episode, if it may have several.
 
     Raises:
         ValueError: if there are no recordings.
@@ -61,7 +65,7 @@ def rollout_video(
     if not recordings:
         raise ValueError("recordings: expected at least one episode, got none")
     chart = Chart(view, robot.body, (WIDEST, PANEL))
-    encode(_frames(recordings, robot, chart, drawing, action_names, fps, outside), path, fps)
+    encode(_frames(recordings, robot, chart, drawing, action_names, fps, outside, goals), path, fps)
 
 
 def _frames(
@@ -72,6 +76,7 @@ def _frames(
     action_names: Sequence[str],
     fps: int,
     outside: Callable[[Recording], Cameras] | None,
+    goals: int | None,
 ) -> Iterator[Image.Image]:
     for number, recording in enumerate(recordings, 1):
         last = len(recording.action)
@@ -92,6 +97,8 @@ def _frames(
                 ("action", _action(recording.action[step - 1], action_names) if step else "none yet"),
                 ("return", tenths(float(recording.episode_return[step]))),
             ]
+            if recording.goals is not None:
+                facts.append(("goals", f"{int(recording.goals[step])} of {goals}"))
             _caption(page, facts, recording.outcome if step == last else Outcome.RUNNING)
             for _ in range(1 + round(HOLD * fps) * (step == last)):
                 yield page
@@ -105,11 +112,19 @@ def _views(recording: Recording, robot: Robot, drawing: Drawing | None) -> Itera
     for own, view in zip(seen, views, strict=True):
         image = Image.fromarray(view).resize(size, Image.Resampling.NEAREST)
         if drawing is not None:
-            small = Image.fromarray(own).resize((size[0] // 3, PANEL // 3), Image.Resampling.NEAREST)
-            corner = (size[0] - small.width - 6, PANEL - small.height - 6)
-            image.paste("white", (corner[0] - 2, corner[1] - 2, size[0] - 4, PANEL - 4))
-            image.paste(small, corner)
+            _inset(image, own, size[0] - size[0] // 3 - 6)
+        if recording.goal_image is not None:
+            _inset(image, recording.goal_image.numpy(), 6, "goal")
         yield image
+
+
+def _inset(image: Image.Image, pixels: NDArray[np.uint8], left: int, name: str = "") -> None:
+    """Put a picture into a view, at a third of its size, a column and the foot of it, with a name above."""
+    small = Image.fromarray(pixels).resize((image.width // 3, PANEL // 3), Image.Resampling.NEAREST)
+    top = PANEL - small.height - 6
+    image.paste("white", (left - 2, top - 2, left + small.width + 2, PANEL - 4))
+    image.paste(small, (left, top))
+    ImageDraw.Draw(image).text((left, top - 6), name, "white", font(16), "ls", stroke_width=2, stroke_fill=INK)
 
 
 def _drawn(recording: Recording, drawing: Drawing, cameras: Cameras) -> Iterator[NDArray[np.uint8]]:
@@ -123,7 +138,7 @@ def _drawn(recording: Recording, drawing: Drawing, cameras: Cameras) -> Iterator
 def _action(action: Tensor, names: Sequence[str]) -> str:
     if names:
         return names[int(action)]
-    return " ".join(f"{value:.3g}" for value in action.reshape(-1).tolist())
+    return " ".join(f"{round(value, 2) + 0.0:.2f}" for value in action.reshape(-1).tolist())
 
 
 def _caption(page: Image.Image, facts: list[tuple[str, str]], outcome: Outcome) -> None:

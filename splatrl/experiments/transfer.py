@@ -67,8 +67,7 @@ def tested(folder: Path, cfg: DictConfig, world: World | Worlds) -> dict[str, An
         run_episodes(env, policy, starts.state, way, cfg.evaluation.seed, scene=starts.scene, memory=starts.memory)
         for way in (True, False)
     )
-    paths = all(one.plan.field is not None for one in world.worlds)
-    summary = summarise(sampled, argmax, starts.distance if paths else None)
+    summary = summarise(sampled, argmax, starts.distance if world.planned else None)
     return {"starts": len(starts.state), **kept(summary)}
 
 

@@ -11,6 +11,7 @@ from splatrl.envs.tasks.base import Outcome
 from splatrl.envs.world import World
 from splatrl.values import tenths
 from splatrl.viewer.driver import Driver, Takes
+from splatrl.viewer.goals import GoalsShown
 from splatrl.viewer.keys import AGAIN, DISCARD, OTHER, input_script, keys_of
 from splatrl.viewer.page import Page
 from splatrl.viewer.robot import RobotShown, enlarged, words
@@ -42,6 +43,7 @@ class Driving:
         self.shown = RobotShown(server, "/robot", world.robot)
         driver, gui = self.driver, server.gui
         self.view = gui.add_image(enlarged(driver.pixels), label="what the robot sees")
+        self.goals = GoalsShown(server, "/goals", world)
         self.status = gui.add_markdown("")
         self.keys: dict[str, Callable[[], None]] = {}
         for key in keys:
@@ -103,7 +105,9 @@ class Driving:
         if driver.outcome is not Outcome.COLLISION and driver.free < 1:
             result = f"{result}, blocked"
         kept = "" if self.takes is None else f" · kept {len(self.takes.episodes)} of {self.wanted}"
-        self.status.content = f"step {driver.steps} · return {tenths(driver.episode_return)} · {result}{kept}"
+        where = self.goals.show(driver.now)
+        told = f"step {driver.steps} · return {tenths(driver.episode_return)} · {result}{kept}"
+        self.status.content = f"{told}\n\n{where}" if where else told
 
 
 def _run_script(server: "viser.ViserServer", source: str) -> None:

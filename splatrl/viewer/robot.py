@@ -48,7 +48,12 @@ def tone(outcome: Outcome) -> tuple[int, int, int]:
     """The colour of an outcome, as figures and videos have it; blue while running."""
     if outcome is Outcome.RUNNING:
         return BLUE
-    red, green, blue = (int(COLORS[outcome][at : at + 2], 16) for at in (1, 3, 5))
+    return rgb(COLORS[outcome])
+
+
+def rgb(color: str) -> tuple[int, int, int]:
+    """A colour such as ``#e0409f`` as numbers."""
+    red, green, blue = (int(color[at : at + 2], 16) for at in (1, 3, 5))
     return red, green, blue
 
 

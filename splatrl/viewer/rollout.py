@@ -3,11 +3,12 @@
 import threading
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 
 from splatrl.envs.tasks.base import Outcome
 from splatrl.evaluation.rollouts import acting, spread
 from splatrl.runs import TrainedPolicy
+from splatrl.viewer.goals import GoalsShown
 from splatrl.viewer.page import Page
 from splatrl.viewer.robot import RobotShown, enlarged, words
 
@@ -40,6 +41,7 @@ class Rollout:
         self.shown = RobotShown(server, "/policy", self.world.robot)
         blank = torch.zeros(self.world.robot.image_height, self.world.robot.image_width, 3, dtype=torch.uint8)
         self.view = server.gui.add_image(enlarged(blank), label="what the robot sees")
+        self.goals = GoalsShown(server, "/policy_goals", self.world)
         self.status = server.gui.add_markdown("")
         self.plays = server.gui.add_checkbox("play", True)
         self.speed = server.gui.add_slider("steps a second", 1, 30, 1, 6)
@@ -73,7 +75,7 @@ class Rollout:
                 now = self.env.reset(given, set_state=True)
             outcome, step = Outcome.RUNNING, 0
             while not self._stop.is_set():
-                self._show(motion.body_to_world(now["state"].cpu())[0], now["pixels"][0, ..., -3:], outcome, step)
+                self._show(motion.body_to_world(now["state"].cpu())[0], now, outcome, step)
                 if outcome is not Outcome.RUNNING:
                     break
                 self._wait()
@@ -91,8 +93,10 @@ class Rollout:
         while not self.plays.value and not self._stop.is_set():
             self._stop.wait(0.1)
 
-    def _show(self, body_to_world: torch.Tensor, pixels: torch.Tensor, outcome: Outcome, step: int) -> None:
+    def _show(self, body_to_world: torch.Tensor, now: TensorDictBase, outcome: Outcome, step: int) -> None:
+        pixels = now["pixels"][0, ..., -3:]
         self.shown.show(body_to_world.cpu(), pixels.cpu(), outcome, step == 0)
         self.view.image = enlarged(pixels)
         rate = f" · {self.successes} of {self.episodes} episodes succeeded" if self.episodes else ""
-        self.status.content = f"step {step} · **{words(outcome)}**{rate}"
+        where, told = self.goals.show(now), f"step {step} · **{words(outcome)}**{rate}"
+        self.status.content = f"{told}\n\n{where}" if where else told

@@ -24,6 +24,9 @@ BYTES = 32
 """Of a Gaussian, as viser sends it."""
 ARRIVES, SLOW = 60.0, 1.0
 """Seconds for which the picture of a part is waited for, and for which a picture may take if more are to come."""
+WIDER = 8
+"""Pixels by which pictures of parts are wider than the page. viser 1.1.1 projects splats as if depths were not
+reversed, and lets them hide all that stands before them, until it is asked for a picture of another shape."""
 LARGEST = 6e4
 """Covariance that half precision holds, square metres."""
 
@@ -130,19 +133,19 @@ class Splats:
             while self._wanted is not None and len(shown) > self._wanted:
                 shown.pop().remove()
             while len(shown) < (self._wanted or len(self._parts)):
-                if shown and self._wanted is None and not _is_quick(client):
-                    return
                 part = self._parts[len(shown)]
                 name = f"/splats/{len(shown)}"
                 shown.append(
                     client.scene.add_gaussian_splats(name, part.centers, part.covariances, part.colors, part.opacities)
                 )
                 client.flush()
+                if self._wanted is None and not _is_quick(client):
+                    return
 
 
 def _is_quick(client: "viser.ClientHandle") -> bool:
     """Whether a browser is still there and draws what it was sent in ``SLOW``."""
-    height, width = client.camera.image_height, client.camera.image_width
+    height, width = client.camera.image_height, client.camera.image_width + WIDER
     try:
         client.get_render(height, width, timeout=ARRIVES)  # the first picture waits until all has arrived
         began = time.monotonic()

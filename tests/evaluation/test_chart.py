@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from PIL import Image
 from splatrl.bodies import Box, Capsule, Sphere
 from splatrl.envs.tasks import Mark, Outcome
 from splatrl.evaluation.chart import COLORS, Chart
-from splatrl.evaluation.figures import BLUE, GOAL, MISSED
+from splatrl.evaluation.figures import BLUE, GOAL, INK, MARKS, MISSED
 from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView, TopDown
 
@@ -87,6 +88,32 @@ def test_what_moves_in_an_episode_is_marked_where_it_is_at_each_step() -> None:
         apple = found(one.draw(recording(marks=marks), step), GOAL)
         assert np.abs(apple - place).max() < 0.1  # a dot without an arrow
     assert len(found(one.draw(recording(), 0), GOAL)) == 0
+
+
+def test_marks_of_two_names_differ_in_colour_and_shape_and_a_legend_names_them() -> None:
+    places = torch.tensor([[0.5, 4.5, math.nan], [1.5, 4.5, math.nan]], dtype=torch.float64)
+    marks = [[Mark(name, place) for name, place in zip(("mark", "ball"), places, strict=True)]] * 4
+    image = Chart(MapView(GROUND), BODY, (400, 384)).draw(recording(marks=marks), 0)
+    sizes = []
+    for (color, _), place in zip(MARKS, places[:, :2].numpy(), strict=False):
+        shown = found(image, color)
+        here = np.abs(shown - place).max(1) < 0.2
+        assert here.sum() > 30
+        sizes.append(np.ptp(shown[here], 0).mean() ** 2 / here.sum())
+        assert (shown[~here].mean(0) > (2.5, 2.0)).all() and shown[~here][:, 1].max() < 2.7  # lower right
+    assert sizes[1] > 1.2 * sizes[0]  # a diamond fills less of its square than a disc
+    alone = Chart(MapView(GROUND), BODY, (400, 384)).draw(recording(marks=[marks[0][:1]] * 4), 0)
+    assert np.abs(found(alone, GOAL) - places[0, :2].numpy()).max() < 0.2  # one name needs no legend
+
+
+def test_dots_of_a_trail_do_not_run_into_each_other() -> None:
+    steps = torch.linspace(0.0, 3.0, 301)
+    planar = torch.stack([steps, torch.full_like(steps, 2.5), torch.zeros_like(steps)], 1)
+    one = replace(recording(), planar=planar, action=torch.zeros(300))
+    ink = found(Chart(MapView(GROUND), BODY, (400, 384)).draw(one, 300), INK)
+    ink = ink[(np.abs(ink[:, 1] - 2.5) < 0.02) & (ink[:, 0] > 0.2) & (ink[:, 0] < 2.7)]
+    apart = np.diff(np.unique(ink[:, 0].round(4)))
+    assert apart.max() > 2.5 / SCALE
 
 
 def test_what_is_solid_is_dark() -> None:

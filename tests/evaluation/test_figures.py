@@ -63,7 +63,9 @@ def test_a_learning_curve_shows_every_known_value_and_counts_levels_from_one(dra
     shown = ~np.isnan(test.get_ydata())
     assert test.get_xdata()[shown].tolist() == [500.0] and test.get_ydata()[shown].tolist() == [0.6]
     assert below.lines[0].get_ydata().tolist() == [2.0, 4.0, 8.0, 10.0, 12.0, 14.0, 16.0, 18.0]
-    assert levels.lines[0].get_ydata().tolist() == [1, 1, 1, 2, 2, 2, 2, 3, 3]
+    assert levels.lines[0].get_xdata().tolist() == [0, 100, 200, 300, 400, 500, 600, 700, 800, 900]
+    assert levels.lines[0].get_ydata().tolist() == [1, 1, 1, 1, 2, 2, 2, 2, 3, 3]
+    assert levels.lines[0].get_drawstyle() == "steps-pre"
     assert (above.get_ylabel(), below.get_ylabel(), levels.get_ylabel()) == (
         "success",
         "episode return",
@@ -87,6 +89,15 @@ def test_a_history_of_hardly_anything_makes_a_picture_without_warning(
         warnings.simplefilter("error")
         learning_curve(history, tmp_path / "curve.png")
     assert [path.name for path in tmp_path.iterdir()] == ["curve.png"]
+
+
+def test_a_training_of_one_batch_is_a_dot_and_its_level_goes_back_to_the_first_frame(drawn: list[Figure]) -> None:
+    learning_curve([{"frames": 10.0, "success": 0.5, "return": 3.0, "level": 0.0}], Path("unused.png"))
+    above, below, levels = drawn[0].axes
+    for axes in (above, below):
+        dot = axes.lines[1]
+        assert (dot.get_marker(), dot.get_alpha(), len(dot.get_xdata())) == ("o", None, 1)
+    assert levels.lines[0].get_xdata().tolist() == [0, 10] and levels.lines[0].get_ydata().tolist() == [1, 1]
 
 
 def test_the_suffix_is_the_format(tmp_path: Path) -> None:
@@ -154,8 +165,12 @@ def test_each_mark_is_drawn_and_marks_of_one_name_share_an_entry_of_the_legend(d
     start_map(lattice(), lattice()[:, 0] > 0, replace(VIEW, marks=marks), Path("unused.png"))
     discs = [[float(value[0]) for value in line.get_data()] for line in drawn[0].axes[0].lines]
     assert discs == places[:, :2].tolist()
-    assert len(polygons(drawn[0], GOAL)) == 1  # the others have no direction
+    looks = [(to_hex(line.get_color()), line.get_marker()) for line in drawn[0].axes[0].lines]
+    assert looks[0] == looks[1] and all(apple != door for apple, door in zip(looks[0], looks[2], strict=True))
+    assert len(polygons(drawn[0], looks[2][0])) == 1 and not len(polygons(drawn[0], GOAL))  # apples have no direction
     assert labels(drawn[0]) == ["goal reached", "not reached", "apple", "door"]
+    shown = [(to_hex(line.get_color()), line.get_marker()) for line in drawn[0].legends[0].get_lines()]
+    assert shown == [looks[0], looks[2]]
 
 
 def test_a_map_without_marks_has_none(drawn: list[Figure]) -> None:

@@ -1,5 +1,6 @@
 """A video shows every step of every episode beside the map."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -83,6 +84,27 @@ def test_with_a_drawing_the_view_is_large_and_the_policys_pixels_are_its_inset(t
     assert np.abs(blocks - small)[:7].mean() < 8 < np.abs(blocks - small[:, ::-1])[:7].mean()  # above the inset
     inset = shown[262:384, 348:512].mean(-1)
     assert inset[:, :78].max() < 8 and inset[:, 90:].min() > 50
+
+
+def test_the_image_of_a_goal_is_in_the_corner_of_the_view(tmp_path: Path) -> None:
+    red = torch.tensor([200, 0, 0], dtype=torch.uint8).expand(12, 16, 3)
+    rollout_video([replace(RECORDINGS[0], goal_image=red)], tiny_robot(), VIEW, tmp_path / "clip.mp4")
+    rollout_video(RECORDINGS[:1], tiny_robot(), VIEW, tmp_path / "plain.mp4")
+    shown, plain = (frames(tmp_path / name)[0] for name in ("clip.mp4", "plain.mp4"))
+    inset = (slice(262, 384), slice(18, 180))
+    assert np.abs(shown[inset] - (200, 0, 0)).max() < 30 and plain[inset].max() < 40
+    named = shown[236:254, 14:60].mean(-1)
+    assert named.max() > 200 and plain[236:254, 14:60].mean(-1).max() < 80
+
+
+def test_goals_are_counted_where_an_episode_has_several(tmp_path: Path) -> None:
+    goals = torch.tensor([0, 1, 1, 2])
+    rollout_video([replace(RECORDINGS[0], goals=goals)], tiny_robot(), VIEW, tmp_path / "clip.mp4", goals=5)
+    width = frames(tmp_path / "clip.mp4")[0].shape[1]
+    column = slice(round(4 / 6 * width), round(5 / 6 * width))
+    shown = [picture[STRIP, column] for picture in frames(tmp_path / "clip.mp4")[:4]]
+    changed = [bool((np.abs(one - other).max(-1) > 60).any()) for one, other in itertools.pairwise(shown)]
+    assert changed == [True, False, True]
 
 
 def test_the_large_view_shows_what_the_task_remembered_and_placed_at_each_step(tmp_path: Path) -> None:

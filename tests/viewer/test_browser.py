@@ -82,6 +82,13 @@ def test_the_page_draws_the_splats(tab: "Tab", page: Page) -> None:
     wait(tab, lambda: picture(tab).std() < before.std() / 2, "a picture without splats")
 
 
+def test_what_stands_before_the_splats_is_seen(tab: "Tab", page: Page) -> None:
+    page.server.scene.add_icosphere("/ball", 0.3, (255, 0, 255), position=(0.0, 0.0, 1.5))
+    tab.goto(page.address)
+    drawn(tab)
+    wait(tab, lambda: ((picture(tab) - (230, 30, 230)).__abs__().max(-1) < 60).sum() > 200, "a ball over the splats")
+
+
 def test_a_key_an_arrow_and_a_button_move_the_robot(tab: "Tab", page: Page, world: World) -> None:
     driving = Driving(page, world, seed=2)
     tab.goto(page.address)

@@ -17,7 +17,7 @@ from splatrl.viewer.driving import Driving
 from splatrl.viewer.page import Page
 from splatrl.viewer.placing import Placing
 from splatrl.viewer.robot import BLUE, tone
-from splatrl.viewer.splats import BYTES, Splats, parts_of
+from splatrl.viewer.splats import BYTES, WIDER, Splats, parts_of
 from tests.viewer.visitor import Visitor, until
 
 Visit = Callable[[], Visitor]
@@ -36,6 +36,11 @@ def test_each_visitor_is_sent_the_splats(page: Page, visit: Visit) -> None:
         assert splats["name"] == "/splats/0"
         until(lambda: visitor.bytes > BYTES * len(page.scene.gaussians), "all of the splats")  # noqa: B023
     assert page.bytes == BYTES * len(page.scene.gaussians)
+
+
+def test_a_picture_of_another_shape_is_asked_for_so_that_splats_hide_only_what_is_behind_them(visit: Visit) -> None:
+    asked = visit().find("GetRenderRequestMessage")
+    assert (asked["height"], asked["width"]) == (300, 400 + WIDER)
 
 
 def test_large_scenes_come_in_parts(world: World, visit: Visit, page: Page) -> None:
@@ -66,13 +71,13 @@ def test_fewer_splats_are_drawn_where_that_is_chosen(visit: Visit, page: Page) -
 
 def test_a_browser_that_draws_slowly_gets_no_more_until_it_asks(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splatrl.viewer.splats.SLOW", 0.0)
-    page.splats = Splats(page.server, parts_of(page.scene.gaussians, first=40))
+    page.splats = Splats(page.server, parts_of(page.scene.gaussians, first=40))  # beside those in one part
     page._offer_fewer()
     visitor = Visitor(page.address)
-    until(lambda: len([m for m in visitor.messages if m["type"] == "GetRenderRequestMessage"]) == 2, "two pictures")
+    until(lambda: len([m for m in visitor.messages if m["type"] == "GetRenderRequestMessage"]) == 4, "pictures")
     visitor.click("splats drawn", f"{len(page.scene.gaussians):,}")
     visitor.find("GaussianSplatsMessage", lambda m: m["name"] == "/splats/2")
-    assert len([m for m in visitor.messages if m["type"] == "GetRenderRequestMessage"]) == 2
+    assert len([m for m in visitor.messages if m["type"] == "GetRenderRequestMessage"]) == 4
     visitor.close()
 
 
@@ -100,10 +105,9 @@ def test_a_key_moves_the_robot_and_shows_what_it_sees(page: Page, world: World, 
     visitor.find("RunJavascriptMessage")
     before = driving.driver.state.clone()
     visitor.press("+spin")
-    until(lambda: driving.driver.steps == 1, "a step")
+    until(lambda: "step 1 · return -0.2 · running" in driving.status.content, "a step")
     assert (driving.driver.state - before)[0].abs().tolist()[:2] == [0, 0]
     assert not torch.equal(driving.driver.state, before)
-    until(lambda: "step 1 · return -0.2 · running" in driving.status.content, "what happened")
     assert np.array_equal(driving.shown.frustum.image, driving.driver.pixels.numpy())
     visitor.click("again from the same start (R)")
     until(lambda: torch.equal(driving.driver.state, before), "the start")

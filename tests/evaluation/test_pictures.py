@@ -1,0 +1,13 @@
+"""Pictures of a training show robots as fast as they are."""
+
+import pytest
+
+from splatrl.evaluation.pictures import steps_a_second
+from splatrl.motions import PhysicsMotion
+from tests.tiny import tiny_motion
+
+
+def test_robots_with_physics_are_shown_as_fast_as_they_are_and_others_at_a_pace_to_follow() -> None:
+    pytest.importorskip("mujoco")
+    speeds = [steps_a_second(PhysicsMotion("wheels", "eye", time_step=time, threads=1)) for time in (0.1, 0.2)]
+    assert speeds == [10, 5] and steps_a_second(tiny_motion()) == 6

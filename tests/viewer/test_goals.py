@@ -1,0 +1,58 @@
+"""What a robot is to reach is over the splats, in words, and in the panel where it is an image."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+
+from splatrl.envs.tasks import Mark
+from splatrl.envs.world import World
+from splatrl.evaluation.figures import GOAL
+from splatrl.viewer.driving import Driving
+from splatrl.viewer.goals import whereabouts
+from splatrl.viewer.page import Page
+from splatrl.viewer.robot import enlarged, rgb
+
+
+@pytest.mark.parametrize(
+    ("robot", "goal", "said"),
+    [
+        ((0.0, 0.0, 0.0), (0.0, 1.5), "goal 1.50 m, 90° left"),
+        ((0.0, 0.0, 3.0), (-1.0, 0.2), "goal 1.02 m, ahead"),
+        ((1.0, 1.0, -3.0), (0.0, 2.0), "goal 1.41 m, 53° right"),
+    ],
+)
+def test_how_far_a_goal_is_and_where(robot: tuple[float, ...], goal: tuple[float, float], said: str) -> None:
+    mark = Mark("goal", torch.tensor([*goal, math.nan], dtype=torch.float64))
+    assert whereabouts(torch.tensor(robot, dtype=torch.float64), mark) == said
+
+
+def test_the_goal_of_an_episode_is_shown_where_it_is(page: Page, make_world: Callable[..., World]) -> None:
+    driving = Driving(page, make_world("pointnav"))
+    for key in ("N", "R"):
+        assert driving.press(key)
+        goal, now = driving.goals.nodes[0], driving.driver.now
+        assert goal.position[:2] == pytest.approx(now["goal"][0, :2].tolist())
+        assert math.remainder(2 * math.atan2(goal.wxyz[3], goal.wxyz[0]) - float(now["goal"][0, 2]), math.tau) < 1e-6
+        assert tuple(goal.color) == rgb(GOAL)
+        rho = float((now["goal"][0, :2] - now["state"][0, :2]).norm())
+        assert f"goal {rho:.2f} m, " in driving.status.content
+    assert driving.goals.image is None
+
+
+def test_the_image_of_a_goal_is_in_the_panel(page: Page, make_world: Callable[..., World]) -> None:
+    driving = Driving(page, make_world("imagenav"))
+    assert driving.press("N") and driving.goals.image is not None
+    assert np.array_equal(driving.goals.image.image, enlarged(driving.driver.now["imagegoal"][0]))
+
+
+def test_what_moves_is_shown_where_it_is_now_and_a_task_that_remembers_nothing_shows_nothing(
+    page: Page, world: World, make_world: Callable[..., World]
+) -> None:
+    driving = Driving(page, make_world("snake"))
+    (apple,), target = driving.goals.nodes, driving.driver.now["target"][0]
+    assert apple.position[:2] == pytest.approx(target[:2].tolist()) and "apple" in driving.status.content
+    plain = Driving(page, world)
+    assert plain.goals.nodes == [] and "\n" not in plain.status.content
