@@ -1,7 +1,6 @@
 """``splatrl-record``: record demonstrations of a task into a folder."""
 
-import errno
-import os
+import itertools
 from contextlib import suppress
 from pathlib import Path
 
@@ -14,9 +13,9 @@ from splatrl.building import build_one_world
 from splatrl.commands.entries import record as main
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import check_config, conf_dir, save_config
-from splatrl.datasets import Demonstrations, planner_episodes, write_demonstrations, write_lerobot
+from splatrl.datasets import Demonstrations, check_lerobot, planner_episodes, write_demonstrations, write_lerobot
 from splatrl.envs.world import World
-from splatrl.files import new_folder
+from splatrl.files import new_folder, require_room
 from splatrl.values import require_number
 from splatrl.viewer.driver import Takes
 from splatrl.viewer.driving import Driving
@@ -34,16 +33,22 @@ def run(cfg: DictConfig) -> None:
     if cfg.by not in BY:
         raise ValueError(f"by: expected {' or '.join(BY)}, got {cfg.by}")
     folders = {key: Path(cfg[key]).expanduser() for key in ("out", "lerobot") if cfg[key] is not None}
+    if cfg.lerobot is not None:
+        out, other = (folders[key].resolve() for key in ("out", "lerobot"))
+        if out.is_relative_to(other) or other.is_relative_to(out):
+            raise ValueError(f"lerobot: expected a folder beside out={cfg.out}, got {cfg.lerobot}")
     for key, path in folders.items():
         if path.exists():
             raise ValueError(f"{key}: expected a new folder, but {path} is there")
         path.parent.mkdir(parents=True, exist_ok=True)
-        if not os.access(path.parent, os.W_OK):  # said before anybody has shown anything
-            raise PermissionError(errno.EACCES, "cannot write", str(path))
+        require_room(path.parent)  # said before anybody has shown anything
     torch.set_num_threads(cfg.threads)
     cfg.device = "cpu"  # so that a replay gives the same bytes anywhere
     world = build_one_world(cfg)
+    if cfg.lerobot is not None:
+        check_lerobot(world.robot.image_width, world.robot.image_height)
     found = driven(cfg, world) if cfg.by == "keys" else planned(cfg, world)
+    folders = {key: untaken(path) for key, path in folders.items()}
     with new_folder(folders["out"]) as folder:
         save_config(cfg, folder)
         write_demonstrations(folder, found, {"by": cfg.by, "seed": cfg.seed, "scene": world.digest})
@@ -53,6 +58,12 @@ def run(cfg: DictConfig) -> None:
             write_lerobot(folder, found, task)
         print(f"{folders['lerobot']}: the same as a LeRobotDataset v3.0")
     print(f"{folders['out']}: {len(found.starts):,} episodes, {len(found):,} frames")
+
+
+def untaken(path: Path) -> Path:
+    """A path, or with a number behind it where another recording took the name in the meantime."""
+    others = (path.with_name(f"{path.name}-{number}") for number in itertools.count(2))
+    return next(one for one in itertools.chain([path], others) if not one.exists())
 
 
 def planned(cfg: DictConfig, world: World) -> Demonstrations:

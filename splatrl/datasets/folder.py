@@ -23,6 +23,8 @@ VERSION = 1
 MAX_HEADER = 2**20
 """Bytes of a JSON file of the folder."""
 DTYPES = {str(kind): kind for kind in (torch.uint8, torch.int64, torch.float32, torch.float64, torch.bool)}
+ROUNDED = 8192
+"""Bytes that a disk may need for a file besides its own: the rest of its last block, and its share of the headers."""
 NEEDED = {"episode", "frame", "pixels", "action", "state", "next"}
 
 
@@ -38,7 +40,7 @@ def write_demonstrations(folder: Path, demonstrations: Demonstrations, facts: Ma
         OSError: that names the folder, where the disk has no room for them.
     """
     frames = TensorDict(demonstrations.frames.to_dict(), [len(demonstrations)])
-    require_room(folder, sum(values.nbytes for values in frames.values(True, True)))
+    require_room(folder, sum(values.nbytes + ROUNDED for values in frames.values(True, True)))
     frames.memmap(folder / MEMMAP)
     own = {
         "version": VERSION,

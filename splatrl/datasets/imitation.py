@@ -28,7 +28,7 @@ def imitate(
         The loss after the demonstrations, and after each round.
 
     Raises:
-        ValueError: for demonstrations that do not fit the policy, a task without goal states, or more frames than
+        ValueError: for demonstrations that do not fit the policy, a task that nobody can teach, or more frames than
             there are.
     """
     known = _together([_frames(each, ppo, cloner.reads) for each in shown])
@@ -53,8 +53,9 @@ def _together(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
 
 
 def _check(ppo: PPO, world: World | Worlds, shown: int, dagger: DaggerSettings) -> None:
-    if dagger.rounds and any(one.plan.field is None for one in world.worlds) and not _has_teacher(world):
-        raise ValueError(f"dagger.rounds: expected 0 for a task without goal states, {type(world.task).__name__}")
+    if dagger.rounds and not world.planned and not _has_teacher(world):
+        name = type(world.task).__name__
+        raise ValueError(f"dagger.rounds: expected 0 for a task whose episodes do not end at goal states, {name}")
     if dagger.frames_per_round % ppo.env.numel():
         raise ValueError(
             f"dagger.frames_per_round: expected a multiple of env.num_envs = {ppo.env.numel()}, "

@@ -5,7 +5,8 @@ sense keep their bytes, and views are compressed as H.264. Tables and each video
 """
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,6 @@ VIDEO = "videos/{key}/chunk-000/file-000.mp4"
 CHUNKS = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 KEYFRAMES = 2
 """Frames from one that stands alone to the next, so that readers find any frame quickly."""
-_MISSING = "LeRobot's layout needs pyarrow: pip install 'splatrl[lerobot]'"
 
 
 def write_lerobot(folder: Path, demonstrations: Demonstrations, task: str, robot: str = "splatrl") -> None:
@@ -43,22 +43,18 @@ def write_lerobot(folder: Path, demonstrations: Demonstrations, task: str, robot
         robot: kind of robot.
 
     Raises:
-        ImportError: without the extra ``lerobot``.
-        ValueError: for images with odd sides, which the video's format does not have.
+        ImportError, ValueError: as ``check_lerobot`` does.
     """
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError as error:
-        raise ImportError(_MISSING) from error
     frames, fps = demonstrations.frames, demonstrations.fps
     height, width = frames["pixels"].shape[1:3]
-    if height % 2 or width % 2:
-        raise ValueError(f"robot.image_width, robot.image_height: expected even numbers, got {width} and {height}")
+    check_lerobot(width, height)
+    import pyarrow
+    from pyarrow import parquet
+
     columns, videos = _columns(demonstrations), _videos(demonstrations)
     tables = {
         DATA: pyarrow.table({key: _array(pyarrow, value) for key, value in columns.items()}),
-        EPISODES: pyarrow.table(_episodes(demonstrations, task, videos)),
+        EPISODES: pyarrow.table(_episodes(demonstrations, task, columns, videos)),
         "meta/tasks.parquet": _tasks(pyarrow, task),
     }
     for name, table in tables.items():
@@ -70,6 +66,23 @@ def write_lerobot(folder: Path, demonstrations: Demonstrations, task: str, robot
         path = folder / VIDEO.format(key=key)
         path.parent.mkdir(parents=True)
         encode(_images(pixels), path, fps, {"g": str(KEYFRAMES)})
+
+
+def check_lerobot(width: int, height: int) -> None:
+    """Refuse what cannot be written, before anything is recorded.
+
+    Args:
+        width: of the views, pixels.
+        height: of the views, pixels.
+
+    Raises:
+        ImportError: without the extra ``lerobot``.
+        ValueError: for odd sides, which the video's format does not have.
+    """
+    if find_spec("pyarrow") is None:
+        raise ImportError("LeRobot's layout needs pyarrow: pip install 'splatrl[lerobot]'")
+    if height % 2 or width % 2:
+        raise ValueError(f"robot.image_width, robot.image_height: expected even numbers, got {width} and {height}")
 
 
 def _is_image(values: Tensor) -> bool:
@@ -111,8 +124,10 @@ def _array(pyarrow: Any, values: Tensor) -> Any:
     return result
 
 
-def _episodes(demonstrations: Demonstrations, task: str, videos: Iterable[str]) -> dict[str, Any]:
-    """Columns of the table of episodes: where each is in tables and videos."""
+def _episodes(
+    demonstrations: Demonstrations, task: str, columns: Mapping[str, Tensor], videos: Mapping[str, Tensor]
+) -> dict[str, Any]:
+    """Columns of the table of episodes: where each is in tables and videos, and the statistics of its frames."""
     starts, lengths = demonstrations.starts, demonstrations.lengths
     ends, zeros = starts + lengths, [0] * len(starts)
     begin, end = ((at.double() / demonstrations.fps).tolist() for at in (starts, ends))
@@ -126,6 +141,10 @@ def _episodes(demonstrations: Demonstrations, task: str, videos: Iterable[str]) 
             ("to_timestamp", end),
         )
     }
+    found = [
+        _statistics(*({key: values[first:last] for key, values in each.items()} for each in (columns, videos)))
+        for first, last in zip(starts.tolist(), ends.tolist(), strict=True)
+    ]
     return {
         "episode_index": list(range(len(starts))),
         "tasks": [[task]] * len(starts),
@@ -137,6 +156,7 @@ def _episodes(demonstrations: Demonstrations, task: str, videos: Iterable[str]) 
         **filmed,
         "meta/episodes/chunk_index": zeros,
         "meta/episodes/file_index": zeros,
+        **{f"stats/{key}/{name}": [each[key][name] for each in found] for key in found[0] for name in found[0][key]},
     }
 
 

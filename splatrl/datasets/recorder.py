@@ -33,12 +33,12 @@ def planner_episodes(
         progress: called with the number of frames of each episode that was kept.
 
     Raises:
-        ValueError: for a task without goal states, or one whose goal the planner does not reach.
+        ValueError: for a task whose episodes do not end at goal states, or whose goal the planner does not reach.
     """
     require_number("episodes", episodes, 1, 10**6, whole=True)
     plan = world.plan
-    if plan.field is None:
-        raise ValueError(f"planner: expected a task with goal states, got {type(world.task).__name__}")
+    if not world.planned:
+        raise ValueError(f"planner: expected a task whose episodes end at goal states, got {type(world.task).__name__}")
     generator = torch.Generator().manual_seed(seed)
     kept: list[TensorDictBase] = []
     waiting: list[Tensor] = []

@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 from splatrl.building import build_trainer, build_world
 from splatrl.commands import record, replay
 from splatrl.configuration import load_config
-from splatrl.datasets import planner_episodes, read_demonstrations
+from splatrl.datasets import Demonstrations, lerobot, planner_episodes, read_demonstrations
 from splatrl.envs.world import World
 from splatrl.training import load_checkpoint
 from tests.commands.test_train import SETTINGS, command, finish
@@ -58,6 +58,15 @@ def test_what_is_recorded_is_replayed(
     assert f"views are equal in {frames} of {frames} frames" in told
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that nobody can write to")
+def test_the_working_folder_need_not_be_written_to(
+    scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir("/proc")
+    call(record, monkeypatch, *scene, "episodes=1", f"out={tmp_path / 'demos'}")
+    assert len(read_demonstrations(tmp_path / "demos").starts) == 1
+
+
 def test_the_same_is_written_for_lerobot(scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     pytest.importorskip("pyarrow", reason="needs the extra lerobot")
@@ -87,6 +96,9 @@ def test_a_replay_that_differs_ends_with_an_error(demos: Path, tmp_path: Path, m
         (record, ["by=me", "out={new}"], "splatrl-record: by: expected planner or keys, got me"),
         (record, ["episodes=0", "out={new}"], "splatrl-record: episodes: expected a whole number"),
         (record, ["out={demos}"], "splatrl-record: out: expected a new folder, but .* is there"),
+        (record, ["out={new}", "lerobot={new}"], "splatrl-record: lerobot: expected a folder beside out=.*new, got"),
+        (record, ["out={new}", "lerobot={new}/other"], "splatrl-record: lerobot: expected a folder beside out="),
+        (record, ["out={new}/demos", "lerobot={new}"], "splatrl-record: lerobot: expected a folder beside out="),
         (record, [], "splatrl-record: out: expected a value, got none"),
         (record, ["out={new}", "episode=3"], "episode: no such key, did you mean episodes"),
         (replay, ["demos={new}"], "splatrl-replay: .*: expected a folder of demonstrations"),
@@ -106,6 +118,41 @@ def test_what_is_wrong_is_said_in_a_line(
     with pytest.raises(SystemExit, match=message):
         call(module, monkeypatch, *(scene if module is record else []), *given)
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("robot.image_width=15", "robot.image_width, robot.image_height: expected even numbers, got 15 and 12"),
+        (None, r"LeRobot's layout needs pyarrow: pip install 'splatrl\[lerobot\]'"),
+    ],
+)
+def test_what_lerobot_cannot_have_is_said_before_anybody_shows_anything(
+    change: str | None, message: str, scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if change is None:
+        monkeypatch.setattr(lerobot, "find_spec", {}.get)
+    monkeypatch.setattr(record, "planned", lambda *_: pytest.fail("something was recorded"))
+    folders = [f"out={tmp_path / 'demos'}", f"lerobot={tmp_path / 'lerobot'}"]
+    with pytest.raises(SystemExit, match=message):
+        call(record, monkeypatch, *scene, *folders, *([change] if change else []))
+    assert not list(tmp_path.iterdir())
+
+
+def test_of_two_recordings_into_one_folder_none_is_lost(
+    scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, walk = tmp_path / "demos", record.planned
+
+    def meanwhile(cfg: DictConfig, world: World) -> Demonstrations:
+        (out / "of another").mkdir(parents=True)
+        return walk(cfg, world)
+
+    monkeypatch.setattr(record, "planned", meanwhile)
+    call(record, monkeypatch, *scene, f"out={out}", "episodes=2")
+    assert [path.name for path in out.iterdir()] == ["of another"]
+    assert len(read_demonstrations(tmp_path / "demos-2").starts) == 2
+    assert f"{out}-2: 2 episodes" in capsys.readouterr().out
 
 
 def test_a_training_begins_with_what_was_shown_and_counts_its_frames(

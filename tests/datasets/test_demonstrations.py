@@ -151,8 +151,18 @@ def test_returns_are_discounted_to_the_end_of_each_episode(shown: Demonstrations
 
 def test_a_task_without_goal_states_has_no_planner(world: World) -> None:
     aimless = replace(world, plan=replace(world.plan, field=None))
-    with pytest.raises(ValueError, match="planner: expected a task with goal states, got Grid"):
+    with pytest.raises(ValueError, match="planner: expected a task whose episodes end at goal states, got Grid"):
         planner_episodes(aimless, 1)
+
+
+def test_the_room_asked_for_is_enough_for_every_file(
+    shown: Demonstrations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr("splatrl.datasets.folder.require_room", lambda path, size: asked.append(size))
+    write_demonstrations(tmp_path, shown)
+    blocks = sum(512 * path.stat().st_blocks for path in tmp_path.rglob("*"))
+    assert asked[0] >= blocks
 
 
 def edit(name: str, change: Callable[[dict], object]) -> Callable[[Path], None]:

@@ -75,3 +75,14 @@ def test_demonstrations_without_what_a_policy_reads_are_refused(cfg: DictConfig,
 def cfg_overrides(cfg: DictConfig) -> list[str]:
     """Overrides of the same room without sensors."""
     return tiny_overrides(Path(cfg.scene.path).parent)
+
+
+def test_a_task_that_goes_on_at_its_goals_has_no_planner_to_learn_from(tmp_path: Path) -> None:
+    cfg = load_config([*tiny_overrides(tmp_path, "snake"), "demos=2", "dagger.rounds=1"])
+    world = build_world(cfg)
+    assert world.plan.field is not None and not world.planned
+    with pytest.raises(ValueError, match="planner: expected a task whose episodes end at goal states, got Snake"):
+        planner_episodes(world, 2)
+    ppo = make_ppo(cfg, world)
+    with pytest.raises(ValueError, match=r"dagger\.rounds: expected 0 for a task whose episodes do not end .*, Snake"):
+        list(imitate(ppo, Cloner(ppo.model, CloningSettings(1, 64, 1e-3, 0.5)), world, [], DaggerSettings(1, 64, 1), 0))

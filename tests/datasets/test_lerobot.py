@@ -152,6 +152,20 @@ def test_statistics_are_those_of_the_frames(shown: Demonstrations, folder: Path)
     assert all(each["count"] == [len(shown)] for each in found.values())
 
 
+def test_each_episode_has_statistics_of_its_own(shown: Demonstrations, folder: Path) -> None:
+    found = table(folder, "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet").to_pylist()
+    all_frames = json.loads((folder / "meta" / "stats.json").read_text())
+    named = {f"stats/{key}/{name}" for key, each in all_frames.items() for name in each}
+    for row, first, length in zip(found, shown.starts.tolist(), shown.lengths.tolist(), strict=True):
+        assert {key for key in row if key.startswith("stats/")} == named
+        state, pixels = (shown.frames[key][first : first + length].double() for key in ("state", "pixels"))
+        assert row["stats/observation.state/mean"] == pytest.approx(state.mean(0).tolist())
+        assert row["stats/observation.state/std"] == pytest.approx(state.std(0, correction=0).tolist())
+        assert np.array(row[f"stats/{KEY}/max"]).shape == (3, 1, 1)
+        assert np.ravel(row[f"stats/{KEY}/max"]) == pytest.approx(pixels.reshape(-1, 3).amax(0).numpy() / 255)
+        assert row["stats/action/count"] == row[f"stats/{KEY}/count"] == [length]
+
+
 def test_tasks_are_indexed_by_their_words(folder: Path) -> None:
     found = parquet.read_table(folder / "meta" / "tasks.parquet")
     assert found["task_index"].to_pylist() == [0]

@@ -21,6 +21,7 @@ from splatrl.envs.sensors import Gps, ImageGoal, PointGoal
 from splatrl.envs.sensors.odometry import wrapped
 from splatrl.envs.tasks import ImageNav, NavigationRewards, NavigationTask, Outcome, PointNav
 from splatrl.envs.tasks.navigation import LOST
+from splatrl.evaluation.recording import record_episodes
 from splatrl.evaluation.rollouts import Episodes, knowing, run_episodes
 from splatrl.motions import DriveMotion, ForwardMotion, NavigateMotion
 from splatrl.renderers import NoRenderer, Renderer
@@ -236,6 +237,16 @@ def test_an_episode_of_imagenav_shows_what_is_seen_at_the_goal() -> None:
     batch = env.rollout(5, break_when_any_done=False)
     goes_on = ~batch["next", "done"][:, :, 0]
     assert torch.equal(batch["imagegoal"][goes_on], batch["next", "imagegoal"][goes_on])
+
+
+def test_a_recording_keeps_the_image_of_its_goal() -> None:
+    env = env_of(task_of(ImageNav, success_distance=1.0))
+    begun = env.reset().select("state", *env.task.memory_spec)
+    shown = env.reset(begun.clone(), set_state=True)["imagegoal"][0]
+    memory = dict(begun.select(*env.task.memory_spec).items())
+    stop = torch.full((1,), STOP)
+    (one,) = record_episodes(env, lambda td: td.set("action", stop), begun["state"], memory=memory)
+    assert one.goal_image is not None and torch.equal(one.goal_image, shown)
 
 
 @pytest.mark.parametrize("task", ["pointnav", "imagenav"])
