@@ -28,8 +28,8 @@ def make_env(
     Raises:
         ValueError: for another shape of the batch, or a config that is refused.
     """
-    if batch_size is not None and (len(batch_size) != 1 or batch_size[0] < 1):
-        raise ValueError(f"batch_size: expected one number of at least 1, or None, got {list(batch_size)}")
+    if batch_size is not None and (isinstance(batch_size, int) or len(batch_size) != 1 or batch_size[0] < 1):
+        raise ValueError(f"batch_size: expected a list of one number of at least 1, or None, got {batch_size}")
     cfg = load_config(overrides)
     world = build_world(cfg)
     curriculum = instantiate(cfg.curriculum)([one.plan for one in world.worlds])

@@ -55,9 +55,7 @@ class GymnasiumEnv(gymnasium.Env[Observation, Action]):
     def __init__(self, env: EnvBase, render_mode: Literal["rgb_array"] | None = "rgb_array"):
         if env.batch_size != (1,):
             raise ValueError(f"env: expected batch size [1], got {list(env.batch_size)}")
-        if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode: expected 'rgb_array' or None, got {render_mode!r}")
-        self.env, self.render_mode = env, render_mode
+        self.env, self.render_mode = env, _checked_mode(render_mode)
         self.observation_space, self.action_space = _spaces(env)
         self._present: TensorDictBase | None = None
 
@@ -105,13 +103,19 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
     Args:
         env: a ``SplatEnv``, bare or under transforms.
         autoreset_mode: same or next step; some wrappers of Gymnasium's ask for the next.
+        render_mode: what ``render`` returns: the current views, or nothing.
 
     Raises:
         ValueError: for an env that is not of batch size [B], an action that is neither discrete nor bounded, another
             mode, or another number of seeds.
     """
 
-    def __init__(self, env: EnvBase, autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP):
+    def __init__(
+        self,
+        env: EnvBase,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        render_mode: Literal["rgb_array"] | None = "rgb_array",
+    ):
         if env.ndim != 1:
             raise ValueError(f"env: expected batch size [B], got {list(env.batch_size)}")
         modes = {mode.value: mode for mode in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP)}
@@ -120,7 +124,7 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
             raise ValueError(f"autoreset_mode: expected {' or '.join(modes)}, got {named}")
         self.autoreset_mode = modes[named]
         self.metadata = {**_METADATA, "autoreset_mode": self.autoreset_mode}
-        self.env, self.num_envs, self.render_mode = env, env.numel(), "rgb_array"
+        self.env, self.num_envs, self.render_mode = env, env.numel(), _checked_mode(render_mode)
         self.single_observation_space, self.single_action_space = _spaces(env)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -190,11 +194,19 @@ class GymnasiumVectorEnv(VectorEnv[Observation, Actions, npt.NDArray[Any]]):
         assert self._present is not None
         return _masked(_infos(self._present), np.ones(self.num_envs, dtype=bool))
 
-    def render(self) -> tuple[Pixels, ...]:
-        """The current views, [H, W, 3] uint8 each."""
+    def render(self) -> tuple[Pixels, ...] | None:
+        """The current views, [H, W, 3] uint8 each; None without a render mode."""
+        if self.render_mode is None:
+            return None
         if self._present is None:
             raise gymnasium.error.ResetNeeded("render: expected reset first")
         return tuple(_pixels(self._present))
+
+
+def _checked_mode(render_mode: str | None) -> str | None:
+    if render_mode not in (None, "rgb_array"):
+        raise ValueError(f"render_mode: expected 'rgb_array' or None, got {render_mode!r}")
+    return render_mode
 
 
 def _spaces(env: EnvBase) -> tuple[gymnasium.Space[Any], gymnasium.Space[Any]]:

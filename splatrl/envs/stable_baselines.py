@@ -82,7 +82,7 @@ class StableBaselinesVecEnv(VecEnv):
 
     def get_images(self) -> Sequence[Pixels]:
         """The current views, [H, W, 3] uint8 each."""
-        return self.vector.render()
+        return self.vector.render() or ()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """An attribute, which all robots share, once for each of these robots."""

@@ -30,6 +30,8 @@ class StatefulEnv(TransformedEnv):
         ValueError: for TorchRL's ``FrameSkipTransform``, here or when it is added later.
     """
 
+    rand_action = EnvBase.rand_action  # around an env with another one TorchRL refuses transforms of the action
+
     def __init__(self, base_env: EnvBase, *transforms: Transform):
         super().__init__(base_env, BaseAndTransforms(*transforms))
         refuse_frame_skip(self.transform)

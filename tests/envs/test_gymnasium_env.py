@@ -149,6 +149,11 @@ def unbounded_env() -> EnvBase:
         (lambda env: GymnasiumEnv(tiny_env([2])), ValueError, r"env: expected batch size \[1\], got \[2\]"),
         (lambda env: GymnasiumEnv(tiny_env([1]), "human"), ValueError, "render_mode: expected 'rgb_array' or None"),
         (
+            lambda env: GymnasiumVectorEnv(tiny_env([2]), render_mode="human"),
+            ValueError,
+            "render_mode: expected 'rgb_array' or None",
+        ),
+        (
             lambda env: GymnasiumVectorEnv(tiny_env([2])).reset(seed=[1, 2, 3]),
             ValueError,
             r"seed: expected one number, or 2 of them, got \[1, 2, 3\]",
@@ -169,6 +174,9 @@ def test_nothing_is_rendered_without_a_render_mode() -> None:
     env = make_tiny(render_mode=None)
     env.reset()
     assert env.render() is None
+    batch = GymnasiumVectorEnv(tiny_env([2]), render_mode=None)
+    batch.reset()
+    assert batch.render() is None
 
 
 def vector(env: EnvBase | None = None, **settings: Any) -> GymnasiumVectorEnv:

@@ -10,7 +10,7 @@ import pytest
 import torch
 from tensordict.nn import TensorDictModule
 from torchrl.collectors import Collector
-from torchrl.envs import Compose, EnvBase, FrameSkipTransform, RewardScaling, TransformedEnv
+from torchrl.envs import ActionDiscretizer, Compose, EnvBase, FrameSkipTransform, RewardScaling, TransformedEnv
 
 from splatrl.building import make_env, worlds
 from splatrl.envs.gymnasium_env import GymnasiumVectorEnv
@@ -122,7 +122,14 @@ def test_torchrls_frame_skip_is_refused_where_it_can_be_seen(tmp_path: Path) -> 
         make_env([*tiny_overrides(tmp_path), *node, "transforms.order=[theirs]"])
 
 
-@pytest.mark.parametrize("size", [[2, 4], [], [0], [-1]])
+def test_transforms_of_the_action_go_around_it(tmp_path: Path) -> None:
+    env = make_env(tiny_overrides(tmp_path, "drive"), batch_size=[3])
+    around = TransformedEnv(env, ActionDiscretizer(3, out_action_key="choice"))
+    rollout = around.rollout(4, break_when_any_done=False)
+    assert rollout["choice"].dtype == torch.int64 and env.action_spec.is_in(rollout["action"][:, 0])
+
+
+@pytest.mark.parametrize("size", [[2, 4], [], [0], [-1], 4])
 def test_a_shape_that_cannot_be_kept_is_refused(size: list[int], tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"batch_size: expected one number of at least 1, or None, got"):
+    with pytest.raises(ValueError, match=r"batch_size: expected a list of one number of at least 1, or None, got"):
         make_env(tiny_overrides(tmp_path), batch_size=size)
