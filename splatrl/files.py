@@ -75,28 +75,30 @@ def new_folder(path: Path) -> Iterator[Path]:
         yield temporary
         os.rename(temporary, path)
     except OSError as error:  # a disk that is full says so without a name
-        if error.filename is not None or error.errno is None:
+        if error.errno is None:
             raise
-        raise OSError(error.errno, f"cannot write: {os.strerror(error.errno)}", str(path)) from error
+        told = f"cannot write: {os.strerror(error.errno)}" if error.filename is None else error.strerror
+        name = str(error.filename or path).replace(str(temporary), str(path))
+        raise OSError(error.errno, told, name) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def require_room(folder: Path, size: int) -> None:
-    """Refuse to go on where a disk has not so many bytes left.
+def require_room(folder: Path, size: int = 1) -> None:
+    """Refuse to go on where nothing can be written into a folder, or its disk has not so many bytes left.
 
-    What is written through mapped memory ends the process on a full disk, instead of raising an error.
+    What takes long asks before it begins; and what is written through mapped memory would end the process on a full
+    disk, instead of raising an error.
 
     Raises:
         OSError: that names the folder.
     """
-    if not size or not hasattr(os, "posix_fallocate"):
-        return
-    with tempfile.TemporaryFile(dir=folder) as stream:
-        try:
-            os.posix_fallocate(stream.fileno(), 0, size)
-        except OSError as error:
-            raise OSError(error.errno, f"cannot write: {os.strerror(error.errno or 0)}", str(folder)) from error
+    try:
+        with tempfile.TemporaryFile(dir=folder) as stream:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(stream.fileno(), 0, max(size, 1))
+    except OSError as error:
+        raise OSError(error.errno, f"cannot write: {os.strerror(error.errno or 0)}", str(folder)) from error
 
 
 @contextmanager

@@ -73,8 +73,8 @@ ONLY = {
     "splatrl.device": {"building", "commands"},
 }
 """What only some rooms may import."""
-CONF_LIMITS = {"experiment": "experiments"}
-"""The last room that the configs of a group may name; those of other groups, and root configs: ``evaluation``."""
+CONF_LIMITS = {"experiment": "experiments", "train.yaml": "configuration"}
+"""The last room that the configs of a group, or a root config, may name; those of others: ``evaluation``."""
 DEVICE_CHOICES = {"cuda", "mps", "xpu"}
 CHOOSERS = {"device", "building", "commands"}
 CUDA_ALONE = ("native/cuda/", "renderers/cuda.py", "renderers/gsplat.py", "collision/cuda.py")
@@ -282,7 +282,7 @@ def test_a_name_that_goes_down_is_no_fault(name: str, source: str) -> None:
     ("path", "source", "fault"),
     [
         ("task/new.yaml", "_target_: splatrl.experiments.Run", "experiments comes after evaluation"),
-        ("train.yaml", "node: {_target_: splatrl.make_env}", "building comes after evaluation"),
+        ("clips.yaml", "node: {_target_: splatrl.make_env}", "building comes after evaluation"),
         ("clips.yaml", "steps: [{call: splatrl.runs.load_policy}]", "runs comes after evaluation"),
         ("experiment/new.yaml", "score: splatrl.commands.train.run", "commands comes after experiments"),
         ("experiment/new.yaml", "score: splatrl.experiments.score_nothing", "there is no such thing"),

@@ -14,6 +14,7 @@ from splatrl.commands.faults import in_one_line
 from splatrl.configuration import check_config, conf_dir, config_elsewhere, run_config
 from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.evaluate import EvaluationSettings, evaluate, summary_lines
+from splatrl.files import require_room
 from splatrl.runs import load_policy
 from splatrl.training import Actor
 
@@ -28,8 +29,12 @@ def evaluate_run(
         folder: the run folder.
         world: world built from ``cfg``, if there is one already.
         results: folder of numbers and pictures; None is the run folder.
+
+    Raises:
+        OSError: that names ``results``, where nothing can be written.
     """
     results = results or folder
+    require_room(results)
     trained = load_policy(folder, cfg=cfg, world=world)
     settings = EvaluationSettings(**cfg.evaluation)
     policy, checkpoint = Actor(trained.model, judges=False), trained.checkpoint

@@ -13,6 +13,7 @@ from hydra.utils import get_method
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationToMissingValueError, OmegaConfBaseException
 
+from splatrl.commands.entries import INTERRUPTED
 from splatrl.commands.entries import experiment as main
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import conf_dir, load_config, quoted
@@ -34,7 +35,7 @@ def run(cfg: DictConfig) -> None:
     except KeyboardInterrupt:
         command = shlex.join(["splatrl-experiment", *sys.argv[1:]])
         print(f"\nstopped, and what was trained is kept; {command} goes on", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(INTERRUPTED)
 
 
 def experiment(cfg: DictConfig) -> None:

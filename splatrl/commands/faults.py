@@ -44,9 +44,9 @@ def in_one_line(command: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
                 if os.environ.get(FULL):
                     raise
                 text = f"{command}: {line(error)}"
-                if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
-                    raise CompactHydraException(text) from error
-                sys.exit(text)
+            if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
+                raise CompactHydraException(text)  # without the error, which would keep scenes alive to the end
+            sys.exit(text)
 
         return guarded
 

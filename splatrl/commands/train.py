@@ -14,12 +14,15 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from splatrl.building import build_trainer, build_world
+from splatrl.commands.entries import INTERRUPTED
 from splatrl.commands.entries import train as main
 from splatrl.commands.evaluate import evaluate_run
-from splatrl.commands.faults import in_one_line
+from splatrl.commands.faults import USERS, in_one_line
 from splatrl.configuration import (
+    RUN_CONFIG,
     check_config,
     conf_dir,
+    forget_run,
     job_config,
     quoted,
     resumed_config,
@@ -33,8 +36,6 @@ from splatrl.training import Trainer
 from splatrl.viewer.page import Page
 from splatrl.viewer.training import TrainingView
 
-INTERRUPTED = 130
-
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="train")
 @in_one_line("splatrl-train")
@@ -47,11 +48,18 @@ def run(cfg: DictConfig) -> float:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: expected a run folder, found none")
     with alone_in(folder):
+        if not cfg.resume and any(folder.glob("checkpoints/*.pt")):
+            raise ValueError(f"hydra.run.dir: expected a new folder, got a run; continue it with resume={folder}")
+        new = not cfg.resume and not (folder / RUN_CONFIG).exists()
         try:
             return train(cfg, folder)
         except KeyboardInterrupt:
             print(f"\nstopped; splatrl-train {quoted(f'resume={folder}')} goes on", file=sys.stderr)
             sys.exit(INTERRUPTED)
+        except USERS:
+            if new and not any(folder.glob("checkpoints/*.pt")):
+                forget_run(folder)
+            raise
 
 
 def train(cfg: DictConfig, folder: Path) -> float:
@@ -62,13 +70,11 @@ def train(cfg: DictConfig, folder: Path) -> float:
         folder: the run folder.
 
     Raises:
-        ValueError: for a folder with a run that is not to be resumed, or one that began with other settings.
+        ValueError: for a run that began with other settings.
     """
     resume = cfg.resume
     if resume:
         cfg = resumed_config(folder, HydraConfig.get().overrides.task)
-    elif any(folder.glob("checkpoints/*.pt")):
-        raise ValueError(f"hydra.run.dir: expected a new folder, got a run; continue it with resume={folder}")
     check_config(cfg)
     if not resume:
         save_config(cfg, folder)

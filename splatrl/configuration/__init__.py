@@ -7,6 +7,7 @@ from splatrl.configuration.grammar import quoted
 from splatrl.configuration.run_configs import (
     PATHS,
     RUN_CONFIG,
+    forget_run,
     resumed_config,
     run_config,
     save_config,
@@ -24,6 +25,7 @@ __all__ = [
     "command_line",
     "conf_dir",
     "config_elsewhere",
+    "forget_run",
     "is_group",
     "job_config",
     "load_config",

@@ -1,5 +1,6 @@
 """What ``--help`` says of a command's keys: the comments beside them in the YAML files of the configs."""
 
+import shutil
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -14,8 +15,8 @@ from omegaconf import OmegaConf
 
 from splatrl.configuration.search_path import composed, config_loader
 
-WIDTH, COLUMN = 100, 36
-"""Characters of a line, and before an explanation."""
+WIDEST, NARROWEST, COLUMN = 100, 60, 36
+"""Characters of a line, which follows the terminal, and before an explanation."""
 MOST_USED = {
     "train": (
         "scene",
@@ -110,7 +111,7 @@ def help_page(name: str, overrides: Sequence[str] = ()) -> str:
     found = key_help(name, overrides)
     usage, _, purpose = found.header.partition(": ")
     lines = [f"{usage} key=value ..." if "=" not in usage else usage, ""]
-    lines += textwrap.wrap(purpose[:1].upper() + purpose[1:], WIDTH)
+    lines += textwrap.wrap(purpose[:1].upper() + purpose[1:], _width())
     first = [key for key in MOST_USED.get(name, ()) if key in found.values or key in found.chosen]
     if first:
         lines += ["", "MOST USED", "", *(line for key in first for line in _of_key(key, found))]
@@ -148,13 +149,17 @@ def _of_key(key: str, found: KeyHelp) -> list[str]:
     return _entry(shown, found.comments.get(key, ""))
 
 
+def _width() -> int:
+    return max(NARROWEST, min(WIDEST, shutil.get_terminal_size((WIDEST, 24)).columns))
+
+
 def _entry(left: str, right: str) -> list[str]:
     """A word and its explanation beside it, or below where the word is long."""
     indent = " " * COLUMN
-    lines = textwrap.wrap(right, WIDTH, initial_indent=indent, subsequent_indent=indent)
+    lines = textwrap.wrap(right, _width(), initial_indent=indent, subsequent_indent=indent)
     if lines and len(left) < COLUMN - 1:
         return [left.ljust(COLUMN) + lines[0].lstrip(), *lines[1:]]
-    return [*textwrap.wrap(left, WIDTH, subsequent_indent=" " * 8, break_on_hyphens=False), *lines]
+    return [*textwrap.wrap(left, _width(), subsequent_indent=" " * 8, break_on_hyphens=False), *lines]
 
 
 def key_help(name: str, overrides: Sequence[str] = ()) -> KeyHelp:

@@ -2,11 +2,15 @@
 
 import functools
 import itertools
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import NoReturn
 
 from hydra.core.hydra_config import HydraConfig
+from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -14,7 +18,7 @@ from splatrl.configuration.checking import check_constructors
 from splatrl.configuration.scene_choice import load_config
 from splatrl.configuration.search_path import is_group
 from splatrl.documents import read_config
-from splatrl.files import replacing
+from splatrl.files import replacing, require_room
 
 
 @functools.cache
@@ -27,10 +31,42 @@ def _new_folder(path: str) -> str:
             return str(folder)
         except FileExistsError:
             continue
-        except OSError as error:  # Hydra asks before a command begins, and would print where in itself
-            told = f"{folder}: cannot be made: {error.strerror}; say where to write by hydra.run.dir="
-            sys.exit(f"splatrl-{HydraConfig.get().job.name}: {told}")
+        except OSError as error:
+            _refuse(folder, error, "hydra.run.dir")
     raise AssertionError
+
+
+def _refuse(folder: Path, error: OSError, key: str) -> NoReturn:
+    """End with a line; Hydra asks for folders before a command begins, and would print where in itself."""
+    told = f"{folder}: cannot write: {os.strerror(error.errno or 0)}; say where to write by {key}="
+    sys.exit(f"splatrl-{HydraConfig.get().job.name}: {told}")
+
+
+class WritableFolder(Callback):
+    """What Hydra calls before a run or a sweep: ends it with a line where its folder cannot be written to."""
+
+    def on_run_start(self, config: DictConfig, **kwargs: object) -> None:
+        """Make the folder of a run."""
+        self._make(config, "run")
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
+        """Make the folder of a sweep."""
+        self._make(config, "sweep")
+
+    def _make(self, config: DictConfig, kind: str) -> None:
+        if config.hydra.output_subdir is None:  # a command without a folder of runs
+            return
+        hydra = HydraConfig.instance()
+        before = hydra.cfg
+        hydra.set_config(config)  # as Hydra does a moment later
+        try:
+            folder = Path(config.hydra[kind].dir)
+            folder.mkdir(parents=True, exist_ok=True)
+            require_room(folder, FIRST_BYTES)
+        except OSError as error:
+            _refuse(folder, error, f"hydra.{kind}.dir")
+        finally:
+            hydra.cfg = before
 
 
 def _run_dir(resume: str | None, fresh: str) -> str:
@@ -47,6 +83,8 @@ OmegaConf.register_new_resolver("splatrl.run_dir", _run_dir, replace=True)
 OmegaConf.register_new_resolver("splatrl.typed_dir", _typed_dir, replace=True)
 RUN_CONFIG = "config.yaml"
 """The config of a run, in its folder."""
+FIRST_BYTES = 2**16
+"""What a run needs at least: its configs, which Hydra writes before a command begins."""
 PATHS = ("scene.path", "collision.occupancy.cloud", "demos", "evaluation.episodes")
 """Keys that hold a path, which is made absolute in a run folder; numbers are none."""
 
@@ -55,6 +93,18 @@ def save_config(cfg: DictConfig, folder: Path) -> None:
     """Write ``config.yaml`` into a run folder: everything needed to resume and evaluate, from any working folder."""
     with replacing(folder / RUN_CONFIG) as stream:
         stream.write(OmegaConf.to_yaml(with_absolute_paths(cfg)).encode())
+
+
+def forget_run(folder: Path) -> None:
+    """Remove a run that was refused before it began from its folder, and the folder where nothing else is in it."""
+    typed = [folder / ".hydra" / f"{name}.yaml" for name in ("config", "hydra", "overrides")]
+    empty = [path for path in folder.glob("*.log") if path.stat().st_size == 0]
+    for path in (*typed, *empty, folder / RUN_CONFIG):
+        path.unlink(missing_ok=True)
+    with suppress(OSError):  # what is not empty stays
+        for path in (folder / ".hydra", folder / "checkpoints", folder):
+            if path.exists():
+                path.rmdir()
 
 
 def with_absolute_paths(cfg: DictConfig) -> DictConfig:

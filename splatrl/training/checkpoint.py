@@ -1,5 +1,6 @@
 """Checkpoints that a crash cannot leave half-written."""
 
+import io
 import pickletools
 import re
 import zipfile
@@ -23,9 +24,14 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     Args:
         path: file to write.
         state: nested dicts and lists of tensors and plain values.
+
+    Raises:
+        OSError: that names the path, where it cannot be written.
     """
+    memory = io.BytesIO()  # of a full disk torch.save tells as of a fault of its own
+    torch.save(state, memory)
     with replacing(path) as stream:
-        torch.save(state, stream)
+        stream.write(memory.getbuffer())
 
 
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:

@@ -116,7 +116,7 @@ def test_a_replay_writes_nothing(made: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 @linux
 @pytest.mark.parametrize(
-    ("typed", "path"), [(SMALL, "run/"), ("scene garden/splat.ply --height 0.5 --out mine", "mine")]
+    ("typed", "path"), [(SMALL, "run"), ("scene garden/splat.ply --height 0.5 --out mine", "mine")]
 )
 @pytest.mark.parametrize(("code", "reason"), [FULL, READ_ONLY])
 def test_a_full_or_read_only_disk_is_one_line_that_names_the_path(
@@ -125,6 +125,19 @@ def test_a_full_or_read_only_disk_is_one_line_that_names_the_path(
     break_disk(monkeypatch, path, code, reason)
     says_so(monkeypatch, typed, path, reason)
     assert not list(garden.parent.rglob("*.tmp"))
+
+
+@linux
+def test_a_disk_without_room_for_the_configs_of_a_run_is_told_before_it_begins(
+    garden: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(descriptor: int, start: int, size: int) -> None:
+        if size > 20_000:
+            raise OSError(*FULL)
+
+    monkeypatch.setattr(os, "posix_fallocate", fails)
+    says_so(monkeypatch, SMALL, "run", FULL[1])
+    assert not list(Path("run").iterdir())
 
 
 def says_so(monkeypatch: pytest.MonkeyPatch, typed: str, path: str, reason: str) -> None:
@@ -139,8 +152,8 @@ def says_so(monkeypatch: pytest.MonkeyPatch, typed: str, path: str, reason: str)
 @pytest.mark.parametrize(
     ("typed", "path", "code", "reason"),
     [
-        ("evaluate run=run", "run/", *FULL),
-        ("evaluate run=run", "run/", *READ_ONLY),
+        ("evaluate run=run", "run", *FULL),
+        ("evaluate run=run", "run", *READ_ONLY),
         ("clips run=run clips=walks output=out", "out", *FULL),
         ("clips run=run film=walks/walk-00 output=out", "out", *FULL),
         ("export run=run frames=2", "export", *FULL),
@@ -162,6 +175,17 @@ def test_on_such_a_disk_nothing_is_lost_and_nothing_half_written(
 
 
 @linux
+def test_an_evaluation_that_nobody_could_keep_is_refused_before_its_episodes(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(made / "run", tmp_path / "run")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(evaluate, "evaluate", lambda *_: pytest.fail("episodes were evaluated"))
+    break_disk(monkeypatch, "run", *READ_ONLY)
+    says_so(monkeypatch, "evaluate run=run", "run", READ_ONLY[1])
+
+
+@linux
 @pytest.mark.parametrize(("code", "reason"), [FULL, READ_ONLY])
 def test_a_scene_that_is_edited_in_the_viewer_stays_as_it_was(
     garden: Path, monkeypatch: pytest.MonkeyPatch, code: int, reason: str
@@ -173,7 +197,9 @@ def test_a_scene_that_is_edited_in_the_viewer_stays_as_it_was(
     assert {key: size for key, (size, _) in listing(garden).items()} == {key: size for key, (size, _) in before.items()}
 
 
-def test_a_new_folder_names_itself_where_a_library_names_nothing(tmp_path: Path) -> None:
+def test_a_new_folder_is_told_by_the_name_that_it_would_have(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"cannot write: No space left.*demos"), new_folder(tmp_path / "demos"):
         raise OSError(28, "Error writing bytes to file")
+    with pytest.raises(OSError, match=r"demos/a/b\.bin'$"), new_folder(tmp_path / "demos") as made:
+        raise OSError(28, "cannot write: No space left on device", str(made / "a" / "b.bin"))
     assert not list(tmp_path.iterdir())

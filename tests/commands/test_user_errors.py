@@ -5,12 +5,15 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from warnings import formatwarning as formatted
 
 import pytest
+from hydra.errors import CompactHydraException
+from hydra.types import RunMode
 from omegaconf import OmegaConf
 
-from splatrl.commands import capture, clips, evaluate, experiment, scene, train
+from splatrl.commands import capture, clips, entries, evaluate, experiment, faults, scene, train
 from splatrl.commands.faults import in_one_line
 from splatrl.configuration import command_line, load_config
 from splatrl.configuration.command_line import UserError, check_kind
@@ -147,15 +150,48 @@ def test_what_is_typed_wrong_is_answered_in_one_line(
     assert len(errors) == 1 and "\n" not in errors[0], errors
     assert errors[0].startswith(f"splatrl-{name}: {said}"), errors
     assert not (places / "nowhere").exists()
+    assert not list(places.glob("outputs/*/*")), "a run that did not begin leaves nothing behind"
 
 
+def test_a_refused_run_takes_nothing_of_others_with_it(places: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(places)
+    typed = shlex.split(f"splatrl-train {ROOM} collector.total_frames=10 hydra.run.dir=mine")
+    monkeypatch.setattr(sys, "argv", typed)
+    (places / "mine").mkdir()
+    (places / "mine" / "notes.log").write_text("mine")
+    with pytest.raises(SystemExit, match=r"collector\.total_frames: expected at least"):
+        train.main()
+    assert [path.name for path in (places / "mine").iterdir()] == ["notes.log"]
+    (places / "mine" / "config.yaml").write_text("mine: 1\n")
+    with pytest.raises(SystemExit, match=r"collector\.total_frames: expected at least"):
+        train.main()
+    assert (places / "mine" / "config.yaml").exists()
+    (places / "mine" / "config.yaml").unlink()
+    (places / "mine" / "checkpoints").mkdir()
+    (places / "mine" / "checkpoints" / "last.pt").touch()
+    with pytest.raises(SystemExit, match=r"hydra\.run\.dir: expected a new folder, got a run"):
+        train.main()
+    assert (places / "mine" / "checkpoints" / "last.pt").exists()
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("device=cpu", "outputs/.*: cannot write: Not a directory; say where to write by hydra.run.dir="),
+        ("hydra.run.dir=outputs/a", "outputs/a: cannot write: Not a directory; say where to write by hydra.run.dir="),
+        ("hydra.run.dir=/proc", "/proc: cannot write: .*; say where to write by hydra.run.dir="),
+        ("-m seed=0,1 hydra.sweep.dir=outputs", "outputs: cannot write: .*; say where to write by hydra.sweep.dir="),
+        ("-m seed=0,1", "multirun/.*: cannot write: Not a directory; say where to write by hydra.sweep.dir="),
+    ],
+)
 def test_where_no_run_can_be_written_is_said_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    typed: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "outputs").touch()
+    for name in ("outputs", "multirun"):
+        (tmp_path / name).touch()
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["splatrl-train", "device=cpu"])
-    with pytest.raises(SystemExit, match=r"^splatrl-train: outputs/.*: cannot be made: Not a directory; say where"):
+    monkeypatch.setattr(sys, "argv", ["splatrl-train", *typed.split()])
+    with pytest.raises(SystemExit, match=f"^splatrl-train: {said}"):
         MAINS["train"]()
     assert not capsys.readouterr().err
 
@@ -199,6 +235,32 @@ def test_a_warning_is_one_line_without_the_place_in_the_code() -> None:
     warns(DeprecationWarning)  # not one of ours
     assert said[1].startswith("place.py:7: DeprecationWarning")
     assert warnings.formatwarning is formatted
+
+
+def test_an_error_of_a_sweep_keeps_nothing_alive_until_hydra_prints_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    @in_one_line("splatrl-train")
+    def fails() -> None:
+        raise ValueError("seed: expected another")
+
+    sweep = SimpleNamespace(initialized=lambda: True, get=lambda: SimpleNamespace(mode=RunMode.MULTIRUN))
+    monkeypatch.setattr(faults, "HydraConfig", sweep)
+    with pytest.raises(CompactHydraException, match="splatrl-train: seed: expected another") as told:
+        fails()
+    assert told.value.__context__ is None and told.value.__cause__ is None
+
+
+@pytest.mark.parametrize("name", ["record", "scene"])
+def test_an_interrupt_is_a_line_and_no_traceback(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(module: str) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(entries, "import_module", interrupted)
+    monkeypatch.setattr(sys, "argv", [])
+    with pytest.raises(SystemExit) as ended:
+        entries.start(name, {"record": ["out=new"], "scene": ["room.ply"]}[name])
+    assert ended.value.code == 130 and capsys.readouterr().err == f"\nsplatrl-{name}: interrupted\n"
 
 
 @pytest.mark.parametrize(

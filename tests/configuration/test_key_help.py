@@ -7,7 +7,7 @@ import pytest
 from splatrl.configuration import key_help as key_help_module
 from splatrl.configuration import load_config, options
 from splatrl.configuration.command_line import MAIN_KEYS, command_line
-from splatrl.configuration.key_help import MOST_USED, WIDTH, comments_of, help_page, key_help
+from splatrl.configuration.key_help import MOST_USED, WIDEST, comments_of, help_page, key_help
 
 CHOICES = [
     *([f"task={task}"] for task in options("task")),
@@ -38,9 +38,12 @@ def test_every_key_and_every_option_is_explained(name, overrides):
 
 
 @pytest.mark.parametrize("name", MAIN_KEYS)
-def test_a_page_lists_every_key_of_the_config_within_its_width(name):
+def test_a_page_lists_every_key_of_the_config_within_the_terminals_width(name, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert 70 < max(map(len, help_page(name).splitlines())) <= 80
+    monkeypatch.setenv("COLUMNS", "300")
     page = help_page(name)
-    assert max(map(len, page.splitlines())) <= WIDTH
+    assert 80 < max(map(len, page.splitlines())) <= WIDEST
     for key in load_config(name=name):
         if key == "drawing":  # which only says what to build
             continue

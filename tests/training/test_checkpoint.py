@@ -2,7 +2,10 @@
 
 import io
 import os
+import resource
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,21 +32,25 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["last.pt"]
 
 
-def test_a_torn_write_leaves_the_old_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("room", [0, 10, 1000, 30_000])
+def test_a_disk_that_fills_up_leaves_the_old_checkpoint_and_is_named(tmp_path: Path, room: int) -> None:
     path = tmp_path / "last.pt"
     save_checkpoint(path, {"frames": 1})
-
-    begun = saved()[:100]
-
-    def torn(state: Any, file: io.BufferedWriter) -> None:
-        file.write(begun)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(torch, "save", torn)
-    with pytest.raises(KeyboardInterrupt):
-        save_checkpoint(path, {"frames": 2})
+    with limited_files(room), pytest.raises(OSError, match=r"cannot write: File too large: .*last\.pt"):
+        save_checkpoint(path, {"weight": torch.zeros(10_000)})
     assert load_checkpoint(path) == {"frames": 1}
     assert os.listdir(tmp_path) == ["last.pt"]
+
+
+@contextmanager
+def limited_files(size: int) -> Iterator[None]:
+    """A block in which no file grows beyond so many bytes, as on a disk that fills up."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_the_new_checkpoint_takes_the_old_ones_place_only_when_it_is_on_the_disk(
