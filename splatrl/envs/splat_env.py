@@ -1,4 +1,7 @@
-"""The one environment: a batch of robots in one scene, or each in one of several."""
+"""The one environment: a batch of robots in one scene, or each in one of several.
+
+Reset, step and state are one contract, which the class spells out and which makes this file long.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
@@ -7,39 +10,24 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from splatrl.collision.base import Checker
 from splatrl.collision.nothing import NoChecker
 from splatrl.collision.several import SeveralCheckers
 from splatrl.curriculum.starts import Curriculum
-from splatrl.envs.drawing.base import Drawing, View
+from splatrl.envs.drawing.base import Drawing
 from splatrl.envs.given import given_scene, given_state
 from splatrl.envs.lattice_steps import LatticeSteps, Taken, suits
 from splatrl.envs.restart import maybe_reset, with_rows
 from splatrl.envs.robot import Robot
-from splatrl.envs.sensors.base import Moment, Sensor
+from splatrl.envs.senses import Senses, Standing
+from splatrl.envs.sensors.base import Sensor
+from splatrl.envs.specs import env_specs
 from splatrl.envs.stateful_env import StatefulEnv
 from splatrl.envs.tasks.base import NOTHING, Anywhere, Outcome, Step, Task
 from splatrl.faults import Faulty
 from splatrl.motions.physics import PhysicsMotion
-from splatrl.renderers.parts import in_scenes
-
-RESERVED = {"pixels", "state", "step_count", "episode_return", "level", "outcome", "free_fraction", "camera_offset"}
-RESERVED |= {
-    "scene",
-    "action",
-    "reward",
-    "done",
-    "terminated",
-    "truncated",
-    "appearance",
-    "weather",
-    "goals",
-    "success",
-}
-"""Keys of the env and its transforms, which a task's memory must not take."""
 
 
 class SplatEnv(EnvBase):
@@ -117,12 +105,18 @@ class SplatEnv(EnvBase):
         self.task, self.curriculum, self.sensors = task, curriculum, dict(sensors or {})
         self.made_by: Callable[..., SplatEnv] | None = None
         self.generator = torch.Generator(self.device)
-        self._task_keys, self._sensor_keys = tuple(task.memory_spec), tuple(self._sensor_memory())
-        self._needs_depth = any(sensor.needs_depth for sensor in self.sensors.values())
-        self._make_specs()  # before the task moves: specs read its limits, which would synchronise with a GPU
+        self._task_keys, self._sensor_keys = tuple(task.memory_spec), tuple(self.senses.memory_spec())
+        specs = env_specs(task, self.senses, self.scenes, self.batch_size, self.device)
+        self.observation_spec, self.state_spec, self.action_spec, self.reward_spec, self.done_spec = specs
+        # only then the task moves: specs read its limits, which would synchronise with a GPU
         self.task = task.to(self.device)
         torch.nn.Module.to(self, self.device)  # EnvBase.to does nothing for the device that it already has
         self.set_seed(seed)
+
+    @property
+    def senses(self) -> Senses:
+        """What the robots see and sense by."""
+        return Senses(self.drawing, self.robot, self.sensors)
 
     @property
     def capturable(self) -> bool:
@@ -158,48 +152,6 @@ class SplatEnv(EnvBase):
         """Begin new episodes where they ended; see ``EnvBase.maybe_reset``."""
         return maybe_reset(self, tensordict)
 
-    def _make_specs(self) -> None:
-        motion, robot = self.task.motion, self.robot
-        count = Unbounded(shape=(1,), dtype=torch.int64)
-        number = Unbounded(shape=(1,), dtype=torch.float32)
-        carried: dict[str, TensorSpec] = {
-            "state": motion.state_spec,
-            "step_count": count,
-            "episode_return": number,
-            "level": count.clone(),
-            "goals": count.clone(),
-            **self.task.memory_spec,
-            **self._sensor_memory(),
-        }
-        if self.scenes > 1:
-            carried["scene"] = Categorical(self.scenes, shape=(1,), dtype=torch.int64)
-        if taken := {*self.sensors} & (RESERVED | set(self.task.memory_spec)):
-            raise ValueError(f"sensors: expected keys other than the env's own, got {', '.join(sorted(taken))}")
-        if taken := set(self.task.memory_spec) & RESERVED:
-            raise ValueError(
-                f"task.memory_spec: expected keys other than the env's own, got {', '.join(sorted(taken))}"
-            )
-        shown: dict[str, TensorSpec] = {
-            "pixels": Bounded(0, 255, shape=(robot.image_height, robot.image_width, 3), dtype=torch.uint8),
-            "outcome": Categorical(len(Outcome), shape=(1,), dtype=torch.int64),
-            "success": Categorical(2, shape=(1,), dtype=torch.bool),
-            "free_fraction": Bounded(0.0, 1.0, shape=(1,), dtype=torch.float32),
-            **self.drawing.specs,
-            **{key: sensor.spec(robot) for key, sensor in self.sensors.items()},
-        }
-        flag = Categorical(2, shape=(1,), dtype=torch.bool)
-        done: dict[str, TensorSpec] = {key: flag.clone() for key in ("done", "terminated", "truncated")}
-        self.observation_spec = self._batched({**shown, **{key: spec.clone() for key, spec in carried.items()}})
-        self.state_spec = self._batched(carried)  # read from the input of a step, hence part of fake inputs
-        self.action_spec = self._batched({"action": motion.action_spec})
-        self.reward_spec = self._batched({"reward": number.clone()})
-        self.done_spec = self._batched(done)
-
-    def _batched(self, specs: dict[str, TensorSpec]) -> Composite:
-        size = self.batch_size
-        specs = {key: spec.expand(*size, *spec.shape) for key, spec in specs.items()}
-        return Composite(specs, shape=size).to(self.device)
-
     @torch.compiler.disable
     def _reset(
         self,
@@ -233,7 +185,7 @@ class SplatEnv(EnvBase):
             begun = self._begun(rows)
         else:
             state = looked_up.values["state"].index_select(0, rows)
-            view = self._view(self.task, None, state, looked_up.body_to_world, NOTHING, None)
+            view = self.senses.view(self._standing(state, looked_up.body_to_world))
             begun = {"pixels": view.pixels, **view.shown}
         merged = with_rows([after[key] for key in begun], rows, list(begun.values()))
         return dict(zip(begun, merged, strict=True)) | (looked_up.values if looked_up else {})
@@ -276,17 +228,8 @@ class SplatEnv(EnvBase):
         """
         task, checker = self._at(scene)
         memory |= {key: kept[key].clone() for key in memory if kept.get(key, None) is not None}
-        poses = task.motion.body_to_world(state)
-        view = self._view(task, scene, state, poses, memory, camera_offset, only)
-        sensed: dict[str, Tensor] = {}
-        if self.sensors:
-            free = torch.ones(len(state), device=self.device)
-            look = partial(self._look, task, scene, state, memory, only)
-            known = task.motion.planar(state), poses, free, memory, view.depth, checker, look
-            moment = Moment(*known, state, task.motion)
-            begun = {key: value for sensor in self.sensors.values() for key, value in sensor.begin(moment).items()}
-            begun |= {key: kept[key].clone() for key in begun if kept.get(key, None) is not None}
-            sensed = begun | self._sensed(moment._replace(memory=memory | begun))
+        robots = Standing(task, checker, scene, state, task.motion.body_to_world(state), memory)
+        view, free_fraction = self.senses.view(robots, camera_offset, only), torch.ones(len(state), device=self.device)
         count = torch.zeros_like(level)
         flag = torch.zeros_like(level, dtype=torch.bool)
         return {
@@ -294,7 +237,7 @@ class SplatEnv(EnvBase):
             **view.shown,
             "state": state,
             **memory,
-            **sensed,
+            **self.senses.begin(robots, view, free_fraction, kept, only),
             **({} if scene is None else {"scene": scene.unsqueeze(1)}),
             "level": level,
             "step_count": count,
@@ -302,7 +245,7 @@ class SplatEnv(EnvBase):
             "outcome": count.clone(),
             "goals": count.clone(),
             "success": flag,
-            "free_fraction": torch.ones_like(level, dtype=torch.float32),
+            "free_fraction": free_fraction.unsqueeze(1),
             **{key: flag.clone() for key in ("done", "terminated", "truncated")},
         }
 
@@ -373,7 +316,7 @@ class SplatEnv(EnvBase):
     def _shown(self, taken: Taken, given: TensorDictBase | Mapping[str, Tensor]) -> dict[str, Tensor]:
         """What the env returns of steps that were looked up."""
         after, poses = taken
-        view = self._view(self.task, None, after["state"], poses, NOTHING, given.get("camera_offset", None))
+        view = self.senses.view(self._standing(after["state"], poses), given.get("camera_offset", None))
         return {"pixels": view.pixels, **view.shown, **after}
 
     def _stepped(self, tensordict: TensorDictBase | Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -383,19 +326,13 @@ class SplatEnv(EnvBase):
         task, checker = self._at(scene)
         memory = {key: tensordict[key] for key in self._task_keys}
         move = task.motion.move(before, action, checker)
-        view = self._view(task, scene, move.state, move.body_to_world, memory, tensordict.get("camera_offset", None))
+        robots = Standing(task, checker, scene, move.state, move.body_to_world, memory)
+        view = self.senses.view(robots, tensordict.get("camera_offset", None))
         reward, terminated, outcome, remembered = task.judge(
             Step(before, action, move, memory, view.pixels), self._chance(scene, len(before))
         )
         kept = {key: tensordict[key] for key in self._sensor_keys}
-        sensed: dict[str, Tensor] = {}
-        if self.sensors:
-            look = partial(self._look, task, scene, move.state, memory, None)
-            known = {**memory, **remembered, **kept}
-            where = task.motion.planar(move.state), move.body_to_world, move.free_fraction
-            sensed = self._sensed(
-                Moment(*where, known, view.depth, checker, look, move.state, task.motion, move.sensed)
-            )
+        known = {**memory, **remembered, **kept}
         step_count = tensordict["step_count"] + 1
         truncated = (step_count >= task.max_steps) & ~terminated
         goals = tensordict["goals"] + (outcome == Outcome.GOAL)
@@ -408,7 +345,7 @@ class SplatEnv(EnvBase):
             **view.shown,
             "state": move.state,
             **{key: value.clone() for key, value in (kept | {**remembered}).items()},
-            **sensed,
+            **self.senses.read(robots, view, move.free_fraction, known, move.sensed),
             **({} if scene is None else {"scene": tensordict["scene"].clone()}),
             "step_count": step_count,
             "episode_return": tensordict["episode_return"] + reward,
@@ -423,43 +360,10 @@ class SplatEnv(EnvBase):
             "truncated": truncated,
         }
 
-    def _view(
-        self,
-        task: Task,
-        scene: Tensor | None,
-        state: Tensor,
-        body_to_world: Tensor,
-        memory: Mapping[str, Tensor],
-        camera_offset: Tensor | None,
-        only: Tensor | None = None,
-    ) -> View:
-        """What robots in given states see; ``only`` as for ``Renderer``."""
-        cameras, parts = self.robot.cameras(body_to_world, camera_offset), task.parts(state, memory)
-        if scene is not None:
-            parts = in_scenes(scene, parts, body_to_world)
-        if self._needs_depth:
-            return self.drawing.draw(cameras, memory, parts, only, depth=True)
-        return self.drawing.draw(cameras, memory, parts, only)
-
-    def _look(
-        self,
-        task: Task,
-        scene: Tensor | None,
-        state: Tensor,
-        memory: Mapping[str, Tensor],
-        only: Tensor | None,
-        body_to_world: Tensor,
-    ) -> Tensor:
-        """What robots would see at other poses."""
-        return self._view(task, scene, state, body_to_world, memory, None, only).pixels
-
-    def _sensed(self, moment: Moment) -> dict[str, Tensor]:
-        return {key: sensor.read(moment) for key, sensor in self.sensors.items()}
-
-    def _sensor_memory(self) -> dict[str, TensorSpec]:
-        """Specs of what sensors remember."""
-        found = [sensor.memory_spec(self.robot) for sensor in self.sensors.values()]
-        return {key: spec for specs in found for key, spec in specs.items()}
+    def _standing(self, state: Tensor, body_to_world: Tensor) -> Standing:
+        """Robots of a task that remembers nothing, in the only scene."""
+        task, checker = self._at(None)
+        return Standing(task, checker, None, state, body_to_world, NOTHING)
 
     @property
     def remembered(self) -> list[str]:

@@ -1,0 +1,85 @@
+"""Specs of what an env takes and returns."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import torch
+from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
+
+from splatrl.envs.senses import Senses
+from splatrl.envs.tasks.base import Outcome, Task
+
+RESERVED = {"pixels", "state", "scene", "step_count", "episode_return", "level", "outcome", "goals", "success"}
+RESERVED |= {"free_fraction", "action", "reward", "done", "terminated", "truncated"}
+RESERVED |= {"camera_offset", "appearance", "weather"}  # of transforms
+"""Keys of the env and its transforms, which neither a task's memory nor a sensor may take."""
+
+
+class Specs(NamedTuple):
+    """Specs of a batch of robots.
+
+    Attributes:
+        observation: of what is observed, carried on included.
+        state: of what a step reads besides the action.
+        action, reward, done: as TorchRL has them.
+    """
+
+    observation: Composite
+    state: Composite
+    action: Composite
+    reward: Composite
+    done: Composite
+
+
+def env_specs(task: Task, senses: Senses, scenes: int, batch_size: torch.Size, device: torch.device | None) -> Specs:
+    """Specs of the env of a task; see ``SplatEnv`` for what the keys mean.
+
+    Args:
+        task: of the robots.
+        senses: what they see and sense.
+        scenes: how many there are.
+        batch_size: [B].
+        device: of the env's tensors.
+
+    Raises:
+        ValueError: for a sensor or a memory of the task that takes one of the env's keys.
+    """
+    remembered, motion, robot = task.memory_spec, task.motion, senses.robot
+    if taken := {*senses.sensors} & (RESERVED | {*remembered}):
+        raise ValueError(f"sensors: expected keys other than the env's own, got {', '.join(sorted(taken))}")
+    if taken := {*remembered} & RESERVED:
+        raise ValueError(f"task.memory_spec: expected keys other than the env's own, got {', '.join(sorted(taken))}")
+    count = Unbounded(shape=(1,), dtype=torch.int64)
+    number = Unbounded(shape=(1,), dtype=torch.float32)
+    flag = Categorical(2, shape=(1,), dtype=torch.bool)
+    carried: dict[str, TensorSpec] = {
+        "state": motion.state_spec,
+        "step_count": count,
+        "episode_return": number,
+        "level": count,
+        "goals": count,
+        **remembered,
+        **senses.memory_spec(),
+    }
+    if scenes > 1:
+        carried["scene"] = Categorical(scenes, shape=(1,), dtype=torch.int64)
+    shown: dict[str, TensorSpec] = {
+        "pixels": Bounded(0, 255, shape=(robot.image_height, robot.image_width, 3), dtype=torch.uint8),
+        "outcome": Categorical(len(Outcome), shape=(1,), dtype=torch.int64),
+        "success": flag,
+        "free_fraction": Bounded(0.0, 1.0, shape=(1,), dtype=torch.float32),
+        **senses.drawing.specs,
+        **{key: sensor.spec(robot) for key, sensor in senses.sensors.items()},
+    }
+
+    def batched(specs: Mapping[str, TensorSpec]) -> Composite:
+        own = {key: spec.clone().expand(*batch_size, *spec.shape) for key, spec in specs.items()}
+        return Composite(own, shape=batch_size).to(device)
+
+    return Specs(
+        observation=batched(shown | carried),
+        state=batched(carried),  # read from the input of a step, hence part of fake inputs
+        action=batched({"action": motion.action_spec}),
+        reward=batched({"reward": number}),
+        done=batched(dict.fromkeys(("done", "terminated", "truncated"), flag)),
+    )
