@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -56,14 +57,23 @@ def run(cfg: DictConfig) -> None:
         words.append(f"episodes={Path(str(cfg.episodes)).name.split('.')[0]}")
     if words:
         results = folder / "places" / _name(words)
-        results.mkdir(parents=True, exist_ok=True)
     for key in ("checkpoint", "starts", "repeats", "seed", "episodes"):
         if cfg[key] is not None:
             OmegaConf.update(own, f"evaluation.{key}", cfg[key])
     own.logger.video = cfg.video
     own.device = cfg.device or own.device
     torch.set_num_threads(own.threads)
-    evaluate_run(own, folder, results=results)
+    if results is None:
+        evaluate_run(own, folder)
+        return
+    results.mkdir(parents=True, exist_ok=True)
+    try:
+        evaluate_run(own, folder, results=results)
+    except BaseException:
+        with suppress(OSError):  # what is not empty stays
+            for path in (results, results.parent):
+                path.rmdir()
+        raise
 
 
 def _name(words: Sequence[str]) -> str:

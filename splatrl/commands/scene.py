@@ -126,10 +126,13 @@ def propose(
         Bounds of where robots can be, and what a ``scene.yaml`` says beside them.
     """
     area = walkable_area(scene, occupancy, floor, options.height)
-    if area is None or area.robot_height <= 0.0:
+    if area is None:
         print(
             f"goals       none: no floor is free {options.height:g} m above it; try another --height, --up or --scale"
         )
+        return scene.bounds, {}
+    if area.robot_height <= 0.0:
+        print(f"goals       none: expected the floor at z = 0, got {floor:.4g} m; --matrix or --translation lifts it")
         return scene.bounds, {}
     found = suggest(seen_in_splat(scene.gaussians), area)
     if found.goals:

@@ -1,4 +1,5 @@
 import gzip
+import re
 import warnings
 from pathlib import Path
 
@@ -100,6 +101,16 @@ def test_a_folder_is_looked_at_again_in_the_frame_that_its_yaml_states(
     assert description.read_text() == edited
     with pytest.raises(SystemExit, match=r"edit its scene\.yaml"):
         main([str(splat.parent), "--scale", "2"])
+
+
+@pytest.mark.usefixtures("ungrounded")
+def test_a_floor_far_below_zero_is_said_to_be_there(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main([str(splat), "--axes=x,z,-y", "--scale=1", "--translation=0,0,-46", "--height=0.4"])
+    printed = capsys.readouterr().out
+    assert re.search(
+        r"goals +none: expected the floor at z = 0, got -4\d.* m; --matrix or --translation lifts it", printed
+    )
+    assert "robot_height" not in splat.with_name("scene.yaml").read_text()
 
 
 def test_a_description_is_replaced_only_by_force_and_nothing_is_drawn_without(splat: Path) -> None:

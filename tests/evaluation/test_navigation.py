@@ -50,6 +50,17 @@ def test_the_saved_episodes_give_the_same_report_again_in_a_folder_of_its_own(
         assert after[key] == pytest.approx(before[key], abs=1e-4), key
 
 
+def test_an_evaluation_that_is_refused_leaves_the_run_as_it_was(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = sorted(run.rglob("*"))
+    (tmp_path / "walks.json.gz").write_bytes(b"none")
+    monkeypatch.setattr(sys, "argv", ["splatrl-evaluate", f"run={run}", f"episodes={tmp_path / 'walks.json.gz'}"])
+    with pytest.raises(SystemExit, match=r"walks\.json\.gz"):
+        evaluate.main()
+    assert sorted(run.rglob("*")) == before
+
+
 def test_a_file_of_episodes_for_another_task_or_place_is_refused(run: Path, tmp_path: Path) -> None:
     cfg = run_config(run)
     world = build_world(cfg)
