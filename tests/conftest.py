@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
     from splatrl.scenes import Gaussians
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # each worker has one core, and so has each program that tests start
+for library in ("OMP", "NUMBA"):  # each worker has one core, and so has each program that tests start
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
 
 @pytest.fixture(autouse=True)
@@ -62,6 +63,27 @@ def bare_report(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("check.draw_comparison", "check.draw_map", "folder.draw_cameras", "folder.draw_goals"):
         monkeypatch.setattr(f"splatrl.capture.{name}", lambda *_: None)
     monkeypatch.setattr("splatrl.capture.check.seen_through", lambda occupancy, _: np.zeros(1, bool))
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """splatrl-scene leaves the pictures out, which take most of the time, where a test looks at none; they show what is
+    read. Goals are looked for in a few places."""
+
+    def draw_scene(*arguments: object) -> list[Path]:
+        Path(str(arguments[4])).mkdir(parents=True, exist_ok=True)  # as the true one does
+        return []
+
+    monkeypatch.setattr("splatrl.capture.suggestions.MOST", 8)
+    monkeypatch.setattr("splatrl.commands.scene.draw_scene", draw_scene)
+    for name in ("draw_goals", "draw_terrain"):
+        monkeypatch.setattr(f"splatrl.commands.scene.{name}", lambda *_: None)
+
+
+@pytest.fixture
+def ungrounded(undrawn: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves out, too, the ground and boxes that robots with physics would meet, which take most of what is left."""
+    monkeypatch.setattr("splatrl.commands.scene.show_terrain", lambda *_: None)
 
 
 @pytest.fixture

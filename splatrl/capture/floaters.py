@@ -10,6 +10,7 @@ from torch import Tensor
 from splatrl.cameras import Cameras, depths_at
 from splatrl.capture.base import Reconstruction
 from splatrl.collision.occupancy import Occupancy
+from splatrl.collision.voxel_grid import within
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes.gaussians import Gaussians
 
@@ -151,7 +152,7 @@ def _touched(occupancy: Occupancy, places: NDArray[np.float64]) -> NDArray[np.bo
     """The voxels of a grid in which there is at least one of some places."""
     shape = occupancy.occupied.shape
     index = np.floor(places / occupancy.resolution).astype(np.int64) - occupancy.origin_key
-    index = index[((index >= 0) & (index < shape)).all(1)]
+    index = index[within(index, shape)]
     touched = np.zeros(shape, bool)
     touched[tuple(index.T)] = True
     return touched

@@ -99,7 +99,8 @@ def suggest(seen: Seen, area: Area) -> Suggestions:
         away = np.linalg.norm(places[:, None] - seen.path, axis=2).min(1)
         candidates = np.flatnonzero(away <= max(0.4, float(np.sort(away)[min(ENOUGH, len(away) - 1)])))
     wider = max(1.0, (area.step or GRID) / GRID)
-    scores = np.stack([_scores(seen, places[row], area.robot_height, wider) for row in candidates])  # [C, headings]
+    varied = seen.colors.std(1)
+    scores = np.stack([_scores(seen, varied, places[row], area.robot_height, wider) for row in candidates])
     goals: list[Goal] = []
     for best in np.argsort(-scores, axis=None, kind="stable").tolist():
         row, heading = divmod(best, HEADINGS)
@@ -153,19 +154,21 @@ def _free_places(area: Area) -> tuple[Floats, Floats]:
     return grid[part], bounded[part]
 
 
-def _scores(seen: Seen, place: Floats, height: float, wider: float) -> Floats:
-    """How much there is to recognise from a place in each heading: [HEADINGS]."""
+def _scores(seen: Seen, varied: Floats, place: Floats, height: float, wider: float) -> Floats:
+    """How much there is to recognise from a place in each heading: [HEADINGS]; ``varied`` is the deviation [P] between
+    the channels of each colour."""
     points, colors = seen.points, seen.colors
     offsets = points - [*place, height]
     apart = np.linalg.norm(offsets[:, :2], axis=1)
     near = (apart > NEAR[0] * wider) & (apart < NEAR[1] * wider) & (np.abs(offsets[:, 2]) < math.tan(HALF_VIEW) * apart)
     bearing, apart, colors = np.arctan2(offsets[near, 1], offsets[near, 0]), apart[near], colors[near]
+    varied = varied[near]
     scores = np.zeros(HEADINGS)
     for heading in range(HEADINGS):
         turn = (bearing - heading * math.tau / HEADINGS + math.pi) % math.tau - math.pi
         shown = np.abs(turn) < HALF_VIEW
         if shown.sum() >= 10:
-            variety = float(colors[shown].std(0).sum() + colors[shown].std(1).mean())
+            variety = float(colors[shown].std(0).sum() + varied[shown].mean())
             scores[heading] = variety * math.sqrt(float((1.0 / apart[shown]).sum()))
     return scores
 

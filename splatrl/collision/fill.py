@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from torch import Tensor
 
-from splatrl.collision.voxel_grid import MAX_VOXELS, Bounds, checked_box, checked_points, grid_shape
+from splatrl.collision.voxel_grid import MAX_VOXELS, Bounds, checked_box, checked_points, grid_shape, within
 from splatrl.native import _core
 from splatrl.native.threads import threads_of
 
@@ -106,7 +106,7 @@ def _flooded(
     if places is None:
         return 1 + int(np.bincount(regions.reshape(-1))[1:].argmax())
     index = np.floor(places / resolution).astype(np.int64) - origin
-    index = index[((index >= 0) & (index < regions.shape)).all(1)]
+    index = index[within(index, regions.shape)]
     away, nearest = ndimage.distance_transform_edt(regions == 0, return_indices=True)
     index = index[away[tuple(index.T)] <= reach]
     if len(index) == 0:

@@ -38,11 +38,20 @@ def checked_points(name: str, values: Tensor | ArrayLike) -> NDArray[np.float64]
     array = np.asarray(values.detach().cpu() if isinstance(values, Tensor) else values, np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"{name}: expected shape [N, 3], got {list(array.shape)}")
-    bad = ~np.isfinite(array).all(1)
-    if bad.any():
-        row = int(bad.argmax())
+    finite = np.isfinite(array)
+    if not finite.all():
+        row = int((~finite.all(1)).argmax())
         raise ValueError(f"{name}: expected finite metres, got {array[row].tolist()} in row {row}")
     return array
+
+
+def within(index: NDArray[np.int64], shape: Sequence[int]) -> NDArray[np.bool_]:
+    """Which indices [N, 3] are of a voxel in a grid of a shape: [N]. Columns are compared, several times as fast as
+    reducing many rows of three."""
+    inside = np.ones(len(index), bool)
+    for column, size in zip(index.T, shape, strict=True):
+        inside &= (column >= 0) & (column < size)
+    return inside
 
 
 def checked_box(name: str, box: Bounds) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from scipy import ndimage
 from torch import Tensor
 
 from splatrl.collision.report import OccupancyReport
-from splatrl.collision.voxel_grid import FARTHEST_KEY, MAX_VOXELS, check_resolution, checked_points
+from splatrl.collision.voxel_grid import FARTHEST_KEY, MAX_VOXELS, check_resolution, checked_points, within
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -80,7 +80,7 @@ class Voxels:
     def contains(self, points: Tensor | ArrayLike) -> NDArray[np.bool_]:
         """Whether each point [N, 3] (world, metres) lies in a solid voxel: [N]."""
         index = np.floor(checked_points("points", points) / self.resolution).astype(np.int64) - self.origin_key
-        inside = ((index >= 0) & (index < self.occupied.shape)).all(1)
+        inside = within(index, self.occupied.shape)
         result = np.zeros(len(index), bool)
         result[inside] = self.occupied[tuple(index[inside].T)]
         return result

@@ -9,9 +9,7 @@ import torch
 from PIL import Image
 
 from splatrl.building import build_world
-from splatrl.capture import suggestions
 from splatrl.collision.point_clouds import write_points
-from splatrl.commands import scene
 from splatrl.commands.scene import main
 from splatrl.configuration import load_config
 from splatrl.scenes import Gaussians, read_gaussians, read_scene, similarity, write_gaussians
@@ -39,27 +37,6 @@ def splat(tmp_path: Path) -> Path:
     folder.mkdir()
     write_gaussians(folder / "yard.ply", lying(world(), similarity(UPRIGHT, 1.0, [0.0, 0.0, -0.7])))
     return folder / "yard.ply"
-
-
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leaves the pictures out, which take most of the time, where a test looks at none; they show what is read. Goals
-    are looked for in a few places."""
-
-    def draw_scene(*arguments: object) -> list[Path]:
-        Path(str(arguments[4])).mkdir(parents=True, exist_ok=True)  # as the true one does
-        return []
-
-    monkeypatch.setattr(suggestions, "MOST", 8)
-    monkeypatch.setattr(scene, "draw_scene", draw_scene)
-    for name in ("draw_goals", "draw_terrain"):
-        monkeypatch.setattr(scene, name, lambda *_: None)
-
-
-@pytest.fixture
-def ungrounded(undrawn: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leaves out, too, the ground and boxes that robots with physics would meet, which take most of what is left."""
-    monkeypatch.setattr(scene, "show_terrain", lambda *_: None)
 
 
 def heights(folder: Path) -> tuple[float, float]:

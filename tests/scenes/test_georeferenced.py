@@ -60,6 +60,7 @@ def test_without_a_frame_places_are_single_and_those_beyond_its_range_are_droppe
         read_gaussians(doubles(tmp_path / "b.ply", sample_gaussians(4, 0), np.array([0.0, 0.0, 1e200])))
 
 
+@pytest.mark.usefixtures("ungrounded")
 def test_splatrl_scene_takes_an_offset_before_it_rounds(tmp_path: Path) -> None:
     path = doubles(tmp_path / "a.ply", tiny_gaussians())
     x, y, z = SHIFT["translation"]
