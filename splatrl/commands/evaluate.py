@@ -1,8 +1,8 @@
 """``splatrl-evaluate``: evaluate a finished or interrupted run from every pose of its start set."""
 
 import re
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -63,17 +63,23 @@ def run(cfg: DictConfig) -> None:
     own.logger.video = cfg.video
     own.device = cfg.device or own.device
     torch.set_num_threads(own.threads)
-    if results is None:
-        evaluate_run(own, folder)
-        return
-    results.mkdir(parents=True, exist_ok=True)
-    try:
+    with _made(results):
         evaluate_run(own, folder, results=results)
-    except BaseException:
+
+
+@contextmanager
+def _made(folder: Path | None) -> Iterator[None]:
+    """Make a folder of results, which is gone again where nothing came of it."""
+    if folder is None:
+        yield
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    finally:
         with suppress(OSError):  # what is not empty stays
-            for path in (results, results.parent):
+            for path in (folder, folder.parent):
                 path.rmdir()
-        raise
 
 
 def _name(words: Sequence[str]) -> str:
