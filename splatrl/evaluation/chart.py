@@ -66,7 +66,7 @@ class Chart:
         """Draw the map after some steps of an episode."""
         image = self.static.copy()
         pen = ImageDraw.Draw(image)
-        styles = mark_styles(chain(self.marks, *recording.marks))
+        styles = mark_styles(chain(self.marks, recording.named_marks))
         for mark in chain(self.marks, recording.marks[step] if recording.marks else ()):
             self._mark(pen, mark, *styles[mark.name])
         if len(styles) > 1:

@@ -89,17 +89,17 @@ class Pictures:
         recordings = record_episodes(env, policy, states, seed=seed, memory=memory)
         motion = env.task.motion
         outside = partial(self._outside, env) if isinstance(motion, PhysicsMotion) else None
-        shown = (
+        rollout_video(
             recordings,
             env.robot,
             self.view,
             path,
             env.drawing,
             motion.action_names,
-            steps_a_second(motion),
-            outside,
+            fps=steps_a_second(motion),
+            outside=outside,
+            goals=env.task.goals_for_success,
         )
-        rollout_video(*shown, env.task.goals_for_success)
         return path
 
     def _outside(self, env: EnvBase, recording: Recording) -> Cameras:

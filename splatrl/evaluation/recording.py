@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -43,6 +44,11 @@ class Recording:
     marks: Sequence[list[Mark]] = ()
     goals: Tensor | None = None
     goal_image: Tensor | None = None
+
+    @cached_property
+    def named_marks(self) -> list[Mark]:
+        """A mark of each name, in the order in which the names come."""
+        return list({mark.name: mark for marks in self.marks for mark in marks}.values())
 
 
 def record_episodes(

@@ -272,20 +272,18 @@ def test_a_capture_that_cannot_work_is_refused_with_its_cause(
     assert stages == ["frames"] and not (tmp_path / "night" / "scene.yaml").exists()
 
 
-def test_a_film_on_its_side_is_refused_before_the_fit(
-    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("judge", "message"),
+    [
+        ("on_its_side", r"splatrl-capture: lies on its side: .* -display_rotation 90 .* --force"),
+        ("upside_down", r"splatrl-capture: is upside down: .* -display_rotation 180 .* --force"),
+    ],
+)
+def test_a_film_that_is_not_upright_is_refused_before_the_fit(
+    judge: str, message: str, tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline, "on_its_side", lambda poses: True)
-    with pytest.raises(SystemExit, match=r"splatrl-capture: lies on its side: .* -display_rotation 90 .* --force"):
-        capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
-    assert stages == ["frames", "poses"]
-
-
-def test_a_film_that_is_upside_down_is_refused_before_the_fit(
-    tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pipeline, "upside_down", lambda poses, points: True)
-    with pytest.raises(SystemExit, match=r"splatrl-capture: is upside down: .* -display_rotation 180 .* --force"):
+    monkeypatch.setattr(pipeline, judge, lambda *_: True)
+    with pytest.raises(SystemExit, match=message):
         capture.main(["garden.mp4", "--out", str(tmp_path / "garden"), *QUICK])
     assert stages == ["frames", "poses"]
 
