@@ -1,5 +1,6 @@
 """The map in a video: it is drawn once, and the robot is drawn on it for every frame."""
 
+import functools
 import math
 from itertools import chain
 from pathlib import Path
@@ -29,6 +30,7 @@ COLORS = {
 }
 
 
+@functools.cache
 def font(size: int) -> ImageFont.FreeTypeFont:
     """The font that comes with matplotlib, so that every machine has it."""
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)

@@ -21,6 +21,8 @@ from splatrl.values import tenths
 EPISODES_IN_VIDEO = 4
 SCENES_SHOWN = 4
 """Of several scenes, so many have maps and a video of their own."""
+FRAMES_IN_VIDEOS = 1200
+"""Of all these videos together, about: each takes a fortieth of a second to draw."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,8 @@ def evaluate(
     if len(names) > 1:
         files.append(folder / "scenes.png")
         scene_bars(names, [row["success_rate"] for row in summary["scenes"]], files[1])
-    for number, one in enumerate(world.worlds[:SCENES_SHOWN]):
+    in_maps = world.worlds[:SCENES_SHOWN]
+    for number, one in enumerate(in_maps):
         place = folder if len(names) == 1 else folder / "scenes" / f"{number}-{names[number]}"
         place.mkdir(parents=True, exist_ok=True)
         own = one.env(EPISODES_IN_VIDEO)
@@ -114,7 +117,7 @@ def evaluate(
             files += [pictures.starts(sampled.of(number)), pictures.success_map(sampled.of(number))]
         if video:
             shown = spread_starts(one, EPISODES_IN_VIDEO) if one.task.chooses_episodes else None
-            files.append(pictures.video(own, policy, settings.seed, shown))
+            files.append(pictures.video(own, policy, settings.seed, FRAMES_IN_VIDEOS // len(in_maps), shown))
     return summary, files
 
 

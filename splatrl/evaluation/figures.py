@@ -96,7 +96,8 @@ def scene_bars(names: Sequence[str], success: Sequence[float], path: Path) -> No
     axes, rates = figure.subplots(), np.asarray(success)[order]
     axes.barh(np.arange(len(names)), rates, 0.72, color=BLUE)
     for row, rate in enumerate(rates):
-        axes.text(rate + 0.008, row, f"{rate:.0%}", va="center", fontsize=8, color=INK)
+        label = axes.text(rate + 0.008, row, f"{rate:.0%}", va="center", fontsize=8, color=INK)
+        label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1})  # over the line of the average
     axes.axvline(float(np.mean(rates)), color=INK, linewidth=1, linestyle="--", zorder=0)
     axes.set_title(f"goal reached in {len(names)} scenes, {np.mean(rates):.1%} on average", fontsize=11)
     axes.set_yticks(np.arange(len(names)), [names[i] for i in order], fontsize=8)

@@ -1,6 +1,6 @@
 """All pictures of a finished training, drawn into its run folder."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -70,27 +70,31 @@ class Pictures:
         env: EnvBase,
         policy: Callable[[TensorDictBase], TensorDictBase],
         seed: int,
+        frames: int,
         chosen: Chosen | None = None,
     ) -> Path:
         """Record a rollout of each robot of ``env``, from starts spread over distances to the goal, nearest first.
+
+        Where these are more frames than a video may have, it shows fewer of them, still spread over distances.
 
         Args:
             env: robots.
             policy: acts.
             seed: of the sampling.
+            frames: of the video, about, at most; one episode is always shown to its end.
             chosen: a start for each robot, with what the task remembers there, where tasks choose episodes.
         """
         path = self.folder / "rollouts.mp4"
         rows = self.plan.start_rows
         ordered = rows[self.plan.distance[rows].argsort(stable=True)]
         count = env.numel()
-        spread = (torch.arange(1, count + 1) * len(ordered) // count - 1).clamp_min(0)
-        states, memory = (self.plan.states[ordered[spread]], {}) if chosen is None else (chosen.state, chosen.memory)
+        start = self.plan.states[ordered[_spread(len(ordered), count)]]
+        states, memory = (start, {}) if chosen is None else (chosen.state, chosen.memory)
         recordings = record_episodes(env, policy, states, seed=seed, memory=memory)
         motion = env.task.motion
         outside = partial(self._outside, env) if isinstance(motion, PhysicsMotion) else None
         rollout_video(
-            recordings,
+            [recordings[row] for row in shown([len(recording.action) for recording in recordings], frames)],
             env.robot,
             self.view,
             path,
@@ -117,6 +121,22 @@ class Pictures:
         distinct, row = places.unique(dim=0, return_inverse=True)
         fits = torch.zeros(len(distinct)).index_add(0, row, self.plan.free.float())
         return distinct[fits == 0]
+
+
+def shown(steps: Sequence[int], frames: int) -> list[int]:
+    """Which of some episodes a video shows: as many as it has frames for were all as long as the longest, evenly
+    spread, so that those that end early are not preferred.
+
+    Args:
+        steps: of each episode.
+        frames: of the video, about, at most, unless one episode alone has more.
+    """
+    return _spread(len(steps), min(max(1, frames // max(steps)), len(steps))).tolist()
+
+
+def _spread(length: int, count: int) -> Tensor:
+    """Rows that are evenly spread over some and end with the last: [count] int64."""
+    return (torch.arange(1, count + 1) * length // count - 1).clamp_min(0)
 
 
 def steps_a_second(motion: Motion) -> int:

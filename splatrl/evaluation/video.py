@@ -1,8 +1,7 @@
 """Videos of episodes: what the robot sees, beside the robot itself if it has a body, and a map of where it is."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
 
@@ -11,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
+from tqdm import tqdm
 
 from splatrl.cameras import Cameras
 from splatrl.envs.drawing import Drawing
@@ -65,7 +65,14 @@ def rollout_video(
     if not recordings:
         raise ValueError("recordings: expected at least one episode, got none")
     chart = Chart(view, robot.body, (WIDEST, PANEL))
-    encode(_frames(recordings, robot, chart, drawing, action_names, fps, outside, goals), path, fps)
+    frames = _frames(recordings, robot, chart, drawing, action_names, fps, outside, goals)
+    total = sum(len(recording.action) + 1 + _held(fps) for recording in recordings)
+    encode(tqdm(frames, "video", total, leave=False, unit="frame", dynamic_ncols=True), path, fps)
+
+
+def _held(fps: int) -> int:
+    """For how many frames more the last of an episode stays."""
+    return round(HOLD * fps)
 
 
 def _frames(
@@ -100,7 +107,7 @@ def _frames(
             if recording.goals is not None:
                 facts.append(("goals", f"{int(recording.goals[step])} of {goals}"))
             _caption(page, facts, recording.outcome if step == last else Outcome.RUNNING)
-            for _ in range(1 + round(HOLD * fps) * (step == last)):
+            for _ in range(1 + _held(fps) * (step == last)):
                 yield page
 
 
@@ -167,7 +174,7 @@ def fitting(words: str, width: float) -> ImageFont.FreeTypeFont:
 
 
 def encode(
-    frames: Iterator[Image.Image], path: Path, fps: int, options: Mapping[str, str] = MappingProxyType({})
+    frames: Iterable[Image.Image], path: Path, fps: int, options: Mapping[str, str] = MappingProxyType({})
 ) -> None:
     """Write images of one size, of even sides, to an mp4: H.264, or MPEG-4 where PyAV lacks that.
 
@@ -185,8 +192,8 @@ def encode(
         stream = container.add_stream("libx264" if x264 else "mpeg4", rate=fps)
         stream.pix_fmt = "yuv420p"
         stream.options = {**(X264 if x264 else {"qscale": "3"}), **options}
-        first = next(frames)
-        stream.width, stream.height = first.size
-        for image in chain([first], frames):
+        for number, image in enumerate(frames):
+            if number == 0:
+                stream.width, stream.height = image.size
             container.mux(stream.encode(av.VideoFrame.from_image(image)))
         container.mux(stream.encode(None))
