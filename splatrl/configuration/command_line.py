@@ -212,8 +212,14 @@ def _check_key(key: str, known: DictConfig) -> None:
     near = near or _near_keys(leaf, known)
     near = ["scene=<the path>"] if key == "scene.path" else near
     hint = f", did you mean {' or '.join(near)}?" if near else "."
-    place = f"of {'.'.join(parents)}" if parents else "at the top"
-    raise UserError(f"{key}: no such key{hint} Valid keys {place}: {', '.join(valid) or 'none'}")
+    place = ".".join(parents)
+    if valid:
+        known_keys = f"Valid keys {f'of {place}' if parents else 'at the top'}: {', '.join(valid)}"
+    elif options(place):
+        known_keys = f"{place}=... chooses values of other keys: {', '.join(options(place))}"
+    else:
+        known_keys = f"{place} has no keys"
+    raise UserError(f"{key}: no such key{hint} {known_keys}")
 
 
 def _near_keys(word: str, known: DictConfig) -> list[str]:

@@ -53,6 +53,8 @@ ERRORS = [
     # Keys and options that are not there.
     ("train tsak=grid", "tsak: no such key, did you mean task? Valid keys at the top: seed, device"),
     ("train frames=1000", "frames: no such key, did you mean collector.frames_per_batch or collector.total_frames"),
+    ("train ppo.total_frames=1", "did you mean collector.total_frames or matching.frames? ppo=... chooses values of"),
+    ("train nothing.at_all=1", "nothing.at_all: no such key. nothing has no keys"),
     ("train height=1", "height: no such key, did you mean robot.height"),
     ("train task=Gird", "task: expected one of apple, circle, drive"),
     ("train transforms/appearance=foo", "transforms/appearance: expected one of none, varied"),
