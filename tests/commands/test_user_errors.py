@@ -53,7 +53,7 @@ ERRORS = [
     # Keys and options that are not there.
     ("train tsak=grid", "tsak: no such key, did you mean task? Valid keys at the top: seed, device"),
     ("train frames=1000", "frames: no such key, did you mean collector.frames_per_batch or collector.total_frames"),
-    ("train ppo.total_frames=1", "did you mean collector.total_frames or matching.frames? ppo=... chooses values of"),
+    ("train ppo.gamma=1", "ppo.gamma: no such key, did you mean loss.gamma? ppo=... chooses values of other keys: "),
     ("train nothing.at_all=1", "nothing.at_all: no such key. nothing has no keys"),
     ("train height=1", "height: no such key, did you mean robot.height"),
     ("train task=Gird", "task: expected one of apple, circle, drive"),
