@@ -10,7 +10,6 @@ from torch import Tensor
 from splatrl.cameras import Cameras, depths_at
 from splatrl.capture.base import Reconstruction
 from splatrl.collision.occupancy import Occupancy
-from splatrl.collision.voxel_grid import within
 from splatrl.renderers import NativeRenderer
 from splatrl.scenes.gaussians import Gaussians
 
@@ -43,10 +42,10 @@ def seen_through(occupancy: Occupancy, reconstruction: Reconstruction) -> NDArra
         occupancy: what is solid, world frame.
         reconstruction: cameras and what they saw, in the same frame.
     """
-    shape = occupancy.occupied.shape
-    if not occupancy.occupied.any():
-        return np.zeros(shape, bool)
-    through, hits = np.zeros(shape, np.int32), np.zeros(shape, np.int32)
+    solid = occupancy.occupied
+    if not solid.any():
+        return np.zeros(solid.shape, bool)
+    through, hits = np.zeros(solid.size, np.int32), np.zeros(solid.size, np.int32)
     points, centers = reconstruction.points.numpy(), reconstruction.camera_to_world[:, :3, 3].numpy()
     seen_by, seen_point = reconstruction.seen_by.numpy(), reconstruction.seen_point.numpy()
     often = np.bincount(seen_point, minlength=len(points)) >= 3
@@ -57,10 +56,10 @@ def seen_through(occupancy: Occupancy, reconstruction: Reconstruction) -> NDArra
         rows = rows[often[seen_point[rows]]]
         rows = rows[:: max(1, -(-len(rows) // RAYS))]
         aims = points[seen_point[rows]]
-        through += _touched(occupancy, _seen_places(occupancy, center, aims))
-        hits += _touched(occupancy, _around(aims, occupancy.resolution))
-    seen: NDArray[np.bool_] = occupancy.occupied & (through >= MIN_CAMERAS) & (through > AGAINST_HITS * hits)
-    return seen
+        through[_crossed(occupancy, center, aims)] += 1
+        hits[_beside(occupancy, aims)] += 1
+    seen = (through >= MIN_CAMERAS) & (through > AGAINST_HITS * hits)
+    return solid & seen.reshape(solid.shape)
 
 
 def hazy_voxels(
@@ -122,8 +121,8 @@ def without_floaters(
     return gaussians[~dropped], int(carved.sum())
 
 
-def _seen_places(occupancy: Occupancy, center: NDArray[np.float64], aims: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Places [S, 3] along the rays from a camera towards points that it saw.
+def _crossed(occupancy: Occupancy, center: NDArray[np.float64], aims: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Solid voxels on the rays from a camera towards points that it saw, each once, by their numbers.
 
     A ray ends before its point, and before all that is solid from there on towards the camera: a surface that it
     meets at a low angle is no floater.
@@ -132,27 +131,33 @@ def _seen_places(occupancy: Occupancy, center: NDArray[np.float64], aims: NDArra
     lengths = np.linalg.norm(ways, axis=1) - MARGIN * occupancy.resolution
     ways, lengths = ways[lengths > 0], lengths[lengths > 0]
     if len(ways) == 0:
-        return np.empty((0, 3))
+        return np.empty(0, np.int64)
     directions = ways / np.linalg.norm(ways, axis=1, keepdims=True)
     along = np.arange(0.0, min(float(lengths.max()), LONGEST), _STEP * occupancy.resolution)
-    places = center + directions[:, None] * along[:, None]  # [rays, samples, 3]
-    free = ~occupancy.contains(places.reshape(-1, 3)).reshape(places.shape[:2]) & (along < lengths[:, None])
+    short = along < lengths[:, None]  # [rays, samples]
+    ray, sample = short.nonzero()
+    number = _solid(
+        occupancy, *(start + way[ray] * along[sample] for start, way in zip(center, directions.T, strict=True))
+    )
+    free = np.zeros(short.shape, bool)
+    free[short] = number < 0
     last = np.where(free.any(1), free.shape[1] - 1 - free[:, ::-1].argmax(1), -1)
-    seen: NDArray[np.float64] = places[np.arange(free.shape[1]) <= last[:, None]]
-    return seen
+    return np.unique(number[(number >= 0) & (sample < last[ray])])
 
 
-def _around(points: NDArray[np.float64], resolution: float) -> NDArray[np.float64]:
-    """Places [27 P, 3] in and beside the voxels of points."""
-    steps = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), -1).reshape(-1, 3)
-    return (points[:, None] + resolution * steps).reshape(-1, 3)
+def _beside(occupancy: Occupancy, points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The solid voxels of points and the solid ones of the 26 around each, every one once, by their numbers."""
+    steps = occupancy.resolution * np.array([-1.0, 0.0, 1.0])
+    x, y, z = points.T[:, :, None] + steps
+    number = _solid(occupancy, x[:, :, None, None], y[:, None, :, None], z[:, None, None, :])
+    return np.unique(number[number >= 0])
 
 
-def _touched(occupancy: Occupancy, places: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """The voxels of a grid in which there is at least one of some places."""
-    shape = occupancy.occupied.shape
-    index = np.floor(places / occupancy.resolution).astype(np.int64) - occupancy.origin_key
-    index = index[within(index, shape)]
-    touched = np.zeros(shape, bool)
-    touched[tuple(index.T)] = True
-    return touched
+def _solid(occupancy: Occupancy, *places: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The number, line by line, of the solid voxel at each place, whose x, y and z are given; -1 where none is."""
+    number, inside = np.int64(0), np.True_
+    for axis, first, size in zip(places, occupancy.origin_key, occupancy.occupied.shape, strict=True):
+        index = np.floor(axis / occupancy.resolution).astype(np.int64) - first
+        number, inside = number * size + index, inside & (index >= 0) & (index < size)
+    number = np.where(inside, number, 0)
+    return np.where(inside & occupancy.occupied.reshape(-1)[number], number, -1)

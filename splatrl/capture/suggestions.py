@@ -159,14 +159,14 @@ def _scores(seen: Seen, varied: Floats, place: Floats, height: float, wider: flo
     the channels of each colour."""
     points, colors = seen.points, seen.colors
     offsets = points - [*place, height]
-    apart = np.linalg.norm(offsets[:, :2], axis=1)
+    apart = np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2)
     near = (apart > NEAR[0] * wider) & (apart < NEAR[1] * wider) & (np.abs(offsets[:, 2]) < math.tan(HALF_VIEW) * apart)
     bearing, apart, colors = np.arctan2(offsets[near, 1], offsets[near, 0]), apart[near], colors[near]
     varied = varied[near]
     scores = np.zeros(HEADINGS)
     for heading in range(HEADINGS):
-        turn = (bearing - heading * math.tau / HEADINGS + math.pi) % math.tau - math.pi
-        shown = np.abs(turn) < HALF_VIEW
+        turn = bearing - heading * math.tau / HEADINGS + math.pi  # above -2π, since bearings are above -π
+        shown = np.abs(np.where(turn < 0.0, turn + math.tau, turn) - math.pi) < HALF_VIEW
         if shown.sum() >= 10:
             variety = float(colors[shown].std(0).sum() + varied[shown].mean())
             scores[heading] = variety * math.sqrt(float((1.0 / apart[shown]).sum()))
