@@ -22,16 +22,17 @@ SOURCES: dict[str, list[dict[str, int]]] = {
     "fit": [fit_defines(degree) for degree in range(4)],
     "place": [{}],
 }
-"""Every kernel compiles, with every value of each of its macros."""
+"""Every kernel, with every value of each of its macros."""
 ARCHITECTURES = ("sm_80", "sm_90", "sm_120")
-COMPILED = [
-    (name, defines, arch)
-    for name, many in SOURCES.items()
-    for i in range(max(len(many), len(ARCHITECTURES)))
-    for arch in (ARCHITECTURES if name == "fit" else [ARCHITECTURES[(i + 1) % len(ARCHITECTURES)]])
-    for defines in [many[i % len(many)]]
-]
-"""Each source for every architecture, and with all its macros for one of them; the fit's are looked at for all."""
+CHOSEN = {
+    "collide": [("sm_80", 0), ("sm_90", 1), ("sm_120", 2)],
+    "render": [("sm_120", 0), ("sm_80", 3), ("sm_90", 4), ("sm_80", 7)],
+    "fit": [("sm_80", 0), ("sm_90", 1), ("sm_120", 2), *((arch, 3) for arch in ARCHITECTURES)],
+    "place": [(arch, 0) for arch in ARCHITECTURES],
+}
+"""Each source for every architecture, and with every value of each macro, and of every two macros that are switches,
+for one of them; of the fit, the degree that needs most registers for all."""
+COMPILED = [(name, SOURCES[name][i], arch) for name, variants in CHOSEN.items() for arch, i in variants]
 
 pytest.importorskip("cuda.core", reason="needs the extra cuda")
 
@@ -56,6 +57,10 @@ def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_every_kernel_is_listed_here() -> None:
     assert set(SOURCES) == {path.stem for path in FOLDERS[0].glob("*.cu")}
+    for name, many in SOURCES.items():
+        assert {arch for arch, _ in CHOSEN[name]} == set(ARCHITECTURES), name
+        macros = {macro for defines in many for macro in defines.items()}
+        assert {macro for _, i in CHOSEN[name] for macro in many[i].items()} == macros, name
 
 
 @pytest.mark.parametrize(("source", "defines", "arch"), COMPILED)
@@ -65,8 +70,7 @@ def test_every_kernel_compiles_for_every_architecture(source: str, defines: dict
     assert f"for '{arch}" in log and "registers" in log
 
 
-@pytest.mark.parametrize("arch", ARCHITECTURES)
-@pytest.mark.parametrize("defines", SOURCES["fit"])
+@pytest.mark.parametrize(("defines", "arch"), [(defines, arch) for name, defines, arch in COMPILED if name == "fit"])
 def test_the_fit_keeps_all_it_computes_in_registers(defines: dict[str, int], arch: str) -> None:
     _, log = kept("fit", arch, defines)
     spilled = re.findall(r"(\d+) bytes stack frame, (\d+) bytes spill stores", log)
