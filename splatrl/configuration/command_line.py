@@ -16,7 +16,7 @@ from splatrl.configuration.elsewhere import words_of_place
 from splatrl.configuration.grammar import quoted
 from splatrl.configuration.key_help import help_page
 from splatrl.configuration.run_configs import RUN_CONFIG
-from splatrl.configuration.scene_choice import SWEEP, load_config, with_scene_paths
+from splatrl.configuration.scene_choice import SEEDED, SWEEP, load_config, with_scene_paths
 from splatrl.configuration.search_path import composed, is_group, options
 
 OWN_CONFIG = ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp")
@@ -189,14 +189,15 @@ def _choices(override: Override) -> list[str]:
 
 
 def _check_choice(key: str, choice: str) -> None:
-    group = key.partition("@")[0]
+    group, choice = key.partition("@")[0], choice.replace("\\:", ":")  # as it was typed
     valid = options(group)
     if choice in valid or choice in ("null", ""):
         return
     near = difflib.get_close_matches(choice.lower(), valid, 1)
     hint = f"; did you mean {key}={near[0]}?" if near else ""
-    if group == "scene" and Path(choice).expanduser().exists():
-        raise UserError(f"{key}: expected only names of configs, or only paths that exist, got {choice} among others")
+    if group == "scene" and (SEEDED.fullmatch(choice) or Path(choice).expanduser().exists()):
+        kinds = "only names of configs, only paths that exist, or only seeds as in yard:1,yard:2"
+        raise UserError(f"{key}: expected {kinds}, got {choice} among others")
     paths = ", or a path that exists" if group == "scene" else ""
     raise UserError(f"{key}: expected one of {', '.join(valid)}{paths}, got {choice}{hint}")
 

@@ -21,6 +21,10 @@ from splatrl.values import flat, require_number
 
 SWEEP = {"-m", "--multirun"}
 """Words that ask Hydra for a sweep."""
+SEEDED = re.compile(r"(\w+):(\d+)")
+"""A scene's config with a seed: yard:3."""
+CHOOSING = ("scene.path", "scene.seed", "scene.paths", "scene.count", "scene.first")
+"""Keys that say which scenes are meant."""
 
 
 def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfig:
@@ -35,12 +39,14 @@ def load_config(overrides: Sequence[str] = (), name: str = "train") -> DictConfi
 
 
 def job_config(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
-    """The config of one job of a sweep: with what its own scene proposes, where the sweep is one over paths of scenes.
+    """The config of one job of a sweep: with what its own scene proposes, where the sweep is one over scenes.
 
     Args:
         cfg: as Hydra composed it.
         overrides: of the job.
     """
+    if {"scene=yard", "scene=yards", "scene=many"}.intersection(overrides):
+        return load_config(overrides)
     paths = [override for override in overrides if override.startswith("scene.path=")]
     if "scene=file" not in overrides or not paths:
         return cfg
@@ -51,7 +57,7 @@ def job_config(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
 def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]:
     """Overrides in which a path after ``scene=`` is rewritten as ``scene=file scene.path=...``.
 
-    In a sweep of trainings there may be several paths, of which each job takes one, and what it proposes
+    In a sweep of trainings over scenes each job takes one of them, or one list, and what that proposes
     (``job_config``).
 
     The name of a scene's config takes precedence over a file of the same name in the working folder. What the
@@ -77,6 +83,10 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
             in_blocks |= is_in_blocks(Path(path).expanduser())
         elif key == "scene" and name == "train" and SWEEP.intersection(overrides) and (several := _several(value)):
             result += ["scene=file", f"scene.path={','.join(map(quoted, several))}"]
+        elif key == "scene" and name == "train" and SWEEP.intersection(overrides) and (seeds := _seeds(value)):
+            result += ["scene=yard", f"scene.seed={','.join(seeds)}"]
+        elif key == "scene" and SEEDED.fullmatch(path):
+            result += _chosen(path, "scene")
         elif key == "scene" and path.startswith("["):
             raise ValueError(f"scene: expected one scene, got {path}; type scene=many 'scene.paths={path}'")
         elif key == "scene" and Path(path).suffix and "," not in path and path not in options("scene"):
@@ -85,11 +95,27 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
             result.append(f"scene={path}")  # quoted or not
         else:
             result.append(override)
+    if name == "train" and any(_is_swept(result, key) for key in CHOOSING):
+        return result
     if "scene=many" in result:
         in_blocks = any(_in_blocks(str(unquoted(one))) for one in _paths(result))
     if in_blocks and not any(override.startswith("renderer=") for override in overrides):
         result.append("renderer=blocks")
     return [*_proposals(result, name), *result, *_places(result, name)]
+
+
+def _is_swept(overrides: Sequence[str], key: str) -> bool:
+    """Whether a key has several values; not if Hydra is to tell what is wrong with them."""
+    try:
+        return is_swept(overrides, key)
+    except HydraException:
+        return False
+
+
+def _seeds(value: str) -> list[str]:
+    """The seeds in a list of yards, yard:1,yard:2, if it is one."""
+    yards = [SEEDED.fullmatch(one.strip("'\"")) for one in value.split(",")]
+    return [yard[2] for yard in yards if yard] if all(yard and yard[1] == "yard" for yard in yards) else []
 
 
 def _several(value: str) -> list[str]:
@@ -197,17 +223,15 @@ def _yard_paths(overrides: Sequence[str]) -> list[str]:
     return [f"yard:{seed}" for seed in range(first, first + count)]
 
 
-def _chosen(text: str) -> list[str]:
-    """Overrides that choose one scene: the group first."""
+def _chosen(text: str, key: str = "scene.paths") -> list[str]:
+    """Overrides that choose one scene, which was typed for a key: the group first."""
     known, (config, _, seed) = _whole_configs(), text.partition(":")
     if config in known and seed.isdigit():
         return [f"scene={config}", f"scene.seed={seed}"]
     if text in known:
         return [f"scene={text}"]
     if not Path(text).expanduser().exists():
-        raise ValueError(
-            f"scene.paths: expected {', '.join(known)}, one of them with a seed (yard:3), or a path, got {text}"
-        )
+        raise ValueError(f"{key}: expected {', '.join(known)}, one of them with a seed (yard:3), or a path, got {text}")
     from splatrl.configuration.scene_files import check_scene
 
     check_scene(Path(text).expanduser())
@@ -229,8 +253,6 @@ def _proposals(overrides: Sequence[str], name: str) -> list[str]:
             return scene_overrides(yard_proposals(_yard_seed(overrides)), lambda key: True)
         if "scene=file" not in overrides or not any(override.startswith("scene.path=") for override in overrides):
             return []
-        if name == "train" and is_swept(overrides, "scene.path"):
-            return []  # what each proposes is of its own job
         from splatrl.configuration.scene_files import described
 
         stated = described(Path(str(last_typed(overrides, "scene.path", ""))).expanduser())

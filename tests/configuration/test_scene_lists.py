@@ -6,7 +6,15 @@ import pytest
 from omegaconf import OmegaConf
 
 from splatrl.building import build_one_world, build_world
-from splatrl.configuration import check_config, job_config, load_config, place_configs, run_config, save_config
+from splatrl.configuration import (
+    check_config,
+    job_config,
+    load_config,
+    place_configs,
+    place_names,
+    run_config,
+    save_config,
+)
 from splatrl.configuration.command_line import command_line
 from splatrl.configuration.search_path import composed
 from splatrl.envs.world import Worlds
@@ -60,8 +68,36 @@ def test_each_job_of_a_sweep_over_folders_has_what_its_folder_proposes(tmp_path:
         cfg = job_config(composed(job, "train"), job)
         assert (cfg.robot.height, cfg.seed, cfg.landmarks.goal) == (height, 1, [5.5, 0.5, 0.0])
         assert cfg.task.motion.lower == [4.0, -1.5] and cfg.scene.path == str(east)
-    with pytest.raises(SystemExit, match=f"only paths that exist, got {west} among"):
+    with pytest.raises(SystemExit, match=f"only paths that exist, .*, got {west} among"):
         command_line("train", ["-m", f"scene={west},{tmp_path}/nowhere/"])
+
+
+@pytest.mark.parametrize(
+    ("typed", "swept", "jobs"),
+    [
+        (["scene=yard", "scene.seed=71,72"], ["scene=yard", "scene.seed=71,72"], ["yard:71", "yard:72"]),
+        (["scene=yard:71,yard:72"], ["scene=yard", "scene.seed=71,72"], ["yard:71", "yard:72"]),
+    ],
+)
+def test_each_job_of_a_sweep_over_yards_has_the_goal_of_its_yard(
+    typed: list[str], swept: list[str], jobs: list[str]
+) -> None:
+    assert command_line("train", ["-m", *typed, "seed=0,1"]) == ["-m", *swept, "seed=0,1"]
+    for job, seed in zip(jobs, (71, 72), strict=True):
+        words = ["scene=yard", f"scene.seed={seed}", "seed=1"]
+        assert job_config(composed(words, "train"), words) == load_config([f"scene={job}", "seed=1"])
+
+
+def test_each_job_of_a_sweep_over_lists_of_scenes_has_all_of_its_list(tmp_path: Path) -> None:
+    west, east = two_rooms(tmp_path)
+    for key, job, names in (
+        ("scene=yards", "scene.count=2", ["yard:0", "yard:1"]),
+        ("scene=many", f"scene.paths=[{west},{east}]", [str(west), str(east)]),
+    ):
+        other = job.replace("2", "1").replace(f"{west},", "")
+        assert command_line("train", ["-m", *overrides(), key, f"{job},{other.partition('=')[2]}"])[-2] == key
+        words = [*overrides(), key, job]
+        assert place_names(job_config(composed(words, "train"), words)) == names
 
 
 def test_a_name_that_says_too_little_is_that_of_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
