@@ -1,6 +1,7 @@
 """A capture's folder is a scene to train in at once, written whole or not at all, with a report that says what is."""
 
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,9 +14,11 @@ from splatrl.building import build_trainer, build_world
 from splatrl.capture import folder as folder_module
 from splatrl.capture.area import survey_area
 from splatrl.capture.base import CaptureError
+from splatrl.capture.check import Quality
 from splatrl.capture.folder import write_scene
 from splatrl.capture.suggestions import seen_by_cameras, seen_in_splat, suggest, thing_size
 from splatrl.capture.walkable import walkable_area
+from splatrl.capture.world import Placed
 from splatrl.collision.occupancy import Occupancy
 from splatrl.collision.point_clouds import read_points
 from splatrl.configuration import load_config
@@ -42,25 +45,34 @@ SMALL = [
 ]
 
 
-def test_a_policy_trains_in_a_written_folder_and_nothing_else_is_said(tmp_path: Path) -> None:
-    quality = write_scene(tmp_path / "garden", tiny_gaussians(), tiny_capture(tmp_path / "images"), HELD_OUT)
-    assert {file.name for file in (tmp_path / "garden").iterdir()} == FILES
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Placed, Quality]:
+    """The folder of a good capture, the capture, and how good it is."""
+    folder = tmp_path_factory.mktemp("written")
+    placed = tiny_capture(folder / "images")
+    return folder / "garden", placed, write_scene(folder / "garden", tiny_gaussians(), placed, HELD_OUT)
+
+
+def test_a_policy_trains_in_a_written_folder_and_nothing_else_is_said(
+    written: tuple[Path, Placed, Quality], tmp_path: Path
+) -> None:
+    folder, _, quality = written
+    assert {file.name for file in folder.iterdir()} == FILES
     assert quality.path_free == 1.0
-    stated = read_description(tmp_path / "garden")
+    stated = read_description(folder)
     assert stated["metric"] is True and stated["robot_height"] == ABOVE and stated["quality"]["psnr"] > 50
-    np.testing.assert_allclose(read_scene(tmp_path / "garden").gaussians.means, tiny_gaussians().means, atol=1e-6)
-    cfg = load_config([f"scene={tmp_path / 'garden'}/", *SMALL])
+    np.testing.assert_allclose(read_scene(folder).gaussians.means, tiny_gaussians().means, atol=1e-6)
+    cfg = load_config([f"scene={folder}/", *SMALL])
     world = build_world(cfg)
     assert len(world.plan.start_rows) > 50, "most free poses lead to the goal"
     build_trainer(cfg, world, tmp_path / "run").fit()
     assert (tmp_path / "run" / "checkpoints" / "last.pt").is_file()
 
 
-def test_a_written_folder_says_where_the_camera_was(tmp_path: Path) -> None:
-    capture = tiny_capture(tmp_path / "images")
-    write_scene(tmp_path / "garden", tiny_gaussians(), capture, HELD_OUT)
-    walk = capture.reconstruction.camera_to_world[:, :3, 3]
-    np.testing.assert_allclose(read_points(tmp_path / "garden" / PATH), walk, atol=1e-6)
+def test_a_written_folder_says_where_the_camera_was(written: tuple[Path, Placed, Quality]) -> None:
+    folder, placed, _ = written
+    walk = placed.reconstruction.camera_to_world[:, :3, 3]
+    np.testing.assert_allclose(read_points(folder / PATH), walk, atol=1e-6)
 
 
 def test_haze_is_named_in_the_folder_and_is_not_solid_to_robots(tmp_path: Path) -> None:
@@ -110,6 +122,7 @@ def test_the_report_is_one_static_page_that_says_what_went_wrong(tmp_path: Path)
         assert read_scene(folder).name == "a <b> & c"
 
 
+@pytest.mark.usefixtures("bare_report")
 def test_what_moved_is_shown_and_said(tmp_path: Path) -> None:
     folder, placed = tmp_path / "garden", tiny_capture(tmp_path / "images")
     moving = torch.zeros(CAMERAS, 32, 48, dtype=torch.bool)
@@ -124,19 +137,19 @@ def test_what_moved_is_shown_and_said(tmp_path: Path) -> None:
     assert not (folder / "moving.png").exists()
 
 
-def test_a_good_capture_has_nothing_to_complain_of(tmp_path: Path) -> None:
-    write_scene(tmp_path / "garden", tiny_gaussians(), tiny_capture(tmp_path / "images"), HELD_OUT)
-    assert "What went wrong" not in (tmp_path / "garden" / "report.html").read_text(encoding="utf-8")
+def test_a_good_capture_has_nothing_to_complain_of(written: tuple[Path, Placed, Quality]) -> None:
+    assert "What went wrong" not in (written[0] / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_folder_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    placed = tiny_capture(tmp_path / "images")
-    folder = tmp_path / "garden"
+def test_a_folder_is_written_whole_or_not_at_all(
+    written: tuple[Path, Placed, Quality], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    placed, folder = written[1], tmp_path / "garden"
     broken = replace(placed, reconstruction=replace(placed.reconstruction, width=1))
     with pytest.raises(CaptureError):
         write_scene(folder, tiny_gaussians(), broken, HELD_OUT)
-    assert [file.name for file in tmp_path.iterdir()] == ["images"]
-    write_scene(folder, tiny_gaussians(), placed, HELD_OUT)
+    assert list(tmp_path.iterdir()) == []
+    shutil.copytree(written[0], folder)
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
     with pytest.raises(FileExistsError, match=r"scene\.yaml: already exists"):
         write_scene(folder, tiny_gaussians(), placed, HELD_OUT)
@@ -153,12 +166,11 @@ def test_a_folder_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: py
     write_scene(folder, tiny_gaussians(), placed, HELD_OUT, force=True)
     after = {file.name: file.read_bytes() for file in folder.iterdir()}
     assert after == {**before, "mine.txt": b"kept"}, "the same bytes again, and what else was there"
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["garden", "images"]
+    assert [file.name for file in tmp_path.iterdir()] == ["garden"]
 
 
-def test_a_small_splat_takes_the_place_of_a_large_one(tmp_path: Path) -> None:
-    placed, folder = tiny_capture(tmp_path / "images"), tmp_path / "garden"
-    write_scene(folder, tiny_gaussians(), placed, HELD_OUT)
+def test_a_small_splat_takes_the_place_of_a_large_one(written: tuple[Path, Placed, Quality], tmp_path: Path) -> None:
+    placed, folder = written[1], shutil.copytree(written[0], tmp_path / "garden")
     quality = write_scene(folder, tiny_gaussians(), placed, HELD_OUT, force=True, splat="splat.spz")
     assert {file.name for file in folder.iterdir()} == FILES - {"splat.ply"} | {"splat.spz"}
     assert quality.psnr is not None and 25 < quality.psnr < 50, "what was rounded is what was checked"
@@ -178,9 +190,8 @@ def test_a_large_place_gets_larger_steps_and_voxels(tmp_path: Path) -> None:
     assert sides / area.step == pytest.approx(np.round(sides / area.step)) and (sides / area.step).max() <= 41
 
 
-def test_pictures_of_a_capture_show_something(tmp_path: Path) -> None:
-    write_scene(tmp_path / "garden", tiny_gaussians(), tiny_capture(tmp_path / "images"), HELD_OUT)
-    for file in (tmp_path / "garden").glob("*.png"):
+def test_pictures_of_a_capture_show_something(written: tuple[Path, Placed, Quality]) -> None:
+    for file in written[0].glob("*.png"):
         with Image.open(file) as image:
             assert np.asarray(image.convert("L"), float).std() > 10, file.name
 

@@ -21,7 +21,7 @@ from tests.capture.test_stereo import HEIGHT, WIDTH, photographed, speckled
 COUNT = 24
 RADIUS = 13
 """Pixels: of the ball that is in each third photo, where it never is in another."""
-SETTINGS = FitSettings(width=WIDTH, cap=14_000, views=1_000, sh_degree=0, levels=((0.0, 0.5), (0.3, 1.0)), threads=1)
+SETTINGS = FitSettings(width=WIDTH, cap=14_000, views=500, sh_degree=0, levels=((0.0, 0.5), (0.3, 1.0)), threads=1)
 
 
 def ball(row: int) -> Tensor:
@@ -68,6 +68,11 @@ def depths(capture: Reconstruction) -> Depths:
 
 
 @pytest.fixture(scope="module")
+def still_depths(still: Reconstruction) -> Depths:
+    return depths_of(still)
+
+
+@pytest.fixture(scope="module")
 def moving(capture: Reconstruction, depths: Depths) -> Tensor:
     return find_moving(capture, depths, SETTINGS)
 
@@ -94,16 +99,16 @@ def test_what_a_depth_sensor_measured_may_move_too(capture: Reconstruction, tmp_
     assert float(found[rows][~balls[rows]].float().mean()) < 0.03
 
 
-def test_what_stands_still_is_not(still: Reconstruction) -> None:
-    assert not find_moving(still, depths_of(still), SETTINGS).any()
+def test_what_stands_still_is_not(still: Reconstruction, still_depths: Depths) -> None:
+    assert not find_moving(still, still_depths, SETTINGS).any()
 
 
 def test_the_number_of_threads_does_not_matter(capture: Reconstruction, depths: Depths) -> None:
-    short = replace(SETTINGS, views=250)
+    short = replace(SETTINGS, views=150)
     assert torch.equal(find_moving(capture, depths, short), find_moving(capture, depths, replace(short, threads=2)))
 
 
-def test_a_fit_never_looks_at_what_moves(still: Reconstruction, tmp_path: Path) -> None:
+def test_a_fit_never_looks_at_what_moves(still: Reconstruction, still_depths: Depths, tmp_path: Path) -> None:
     moving = torch.zeros(COUNT, HEIGHT, WIDTH, dtype=torch.bool)
     moving[2:9, 16:40, 30:62] = True
     paths = list(still.paths)
@@ -112,7 +117,7 @@ def test_a_fit_never_looks_at_what_moves(still: Reconstruction, tmp_path: Path) 
         image.paste((255, 0, 255), (30, 16, 62, 40))
         paths[row] = tmp_path / f"{row}.png"
         image.save(paths[row])
-    settings, known = replace(SETTINGS, cap=2_500, views=120), depths_of(still).without(moving)
+    settings, known = replace(SETTINGS, cap=2_500, views=120), still_depths.without(moving)
     plain, painted = (fit(replace(still, paths=each), settings, depths=known) for each in (still.paths, paths))
     assert all(torch.equal(getattr(plain, name), getattr(painted, name)) for name in ("means", "scales", "sh"))
 
