@@ -47,7 +47,7 @@ def photographed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Photos, Reco
 
 @pytest.fixture(scope="module")
 def known() -> dict[str, Any]:
-    """Depths, and what moved, by what they were found for: the same in nearly all captures here."""
+    """Worlds, depths, and what moved, by what they were found for: the same in nearly all captures here."""
     return {}
 
 
@@ -69,11 +69,15 @@ def stages(
         return found
 
     real_depths, real_moving, real_fit = pipeline.find_depths, pipeline.find_moving, pipeline.fit
+    real_place = pipeline.place
 
     def once(key: str, find: Callable[[], Any]) -> Any:
         if key not in known:
             known[key] = find()
         return known[key]
+
+    def place(found: Reconstruction, *settings: object) -> Any:
+        return once(f"{pipeline._digest(found)} {settings}", lambda: real_place(found, *settings))
 
     def find_depths(found: Reconstruction, frame: Frame, rows: torch.Tensor, progress: Progress) -> Any:
         return once(pipeline._digest(found), lambda: real_depths(found, frame, rows, progress=progress))
@@ -86,14 +90,14 @@ def stages(
         return real_fit(*arguments)
 
     replaced = {"read_photos": read_photos, "find_poses": find_poses, "find_depths": find_depths, "fit": fit}
-    replaced["find_moving"] = find_moving
+    replaced |= {"find_moving": find_moving, "place": place}
     for name, stage in replaced.items():
         monkeypatch.setattr(pipeline, name, stage)
     monkeypatch.setattr(pipeline, "look", lambda photos, progress: GOOD)
     return called
 
 
-QUICK = ["--camera-height", "1.4", "--width", "80", "--gaussians", "3000", "--views", "200", "--device", "cpu"]
+QUICK = ["--camera-height", "1.4", "--width", "80", "--gaussians", "3000", "--views", "100", "--device", "cpu"]
 
 
 def test_photos_become_a_folder_that_is_all_a_training_needs(
@@ -126,7 +130,7 @@ def test_what_is_fitted_follows_the_robots_unless_it_is_said(
     monkeypatch.setattr(pipeline, "fit", fit)
     for options in ([], ["--robot-width", "999"], ["--width", "50", "--gaussians", "9"]):
         with pytest.raises(SystemExit, match="far enough"):
-            capture.main(["a.mp4", "--out", str(tmp_path / "a"), "--camera-height", "1.4", "--views", "7", *options])
+            capture.main(["a.mp4", "--out", str(tmp_path / "a"), *QUICK[:2], "--views", "7", "--still", *options])
     assert fitted == [(80, 60_000, 7), (80, 60_000, 7), (50, 9, 7)], "the photos are 80 pixels wide"
 
 
@@ -153,7 +157,7 @@ def test_a_fit_that_was_stopped_goes_on_with_the_same_bytes(
 
     def show(self: capture.Bars, what: str, done: int, total: int) -> None:
         heard.extend([done] if what == "fit" else [])
-        if heard == [*range(2, 122, 2)]:
+        if heard == [*range(2, 62, 2)]:
             raise KeyboardInterrupt
         shown(self, what, done, total)
 
@@ -166,7 +170,7 @@ def test_a_fit_that_was_stopped_goes_on_with_the_same_bytes(
         heard.clear()
         heard.append(0)
         capture.main(["garden.mp4", "--out", str(folder), *QUICK])
-        assert heard[1] == (120 if folder == folders[0] else 2)
+        assert heard[1] == (60 if folder == folders[0] else 2)
     written = [(folder / "splat.ply").read_bytes() for folder in folders]
     assert written[0] == written[1]
     assert not list(tmp_path.rglob("fit.npz")) and not list(tmp_path.rglob("*.tmp"))
