@@ -220,6 +220,8 @@ def tiny_overrides(folder: Path, task: str = "grid") -> list[str]:
         bounds += ["task.motion.threads=1"]
     if task in ("drive", "push"):
         overrides += ["task.motion.spacing=0.25", "task.motion.headings=8"]
+    if task == "drive":
+        overrides += ["task.motion.time_step=0.4"]  # paths are found on a coarser grid
     if task in ("gates", "route", "walk"):
         bounds = ["task.motion.lower=[-1.3,-1.8]", "task.motion.upper=[1.3,1.8]", "task.motion.threads=1"]
     if task == "gates":

@@ -45,6 +45,8 @@ def overrides(task: str = "grid") -> list[str]:
     result += ["task.max_steps=20"]
     if task == "grid":
         result += ["robot.body.size=[0.3,0.3,0.2]", "task.motion.step=0.5", "task.motion.angle_step_deg=45.0"]
+    if task == "drive":
+        result += ["task.motion.time_step=0.4", "task.motion.spacing=0.25", "task.motion.headings=8"]
     return result
 
 

@@ -65,8 +65,10 @@ TASK_OF |= {option: "push" for option in ("motion/physics", "robot/mjcf", "rewar
 TASK_OF |= {"motion/strides": "strides", "rewards/strides": "strides", "motion/walk": "walk"}
 TASK_OF |= {f"sensors/{name}": "walk" for name in ("felt", "feet", "imu", "joints", "velocity")}
 """A task other than grid, for the options that do not work with grid."""
-NEEDS = {"robot/mjcf": ["robot.path=wheels"]}
-"""What an option does not work without."""
+COARSE = ["task.motion.time_step=0.4", "task.motion.spacing=0.25", "task.motion.headings=8"]
+"""A robot that drives has its paths found on a coarse grid."""
+NEEDS = {"robot/mjcf": ["robot.path=wheels"], "motion/drive": COARSE}
+"""What an option does not work without, or only slowly."""
 PACKAGES = {"motion": "motion@task.motion", "rewards": "rewards@task.rewards"}
 """How a group is named on the command line if its name alone does not determine its package."""
 
@@ -94,7 +96,7 @@ def test_every_sensor_reads_in_an_env_that_steps(task: str, tmp_path: Path) -> N
 
 def test_a_task_takes_another_motion_and_other_rewards(tmp_path: Path) -> None:
     chosen = ["motion@task.motion=drive", "rewards@task.rewards=unit", "task.rewards.step=-0.5"]
-    task = build_world(load_config([*tiny_overrides(tmp_path, "fps"), *chosen])).task
+    task = build_world(load_config([*tiny_overrides(tmp_path, "fps"), *chosen, *COARSE])).task
     assert type(task.motion).__name__ == "DriveMotion" and task.motion.upper.tolist() == [1.0, 1.5]
     assert task.outcome_rewards.tolist() == [-0.5, 1.0, -1.0, -1.0]
 
