@@ -55,10 +55,10 @@ def test_what_the_policy_visits_is_labelled_by_the_planner(made: tuple[DictConfi
 def test_a_policy_learns_from_its_own_mistakes(made: tuple[DictConfig, World]) -> None:
     cfg, world = made
     ppo, starts = make_ppo(cfg, world), world.plan.starts[::4]
-    cloner = Cloner(ppo.model, CloningSettings(10, 64, 2e-3, 0.5))
+    cloner = Cloner(ppo.model, CloningSettings(8, 64, 3e-3, 0.5))
     reached, frames, env = [], [], world.env(30)
     shown = planner_episodes(world, 6)
-    for row in imitate(ppo, cloner, world, [shown], DaggerSettings(3, 320, 8), 1):
+    for row in imitate(ppo, cloner, world, [shown], DaggerSettings(3, 320, 6), 1):
         assert row.keys() == {"loss_cloning"}
         frames.append(ppo.frames)
         reached.append(float(run_episodes(env, ppo.model.get_policy_operator(), starts).success.double().mean()))
