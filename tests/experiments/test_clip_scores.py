@@ -27,7 +27,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def clips(runs: Path) -> Path:
     """Three recorded clips."""
-    record_clips(build_world(altered(config(runs), 0)), runs / "clips", count=3, height=18)
+    record_clips(build_world(altered(config(runs), 0)), runs / "clips", count=2, height=18)
     return runs / "clips"
 
 
@@ -41,7 +41,7 @@ def test_a_run_is_scored_by_the_checkpoint_that_is_asked_for(runs: Path, clips: 
 
 def test_the_apple_hangs_in_recorded_clips_where_the_task_has_it(runs: Path, clips: Path, tmp_path: Path) -> None:
     bare = build_world(altered(config(runs, "transforms/sprite=none"), 0))
-    record_clips(bare, tmp_path / "bare", count=3, height=18)
+    record_clips(bare, tmp_path / "bare", count=2, height=18)
     for clip, without in zip(read_clips(clips, NAMES), read_clips(tmp_path / "bare", NAMES), strict=True):
         assert clip.labels == without.labels
         redness = [red(list(each.images())[-1]) for each in (clip, without)]

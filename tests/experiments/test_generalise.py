@@ -22,7 +22,7 @@ def test_places_are_those_whose_files_are_given(tmp_path: Path) -> None:
 
 def test_a_policy_is_tested_in_several_scenes_at_once_and_in_one(tmp_path: Path) -> None:
     west, east = two_rooms(tmp_path)
-    words = [*overrides("fps"), "evaluation.starts=16"]
+    words = [*overrides("fps"), "evaluation.starts=16", "task.max_steps=8"]
     cfg = load_config([*words, f"scene={west}"])
     save_run(tmp_path / "west-a-s0", cfg, 2)
     config = OmegaConf.to_container(cfg)
