@@ -155,7 +155,7 @@ def _beside(occupancy: Occupancy, points: NDArray[np.float64]) -> NDArray[np.int
 
 def _solid(occupancy: Occupancy, *places: NDArray[np.float64]) -> NDArray[np.int64]:
     """The number, line by line, of the solid voxel at each place, whose x, y and z are given; -1 where none is."""
-    number, inside = np.int64(0), np.True_
+    number, inside = np.zeros((), np.int64), np.ones((), bool)
     for axis, first, size in zip(places, occupancy.origin_key, occupancy.occupied.shape, strict=True):
         index = np.floor(axis / occupancy.resolution).astype(np.int64) - first
         number, inside = number * size + index, inside & (index >= 0) & (index < size)

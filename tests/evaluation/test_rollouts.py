@@ -27,11 +27,11 @@ def starts() -> torch.Tensor:
     return plan.states[plan.start_rows]
 
 
-@pytest.mark.parametrize("robots", [1, 7, 64])
-def test_the_planner_reaches_the_goal_from_every_start_in_the_fewest_steps(robots: int) -> None:
+@pytest.mark.parametrize(("robots", "stride"), [(1, 12), (7, 3), (64, 3)])
+def test_the_planner_reaches_the_goal_from_every_start_in_the_fewest_steps(robots: int, stride: int) -> None:
     plan = tiny_plan()
-    some = starts()[::3]
-    shortest = plan.distance[plan.start_rows][::3]
+    some = starts()[::stride]
+    shortest = plan.distance[plan.start_rows][::stride]
     finished = []
     episodes = run_episodes(tiny_env([robots], max_steps=50), Planner(), some, progress=finished.append)
     assert episodes.success.all()
