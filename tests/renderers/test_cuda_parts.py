@@ -34,7 +34,7 @@ from tests.renderers.parts_cases import (
 )
 
 Make = Callable[..., CudaRenderer]
-MODES = [((0, 0, 0), True), ((2, 2, 2), True), ((3, 0, 1), False)]
+MODES = [((0, 0, 0), True), ((1, 1, 1), False), ((2, 2, 2), True), ((3, 0, 1), False)]
 """Degrees of models and whether images are antialiased. Each degree is drawn both ways, with parts and without, in
 detail and with less of it, in all tests together, but not in each: every combination would be compiled for seconds."""
 
