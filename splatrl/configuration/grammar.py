@@ -36,7 +36,8 @@ def last_typed(overrides: Sequence[str], key: str, usual: object) -> Any:
         return usual
     parsed = OverridesParser.create().parse_override(given[-1])
     if parsed.is_sweep_override():
-        raise ValueError(f"{key}: expected one value, got {given[-1].partition('=')[2]}; start a command for each")
+        typed = given[-1].partition("=")[2]
+        raise ValueError(f"{key}: expected one value, got {typed}; start a command for each, or trainings with -m")
     return unquoted(parsed.value())
 
 

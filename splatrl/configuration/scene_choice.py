@@ -95,7 +95,7 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
             result.append(f"scene={path}")  # quoted or not
         else:
             result.append(override)
-    if name == "train" and any(_is_swept(result, key) for key in CHOOSING):
+    if name == "train" and SWEEP.intersection(overrides) and any(_is_swept(result, key) for key in CHOOSING):
         return result
     if "scene=many" in result:
         in_blocks = any(_in_blocks(str(unquoted(one))) for one in _paths(result))

@@ -293,7 +293,7 @@ def test_options_stand_before_what_a_scene_proposes_so_that_hydra_takes_both(tmp
             ["scene=yard:1,yard:2"],
             "scene: expected one value, got .*; type scene=many 'scene.paths=.* or -m for a sweep",
         ),
-        (["scene=yards", "scene.count=1,2"], "scene.count: expected one value, got 1,2; .* or -m for a sweep"),
+        (["scene=yards", "scene.count=1,2"], "scene.count: expected one value, got 1,2; .* or trainings with -m"),
     ],
 )
 def test_lists_that_cannot_be_meant_say_what_to_type(words: list[str], message: str, tmp_path: Path) -> None:
