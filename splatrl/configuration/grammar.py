@@ -5,6 +5,7 @@ from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import QuotedString
+from hydra.errors import HydraException
 
 
 def quoted(value: object) -> str:
@@ -42,13 +43,12 @@ def last_typed(overrides: Sequence[str], key: str, usual: object) -> Any:
 
 
 def is_swept(overrides: Sequence[str], key: str) -> bool:
-    """Whether the last value that was typed for a key is a sweep.
-
-    Raises:
-        HydraException: for what is not in Hydra's grammar.
-    """
+    """Whether the last value that was typed for a key is a sweep; what is not in Hydra's grammar is none."""
     given = [override for override in overrides if override.startswith(f"{key}=")]
-    return bool(given) and OverridesParser.create().parse_override(given[-1]).is_sweep_override()
+    try:
+        return bool(given) and OverridesParser.create().parse_override(given[-1]).is_sweep_override()
+    except HydraException:
+        return False
 
 
 def unquoted(value: object) -> object:

@@ -72,6 +72,7 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
         ValueError: for what looks like a path but does not exist, or for a wrong ``scene.yaml``.
     """
     result, in_blocks = list[str](), False
+    sweeps = name == "train" and bool(SWEEP.intersection(overrides))
     for override in overrides:
         key, _, value = override.partition("=")
         path = value.strip("'\"")
@@ -81,9 +82,9 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
             check_scene(Path(path).expanduser())
             result += ["scene=file", f"scene.path={quoted(path)}"]
             in_blocks |= is_in_blocks(Path(path).expanduser())
-        elif key == "scene" and name == "train" and SWEEP.intersection(overrides) and (several := _several(value)):
+        elif key == "scene" and sweeps and (several := _several(value)):
             result += ["scene=file", f"scene.path={','.join(map(quoted, several))}"]
-        elif key == "scene" and name == "train" and SWEEP.intersection(overrides) and (seeds := _seeds(value)):
+        elif key == "scene" and sweeps and (seeds := _seeds(value)):
             result += ["scene=yard", f"scene.seed={','.join(seeds)}"]
         elif key == "scene" and SEEDED.fullmatch(path):
             result += _chosen(path, "scene")
@@ -95,21 +96,13 @@ def with_scene_paths(overrides: Sequence[str], name: str = "train") -> list[str]
             result.append(f"scene={path}")  # quoted or not
         else:
             result.append(override)
-    if name == "train" and SWEEP.intersection(overrides) and any(_is_swept(result, key) for key in CHOOSING):
-        return result
+    if sweeps and any(is_swept(result, key) for key in CHOOSING):
+        return result  # each job has what its own scenes propose
     if "scene=many" in result:
         in_blocks = any(_in_blocks(str(unquoted(one))) for one in _paths(result))
     if in_blocks and not any(override.startswith("renderer=") for override in overrides):
         result.append("renderer=blocks")
     return [*_proposals(result, name), *result, *_places(result, name)]
-
-
-def _is_swept(overrides: Sequence[str], key: str) -> bool:
-    """Whether a key has several values; not if Hydra is to tell what is wrong with them."""
-    try:
-        return is_swept(overrides, key)
-    except HydraException:
-        return False
 
 
 def _seeds(value: str) -> list[str]:

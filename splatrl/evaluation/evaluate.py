@@ -22,7 +22,7 @@ EPISODES_IN_VIDEO = 4
 SCENES_SHOWN = 4
 """Of several scenes, so many have maps and a video of their own."""
 FRAMES_IN_VIDEOS = 1200
-"""Of all these videos together, about: each takes a fortieth of a second to draw."""
+"""Of all these videos together, about: each is drawn large, and somebody waits."""
 
 
 @dataclass(frozen=True)

@@ -90,15 +90,12 @@ def test_a_floor_far_below_zero_is_said_to_be_there(splat: Path, capsys: pytest.
     assert "robot_height" not in splat.with_name("scene.yaml").read_text()
 
 
-def test_a_description_is_replaced_only_by_force_and_nothing_is_drawn_without(
-    splat: Path, request: pytest.FixtureRequest
-) -> None:
+def test_a_description_is_replaced_only_by_force_and_nothing_is_drawn_without(splat: Path) -> None:
     splat.with_name("scene.yaml").write_text("mine")
     with pytest.raises(SystemExit, match="--force"):
         main([str(splat)])
     assert splat.with_name("scene.yaml").read_text() == "mine"
     assert not splat.with_name("yard-view.png").exists()
-    request.getfixturevalue("ungrounded")
     main([str(splat), "--force"])
     assert read_scene(splat.parent).name == "yard"
 

@@ -26,7 +26,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def clips(runs: Path) -> Path:
-    """Three recorded clips."""
+    """Two recorded clips."""
     record_clips(build_world(altered(config(runs), 0)), runs / "clips", count=2, height=18)
     return runs / "clips"
 

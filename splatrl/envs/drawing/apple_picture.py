@@ -1,5 +1,7 @@
 """A red apple drawn by formulas, so it has any resolution and needs no download."""
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,14 +11,15 @@ SAMPLES = 2
 """Samples along each side of a pixel."""
 
 
+@functools.cache
 def apple(side: int = 256) -> NDArray[np.uint8]:
-    """Draw a red apple with a stem and a leaf; the fruit is as wide as the picture.
+    """Draw a red apple with a stem and a leaf, once for all envs; the fruit is as wide as the picture.
 
     Args:
         side: width and height of the picture in pixels.
 
     Returns:
-        [side, side, 4] uint8, RGBA, straight alpha, sRGB.
+        [side, side, 4] uint8, RGBA, straight alpha, sRGB; not to be written to.
     """
     count = SAMPLES * side
     axis = (np.arange(count) + 0.5) / count

@@ -1,6 +1,5 @@
 """A picture with alpha, prepared for drawing at any size."""
 
-import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -98,14 +97,8 @@ def load_sprite(name: str | Path) -> Sprite:
         ValueError: for a file that is missing, not a PNG, damaged, without alpha or larger than 4096 pixels per side.
     """
     if name == "apple":
-        return Sprite.of(torch.from_numpy(_apple()))
+        return Sprite.of(torch.from_numpy(apple()))
     return Sprite.of(torch.from_numpy(_read_png(Path(name).expanduser())))
-
-
-@functools.cache
-def _apple() -> np.ndarray:
-    """The picture of the apple, drawn once: it takes a tenth of a second, and each env of several scenes shows it."""
-    return apple()
 
 
 def _read_png(path: Path) -> np.ndarray:
