@@ -1,10 +1,11 @@
-"""Whether a reconstruction keeps its scale from the beginning of a film to its end."""
+"""Whether a reconstruction keeps its scale from the beginning of a film to its end, and is not bent within."""
 
 from itertools import pairwise
 
 import numpy as np
 
 from splatrl.capture.ground import lowest_level
+from splatrl.capture.structure import SPARSE, jerks, leaps
 from splatrl.capture.world import Placed
 
 PARTS = 8
@@ -15,6 +16,31 @@ SEEN = 3
 """Cameras of a part that saw such a point, at least."""
 MOST = 3.0
 """Ratio of two heights; tables and steps in the picture make it 2.3 in captures that are right."""
+
+TORN = 8.0
+"""Jerks of a camera's path; at most 7.5 in films whose poses were right."""
+
+
+def leap(placed: Placed) -> str | None:
+    """What says that a film was joined wrongly somewhere; None where nothing does.
+
+    Where bare walls or blur leave few points, what was seen before and after is hinged on these, and may turn.
+
+    Args:
+        placed: cameras and points in the world.
+    """
+    seconds = placed.reconstruction.seconds
+    if seconds is None or len(seconds) < SPARSE:
+        return None
+    places, when = placed.reconstruction.camera_to_world[:, :3, 3].numpy(), seconds.numpy()
+    if jerks(places, when) < TORN:
+        return None
+    sudden = leaps(places, when)
+    most = int(sudden.argmax())
+    return (
+        f"The camera seems to leap at {when[most + 1]:.0f} s, by {sudden[most]:.0f} times what it usually does: what "
+        "it saw before and after may be joined wrongly. Film that part again, more slowly and with more in view."
+    )
 
 
 def lost_scale(placed: Placed) -> str | None:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from splatrl.capture.area import SOLID, Area, survey_area
 from splatrl.capture.check import COMPARISON, MAP, Quality, check
-from splatrl.capture.drift import lost_scale
+from splatrl.capture.drift import leap, lost_scale
 from splatrl.capture.page import report_page
 from splatrl.capture.pictures import GOALS, draw_cameras, draw_goals, draw_moving
 from splatrl.capture.suggestions import Suggestions, place_proposals, seen_by_cameras, suggest
@@ -114,8 +114,8 @@ def problems(placed: Placed, found: Suggestions, quality: Quality) -> list[str]:
         "No image was held out, so nothing says how good the pictures are.": quality.held_out == 0,
         "No pose on the path is free and sees something: give landmarks.goal yourself.": not found.goals,
     }
-    drift = lost_scale(placed)
-    return [*([drift] if drift else []), *(text for text, wrong in checks.items() if wrong)]
+    drifts = [said for said in (lost_scale(placed), leap(placed)) if said]
+    return [*drifts, *(text for text, wrong in checks.items() if wrong)]
 
 
 def _proposals(placed: Placed, area: Area, found: Suggestions, quality: Quality) -> dict[str, Any]:

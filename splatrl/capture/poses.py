@@ -17,7 +17,7 @@ from splatrl.capture.optional import needed
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.undistort import undistorted
 
-VERSION = 7
+VERSION = 8
 DIGEST = "digest.txt"
 
 
@@ -166,7 +166,7 @@ def _reconstruction(
         seen_by=_tensor(model, "seen_by"),
         missing=1 - len(images) / len(photos.paths),
         depths=tuple(photos.depths[number] for number in images) if photos.depths else (),
-        seconds=photos.seconds[torch.tensor(images, dtype=torch.int64)],
+        seconds=photos.seconds[torch.tensor(images, dtype=torch.int64)] if _timed(photos) else None,
         gps=None if photos.gps is None else photos.gps[torch.tensor(images, dtype=torch.int64)],
         turned=None if photos.turned is None else photos.turned[torch.tensor(images, dtype=torch.int64)],
     )

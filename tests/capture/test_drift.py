@@ -1,4 +1,4 @@
-"""A film whose second half has another scale than its first is told from one that keeps it."""
+"""A film that lost its scale half-way, or was joined wrongly, is told from one that was not."""
 
 from dataclasses import replace
 
@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from splatrl.capture.drift import lost_scale
-from splatrl.capture.world import moved, place
+from splatrl.capture.drift import leap, lost_scale
+from splatrl.capture.structure import SPARSE
+from splatrl.capture.world import Placed, moved, place
 from tests.capture.walks import CAMERAS, walk
 
 
@@ -31,3 +32,28 @@ def test_a_scale_that_is_lost_half_way_is_found(scale: float, lost: bool) -> Non
     said = lost_scale(place(both, marker=None, camera_height=1.4))
     assert (said is not None) == lost
     assert not lost or "m above the floor at" in str(said)
+
+
+def _film(jump: float) -> Placed:
+    """A walk, the second half of which is ``jump`` metres beside its first."""
+    first = walk()
+    rows = torch.arange(2 * SPARSE) % CAMERAS
+    poses = first.camera_to_world[rows].clone()
+    seconds = torch.arange(len(rows), dtype=torch.float64) / 4
+    poses[:, 0, 3], poses[:, 1, 3] = 0.8 * seconds, torch.sin(0.5 * seconds)
+    poses[SPARSE:, 1, 3] += jump
+    film = replace(first, paths=[first.paths[row] for row in rows], camera_to_world=poses, seconds=seconds)
+    return place(film, marker=None, camera_height=1.4)
+
+
+@pytest.mark.parametrize("scale", [1.0, 5.0])
+def test_a_camera_that_leaps_is_told_with_when(scale: float) -> None:
+    film = _film(1.5)
+    film = replace(film, reconstruction=moved(film.reconstruction, np.diag([scale] * 3 + [1.0])))
+    assert "leap at 10 s" in str(leap(film))
+    assert leap(_film(0.0)) is None
+
+
+def test_photos_do_not_leap() -> None:
+    film = _film(1.5)
+    assert leap(replace(film, reconstruction=replace(film.reconstruction, seconds=None))) is None

@@ -163,9 +163,11 @@ def test_of_images_that_share_no_points_the_larger_part_is_kept(tmp_path: Path) 
     assert len(read_arrays(tmp_path / MODEL)["images"]) == 5, "known poses need no points to hold together"
 
 
-@pytest.mark.parametrize(("bent", "other", "taken"), [(True, False, 1), (False, False, 0), (True, True, 0)])
+@pytest.mark.parametrize(
+    ("bent", "other", "taken"), [(1.0, 0.0, 1), (0.0, 0.0, 0), (1.0, 2.0, 0), (0.02, 0.0, 1), (1.0, 0.02, 1)]
+)
 def test_a_film_that_was_bent_is_mapped_at_once(
-    bent: bool, other: bool, taken: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bent: float, other: float, taken: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     count = SPARSE + 8
     seconds = np.arange(count) / 4.0 + np.random.default_rng(0).uniform(0.0, 0.15, count)
@@ -173,7 +175,7 @@ def test_a_film_that_was_bent_is_mapped_at_once(
     models = []
     for broken in (bent, other):
         places = np.stack([seconds, np.sin(0.5 * seconds), 0 * seconds], 1)
-        places[10:] += [0.0, 4.0 * broken, 0.0]
+        places[10:] += [0.0, 4.0 * broken, 0.0]  # metres
         model = _model([list(range(1, count + 1))] * SHARED, count)
         for number, place in enumerate(places, 1):
             inverse = SimpleNamespace(translation=place)
