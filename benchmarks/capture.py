@@ -33,7 +33,9 @@ from tqdm import tqdm
 import splatrl
 from splatrl.cameras import Cameras
 from splatrl.capture.check import colour_corrected, psnr, ssim
+from splatrl.capture.drift import camera_leaps
 from splatrl.capture.fit import FitSettings, held_out
+from splatrl.capture.jerks import jerks
 from splatrl.capture.pipeline import CaptureSettings, build_scene, reconstruct
 from splatrl.capture.truth import Deviation, Truth, deviation, read_truth, true_poses
 from splatrl.capture.world import Placed
@@ -84,6 +86,7 @@ class Result:
     scale_percent: float
     scale_from: str
     focal_percent: float
+    jerks: float
     fit_width: int
     psnr: float
     ssim: float
@@ -247,6 +250,7 @@ def measured(video: Path, folder: Path, options: argparse.Namespace) -> tuple[Re
         scale_percent=100 * off.scale,
         scale_from=placed.scale_from,
         focal_percent=100 * off.focal,
+        jerks=jerks(camera_leaps(placed)),
         fit_width=settings.fit.width,
         psnr=float(np.mean([one.psnr for one in alike])),
         ssim=float(np.mean([one.ssim for one in alike])),
@@ -273,6 +277,7 @@ def print_result(result: Result) -> None:
         ("up", f"{result.up_deg:.2f}°"),
         ("scale", f"{result.scale_percent:+.2f} % (by {result.scale_from})"),
         ("focal length", f"{result.focal_percent:+.2f} %"),
+        ("jerks of the path", f"{result.jerks:.1f}"),
         (f"held out, {result.fit_width} pixels", f"{result.psnr:.2f} dB, SSIM {result.ssim:.3f}"),
         ("the same, colour-corrected", f"{result.psnr_corrected:.2f} dB"),
         ("likeness to the place without people", empty),

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from splatrl.capture.ground import lowest_level
-from splatrl.capture.structure import SPARSE, jerks, leaps
+from splatrl.capture.jerks import Floats, jerks, leaps
 from splatrl.capture.world import Placed
 
 PARTS = 8
@@ -16,9 +16,8 @@ SEEN = 3
 """Cameras of a part that saw such a point, at least."""
 MOST = 3.0
 """Ratio of two heights; tables and steps in the picture make it 2.3 in captures that are right."""
-
 TORN = 8.0
-"""Jerks of a camera's path; at most 7.5 in films whose poses were right."""
+"""Jerks of a camera's path, at least: twice those for which a film is mapped a second way."""
 
 
 def leap(placed: Placed) -> str | None:
@@ -29,18 +28,23 @@ def leap(placed: Placed) -> str | None:
     Args:
         placed: cameras and points in the world.
     """
-    seconds = placed.reconstruction.seconds
-    if seconds is None or len(seconds) < SPARSE:
+    sudden, seconds = camera_leaps(placed), placed.reconstruction.seconds
+    if seconds is None or jerks(sudden) < TORN:
         return None
-    places, when = placed.reconstruction.camera_to_world[:, :3, 3].numpy(), seconds.numpy()
-    if jerks(places, when) < TORN:
-        return None
-    sudden = leaps(places, when)
     most = int(sudden.argmax())
+    when = float(seconds[most + 1])
     return (
-        f"The camera seems to leap at {when[most + 1]:.0f} s, by {sudden[most]:.0f} times what it usually does: what "
-        "it saw before and after may be joined wrongly. Film that part again, more slowly and with more in view."
+        f"The camera seems to leap at {when:.0f} s, by {sudden[most]:.0f} times what it usually does: "
+        "what it saw before and after may be joined wrongly. Film that part again, more slowly and with more in view."
     )
+
+
+def camera_leaps(placed: Placed) -> Floats:
+    """The ``leaps`` of a film's camera; none where nothing says when its images were taken."""
+    found = placed.reconstruction
+    if found.seconds is None:
+        return np.zeros(0)
+    return leaps(found.camera_to_world[:, :3, 3].numpy(), found.seconds.numpy())
 
 
 def lost_scale(placed: Placed) -> str | None:

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from splatrl.capture.jerks import jerks, leaps
 from splatrl.capture.loops import loop_pairs
 from splatrl.files import replacing
 
@@ -40,9 +41,8 @@ ENOUGH = 0.8
 NARROWER = (1.0, 0.75)
 """Focal lengths from which that begins, times the first guess; it fails from one that is a quarter too long."""
 UNEVEN, NEARLY = 4.0, 0.95
-"""How much larger one change of a camera's velocity in a hundred is than half of them, from which a film is mapped a
-second way, and the share of the images that the second way must reach. Of 26 maps of 13 films eight had more, and four
-of these were off by 0.13 to 0.77 m; of those with less none was by more than 0.09 m (``benchmarks/capture.py``)."""
+"""Jerks of a film's camera from which it is mapped a second way, and the share of the images that this must reach. A
+map with more may be bent or right; a second one costs a minute."""
 SPARSE = 40
 """Up to so many images: all pairs, and features from the doubled image, as photos far from each other need."""
 
@@ -212,33 +212,22 @@ def _map(pycolmap: Any, folder: Path, job: Job, options: Any) -> Any:
         if len(_joined(found)) >= ENOUGH * len(job.names):
             break
         found = _largest([found, *_map_at_once(pycolmap, folder, job, options.min_model_size, share)])
-    if _jerks(found, job) > UNEVEN:
+    uneven = _jerks(found, job)
+    if uneven > UNEVEN:
         other = _largest(_map_at_once(pycolmap, folder, job, options.min_model_size, 1.0))
-        if len(_joined(other)) >= NEARLY * len(_joined(found)) and _jerks(other, job) < _jerks(found, job):
+        if len(_joined(other)) >= NEARLY * len(_joined(found)) and _jerks(other, job) < uneven:
             return other
     return found
 
 
 def _jerks(model: Any, job: Job) -> float:
-    """How unevenly the camera of a film went, see ``UNEVEN``; 0 where nothing says when images were taken."""
-    if job.seconds is None or len(joined := _joined(model)) < SPARSE:
+    """How unevenly the camera of a film went; 0 where nothing says when images were taken."""
+    if job.seconds is None or model is None:
         return 0.0
     when = dict(zip(job.names, job.seconds, strict=True))
-    images = sorted((model.images[number] for number in joined), key=lambda image: when[image.name])
-    places = np.array([image.cam_from_world().inverse().translation for image in images])
-    return jerks(places, np.array([when[image.name] for image in images]))
-
-
-def jerks(places: np.ndarray, seconds: np.ndarray) -> float:
-    """One change of velocity in a hundred is so many times as large as half of them: [N, 3], [N] ascending."""
-    return float(np.quantile(leaps(places, seconds), 0.99))
-
-
-def leaps(places: np.ndarray, seconds: np.ndarray) -> np.ndarray:
-    """How large each change of a camera's velocity is, times as large as half of them: [N, 3], [N] -> [N - 2]."""
-    velocity = np.diff(places, axis=0) / np.maximum(np.diff(seconds), 1e-3)[:, None]
-    changes = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
-    return np.asarray(changes / max(float(np.median(changes)), 1e-12))
+    images = sorted((model.images[number] for number in _joined(model)), key=lambda image: when[image.name])
+    places = np.array([image.cam_from_world().inverse().translation for image in images]).reshape(-1, 3)
+    return jerks(leaps(places, np.array([when[image.name] for image in images])))
 
 
 def _map_at_once(pycolmap: Any, folder: Path, job: Job, least: int, share: float) -> list[Any]:

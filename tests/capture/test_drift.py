@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from splatrl.capture.drift import leap, lost_scale
-from splatrl.capture.structure import SPARSE
 from splatrl.capture.world import Placed, moved, place
 from tests.capture.walks import CAMERAS, walk
 
@@ -34,14 +33,17 @@ def test_a_scale_that_is_lost_half_way_is_found(scale: float, lost: bool) -> Non
     assert not lost or "m above the floor at" in str(said)
 
 
+HALF = 40
+
+
 def _film(jump: float) -> Placed:
     """A walk, the second half of which is ``jump`` metres beside its first."""
     first = walk()
-    rows = torch.arange(2 * SPARSE) % CAMERAS
+    rows = torch.arange(2 * HALF) % CAMERAS
     poses = first.camera_to_world[rows].clone()
     seconds = torch.arange(len(rows), dtype=torch.float64) / 4
     poses[:, 0, 3], poses[:, 1, 3] = 0.8 * seconds, torch.sin(0.5 * seconds)
-    poses[SPARSE:, 1, 3] += jump
+    poses[HALF:, 1, 3] += jump
     film = replace(first, paths=[first.paths[row] for row in rows], camera_to_world=poses, seconds=seconds)
     return place(film, marker=None, camera_height=1.4)
 

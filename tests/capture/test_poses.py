@@ -175,7 +175,7 @@ def test_a_film_that_was_bent_is_mapped_at_once(
     models = []
     for broken in (bent, other):
         places = np.stack([seconds, np.sin(0.5 * seconds), 0 * seconds], 1)
-        places[10:] += [0.0, 4.0 * broken, 0.0]  # metres
+        places[10:] += [0.0, 4.0 * broken, 0.0]
         model = _model([list(range(1, count + 1))] * SHARED, count)
         for number, place in enumerate(places, 1):
             inverse = SimpleNamespace(translation=place)
