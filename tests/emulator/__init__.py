@@ -20,7 +20,7 @@ from tests.builds import built
 HERE = Path(__file__).parent
 _FLAGS = [
     "-std=c++17",
-    "-O1",  # -O2 takes twice as long to compile, and each kernel runs only for moments
+    "-Og",  # -O2 takes four times as long to compile, and each kernel runs only for moments
     "-g1",
     "-fPIC",
     "-shared",
