@@ -90,12 +90,15 @@ def test_a_floor_far_below_zero_is_said_to_be_there(splat: Path, capsys: pytest.
     assert "robot_height" not in splat.with_name("scene.yaml").read_text()
 
 
-def test_a_description_is_replaced_only_by_force_and_nothing_is_drawn_without(splat: Path) -> None:
+def test_a_description_is_replaced_only_by_force_and_nothing_is_drawn_without(
+    splat: Path, request: pytest.FixtureRequest
+) -> None:
     splat.with_name("scene.yaml").write_text("mine")
     with pytest.raises(SystemExit, match="--force"):
         main([str(splat)])
     assert splat.with_name("scene.yaml").read_text() == "mine"
     assert not splat.with_name("yard-view.png").exists()
+    request.getfixturevalue("ungrounded")
     main([str(splat), "--force"])
     assert read_scene(splat.parent).name == "yard"
 
@@ -124,7 +127,7 @@ def test_out_is_a_scene_that_says_all_and_the_files_own_folder_stays(
     assert len(world.plan.start_rows) > 100
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("ungrounded")
 def test_a_large_place_has_longer_steps_coarser_voxels_and_a_larger_thing(tmp_path: Path) -> None:
     file, _ = turned(place("courtyard", spacing=0.6), 3, tilt_deg=6.0)
     write_gaussians(tmp_path / "yard.ply", file)
@@ -212,7 +215,7 @@ def test_files_that_are_missing_or_damaged_are_one_line_of_error(tmp_path: Path)
     assert [path.name for path in tmp_path.iterdir()] == ["damaged.ply"]
 
 
-def test_a_scene_far_from_the_origin_keeps_its_bounds(tmp_path: Path, undrawn: None) -> None:
+def test_a_scene_far_from_the_origin_keeps_its_bounds(tmp_path: Path, ungrounded: None) -> None:
     gaussians = world()
     gaussians.means += torch.tensor([5000.0, -12345.0, 0.0])
     write_gaussians(tmp_path / "far.ply", gaussians)
@@ -293,7 +296,7 @@ def test_an_out_that_ends_in_spz_makes_a_folder_with_a_small_splat(
     assert gzip.decompress((tmp_path / "again" / "splat.spz").read_bytes())[14] == 0
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("ungrounded")
 @pytest.mark.parametrize(("out", "ending"), [("town", ".ply"), ("town.spz", ".spz")])
 def test_a_splat_is_cut_into_blocks_that_together_are_the_scene(
     splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], out: str, ending: str
@@ -312,7 +315,7 @@ def test_a_splat_is_cut_into_blocks_that_together_are_the_scene(
         main([str(splat), "--split", "1.5", "--out", str(tmp_path / out)])
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("ungrounded")
 def test_blocks_are_not_written_where_a_scene_yaml_would_be_read_in_their_place(splat: Path) -> None:
     main([str(splat)])
     with pytest.raises(SystemExit, match=r"--split: expected a folder without scene.yaml"):

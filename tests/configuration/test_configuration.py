@@ -1,5 +1,6 @@
 """Configs compose, build what they describe, and explain what is wrong with them."""
 
+from itertools import zip_longest
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,7 @@ from splatrl.configuration import (
     save_config,
     with_scene_paths,
 )
+from splatrl.configuration.search_path import group_node
 from splatrl.envs.tasks.base import Anywhere, Outcome, Step, TaskModule, Verdict
 from splatrl.envs.transforms import FrameStack, PoseNoise
 from splatrl.motions import LatticeMotion
@@ -73,11 +75,28 @@ PACKAGES = {"motion": "motion@task.motion", "rewards": "rewards@task.rewards"}
 """How a group is named on the command line if its name alone does not determine its package."""
 
 
-@pytest.mark.parametrize("option", [option for option in OPTIONS if option not in OF_GPUS | SENSORS], ids=str)
-def test_every_option_of_every_group_builds_an_env_that_steps(option: Path, tmp_path: Path) -> None:
-    group = PACKAGES.get(str(option.parent), option.parent.as_posix())
-    task = TASK_OF.get(option.as_posix(), "grid")
-    chosen = [f"{group}={option.name}", *NEEDS.get(option.as_posix(), [])]
+def side_by_side() -> list[tuple[str, list[Path]]]:
+    """The options that work with each task, one of each group at a time: every option once, in as few envs as can be.
+    What draws or does nothing stands with what else does nothing, so that it hides no other option."""
+    by_task: dict[str, dict[Path, list[Path]]] = {}
+    for option in sorted(OPTIONS, key=lambda option: option.name != "none"):
+        if option not in OF_GPUS | SENSORS:
+            task = TASK_OF.get(option.as_posix(), "grid")
+            by_task.setdefault(task, {}).setdefault(option.parent, []).append(option)
+    rounds = [(task, zip_longest(*groups.values())) for task, groups in by_task.items()]
+    return [(task, [option for option in chosen if option]) for task, each in rounds for chosen in each]
+
+
+@pytest.mark.parametrize(
+    ("task", "options"),
+    side_by_side(),
+    ids=lambda value: value if isinstance(value, str) else "+".join(map(str, value)),
+)
+def test_every_option_of_every_group_builds_an_env_that_steps(task: str, options: list[Path], tmp_path: Path) -> None:
+    chosen = []
+    for option in options:
+        group = PACKAGES.get(str(option.parent), option.parent.as_posix())
+        chosen += [f"{group}={option.name}", *NEEDS.get(option.as_posix(), [])]
     env = make_env([*tiny_overrides(tmp_path, task), *chosen], batch_size=[2])
     assert env.rollout(2)["next", "reward"].shape[0] == 2
 
@@ -89,8 +108,8 @@ def test_every_sensor_reads_in_an_env_that_steps(task: str, tmp_path: Path) -> N
     first = env.reset()
     assert env.rollout(2)["next", "reward"].shape[0] == 2
     for name in names:
-        cfg = load_config([*tiny_overrides(tmp_path, task), f"sensors=[{name}]"])
-        read = {*cfg.sensors, *cfg.inputs}
+        node = group_node("sensors", name)
+        read = {*node.get("sensors", {}), *node.get("inputs", {})}
         assert read and all(len(first[key]) == 2 for key in read), name
 
 
