@@ -1,7 +1,6 @@
 """Many scenes in one batch: each row is what it would be in its scene alone."""
 
 import pickle
-from pathlib import Path
 
 import pytest
 import torch
@@ -72,9 +71,9 @@ def test_a_row_with_a_seed_of_its_own_has_scene_and_start_from_it(both: EnvBase)
         assert (again[key] == first[key][5]).all()
 
 
-@pytest.fixture
-def grid(tmp_path: Path) -> EnvBase:
-    return splatrl.make_env(in_both(tmp_path), batch_size=[4], seed=0)
+@pytest.fixture(scope="module")
+def grid(tmp_path_factory: pytest.TempPathFactory) -> EnvBase:
+    return splatrl.make_env(in_both(tmp_path_factory.mktemp("grid")), batch_size=[4], seed=0)
 
 
 def given(env: EnvBase, **values: torch.Tensor) -> TensorDictBase:

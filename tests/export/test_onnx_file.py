@@ -1,7 +1,7 @@
 """A policy as an ONNX file: onnxruntime does what PyTorch does, and the file says what it is for."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -54,6 +54,16 @@ def trained(folder: Path, *overrides: str) -> tuple[World, ActorValueOperator]:
 
 Exported = tuple[World, ActorValueOperator, Path, float]
 """A world, a policy, the folder where it was written, and what was found to differ."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def translated_once() -> Iterator[None]:
+    """PyTorch's exporter gathers its translations of operations once, and not for each file."""
+    from torch.onnx._internal.exporter._registration import ONNXRegistry
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(ONNXRegistry, "from_torchlib", staticmethod(cache(ONNXRegistry.from_torchlib)))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -37,13 +37,13 @@ def silhouette(model: mujoco.MjModel) -> torch.Tensor:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     camera, K = look_at(list(EYE), [0.0, 0.0, 0.0]).double(), intrinsics(math.radians(40), SIDE, SIDE).double()
-    hit, number = torch.zeros(SIDE, SIDE, dtype=torch.bool), np.zeros(1, np.int32)
-    for row in range(SIDE):
-        for column in range(SIDE):
-            ray = torch.tensor([(column + 0.5 - K[0, 2]) / K[0, 0], (row + 0.5 - K[1, 2]) / K[1, 1], 1.0]).double()
-            way = (camera[:3, :3] @ ray).numpy()
-            hit[row, column] = mujoco.mj_ray(model, data, camera[:3, 3].numpy(), way, None, 1, -1, number) >= 0
-    return hit
+    row, column = torch.meshgrid(torch.arange(SIDE), torch.arange(SIDE), indexing="ij")
+    ray = torch.stack([(column + 0.5 - K[0, 2]) / K[0, 0], (row + 0.5 - K[1, 2]) / K[1, 1], torch.ones(SIDE, SIDE)], 2)
+    ways = (ray.double() @ camera[:3, :3].T).reshape(-1, 3).numpy()
+    number, far = np.zeros(len(ways), np.int32), np.zeros(len(ways))
+    eye = camera[:3, 3].numpy()
+    mujoco.mj_multiRay(model, data, eye, ways.ravel(), None, 1, -1, number, far, None, len(ways), mujoco.mjMAXVAL)
+    return torch.from_numpy(far.reshape(SIDE, SIDE) >= 0)
 
 
 @pytest.mark.parametrize(
