@@ -5,6 +5,7 @@ PyTorch and the package are imported where they are used, because the process th
 
 from __future__ import annotations
 
+import functools
 import gc
 import importlib
 import itertools
@@ -96,6 +97,16 @@ def unmade_yards(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splatrl.configuration.scene_files.make_yards", lambda _: None)
     stated = {"goal": [0.0, 1.0, 0.0], "object": [1.0, 1.0, 0.5]}
     monkeypatch.setattr("splatrl.configuration.scene_files.yard_proposals", lambda _: stated)
+
+
+@pytest.fixture(scope="session")
+def translated_once() -> Iterator[None]:
+    """PyTorch's ONNX exporter gathers its translations of operations once, and not for each file."""
+    from torch.onnx._internal.exporter._registration import ONNXRegistry
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(ONNXRegistry, "from_torchlib", staticmethod(functools.cache(ONNXRegistry.from_torchlib)))
+        yield
 
 
 def no_gpu() -> str:

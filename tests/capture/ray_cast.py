@@ -27,15 +27,23 @@ def room_image(
         size: width and height of the image, pixels.
 
     Returns:
-        [H, W, 3] uint8.
+        [H, W, 3] uint8, drawn once and read-only.
     """
+    return _image(np.asarray(camera_to_world, float).tobytes(), seed, np.asarray(K, float).tobytes(), size)
+
+
+@cache
+def _image(camera: bytes, seed: int, intrinsics: bytes, size: tuple[int, int]) -> np.ndarray:
+    camera_to_world, K = np.frombuffer(camera).reshape(4, 4), np.frombuffer(intrinsics).reshape(3, 3)
     rays, way = _cast(camera_to_world, K, size)
     axis = way.argmin(-1)
     hit = camera_to_world[:3, 3] + rays * np.take_along_axis(way, axis[..., None], -1)
     wall = 2 * axis + (np.take_along_axis(rays, axis[..., None], -1)[..., 0] > 0)
     u = np.where(axis == 0, hit[..., 1], hit[..., 0]) * 40
     v = np.where(axis == 2, hit[..., 1], hit[..., 2]) * 40
-    return _sampled(_walls(seed), wall, u, v)
+    image = _sampled(_walls(seed), wall, u, v)
+    image.flags.writeable = False
+    return image
 
 
 def room_depth(camera_to_world: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -63,7 +63,7 @@ def taken(count: int, steady: bool = False) -> list[Taken]:
         depth = np.round(1000 * room_depth(pose, scaled, SENSOR)).astype(np.uint16)
         confidence = np.full(depth.shape, 2, np.uint8)
         confidence[UNTRUSTED], depth[UNTRUSTED] = 0, 77
-        result.append(Taken(pose, K, room_image(pose, K=K), depth, confidence))
+        result.append(Taken(pose, K, room_image(pose, K=K).copy(), depth, confidence))
     return result
 
 

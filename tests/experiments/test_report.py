@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import pytest
 from PIL import Image
 
 from splatrl.experiments import Experiment
@@ -20,12 +21,18 @@ def reported(folder: Path) -> Experiment:
     return experiment
 
 
-def links(report: Path) -> list[str]:
-    return re.findall(r"\]\(([^)]*)\)", report.read_text())
+def links(page: Path) -> list[str]:
+    return re.findall(r"\]\(([^)]*)\)", page.read_text())
 
 
-def test_a_report_says_question_paper_results_and_machine(tmp_path: Path) -> None:
-    text = write_report(reported(tmp_path), "an abacus").read_text()
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of an experiment whose runs are finished."""
+    return write_report(reported(tmp_path_factory.mktemp("experiment")), "an abacus")
+
+
+def test_a_report_says_question_paper_results_and_machine(report: Path) -> None:
+    text = report.read_text()
     order = ["# A title", "Does it?", "It does.", "| yard | with it |", "frames to 90%", "median seed", "an abacus"]
     places = [text.index(part) for part in order]
     assert places == sorted(places)
@@ -36,26 +43,23 @@ def test_whatever_a_report_links_is_there(tmp_path: Path) -> None:
     own = write_report(experiment, "an abacus")
     joint = write_joint_report([experiment], tmp_path / "two words", "an abacus")
     assert len(links(own)) == len(links(joint)) == 2 + 3 * 4
-    for report in (own, joint):
-        assert all((report.parent / link.replace("%20", " ")).is_file() for link in links(report))
+    for page in (own, joint):
+        assert all((page.parent / link.replace("%20", " ")).is_file() for link in links(page))
 
 
-def test_a_report_shows_pictures_of_the_median_seed(tmp_path: Path) -> None:
-    report = write_report(reported(tmp_path), "an abacus")
+def test_a_report_shows_pictures_of_the_median_seed(report: Path) -> None:
     assert "yard-with-s1/starts.png" in links(report)
     assert "yard-with-s0/starts.png" not in links(report)
 
 
-def test_a_figure_has_a_comparison_each(tmp_path: Path) -> None:
-    write_report(reported(tmp_path), "an abacus")
-    figures = {path.name: Image.open(path).size for path in tmp_path.glob("tried/*.png")}
+def test_a_figure_has_a_comparison_each(report: Path) -> None:
+    figures = {path.name: Image.open(path).size for path in report.parent.glob("*.png")}
     assert figures.keys() == {"curves-yard-430.png", "curves-hall-430.png"}
     assert all(min(size) > 400 for size in figures.values())
 
 
-def test_the_numbers_of_a_report_are_there_as_json(tmp_path: Path) -> None:
-    write_report(reported(tmp_path), "an abacus")
-    numbers = json.loads((tmp_path / "tried" / "report.json").read_text())
+def test_the_numbers_of_a_report_are_there_as_json(report: Path) -> None:
+    numbers = json.loads(report.with_name("report.json").read_text())
     arm = numbers["arms"][0]
     assert (arm["scene"], arm["arm"], arm["seeds"], arm["budget"]) == ("yard", "with it", [0, 1], 430)
     assert arm["success_rate"]["values"] == [0.9, 0.6]

@@ -1,7 +1,7 @@
 """A policy as an ONNX file: onnxruntime does what PyTorch does, and the file says what it is for."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -21,6 +21,8 @@ from tests.tiny import tiny_overrides
 
 onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra export")
 pytest.importorskip("onnxscript", reason="needs the extra export")
+
+pytestmark = pytest.mark.usefixtures("translated_once")
 
 SHAKEN = ["transforms/pose_noise=unsteady", "transforms/appearance=varied"]
 KINDS: dict[str, list[str]] = {
@@ -54,16 +56,6 @@ def trained(folder: Path, *overrides: str) -> tuple[World, ActorValueOperator]:
 
 Exported = tuple[World, ActorValueOperator, Path, float]
 """A world, a policy, the folder where it was written, and what was found to differ."""
-
-
-@pytest.fixture(autouse=True, scope="module")
-def translated_once() -> Iterator[None]:
-    """PyTorch's exporter gathers its translations of operations once, and not for each file."""
-    from torch.onnx._internal.exporter._registration import ONNXRegistry
-
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(ONNXRegistry, "from_torchlib", staticmethod(cache(ONNXRegistry.from_torchlib)))
-        yield
 
 
 @pytest.fixture(scope="module")
