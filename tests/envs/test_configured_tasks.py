@@ -22,7 +22,8 @@ WALK = ("task.motion.step=0.25", "task.motion.angle_step_deg=45.0", "task.motion
 class ConfiguredContract(EnvContract):
     """An env contract that builds its world once."""
 
-    steps = 12  # the limit of an episode is 10
+    limit: tuple[str, ...] = ("task.max_steps=10",)
+    steps = 12  # more than the limit of an episode
     world: World
 
     @classmethod
@@ -34,9 +35,8 @@ class ConfiguredContract(EnvContract):
     @classmethod
     def build(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         task, *changes = cls.overrides()
-        short = [] if task == "strides" else ["task.max_steps=10"]  # which ends with its commands
         room = tiny_overrides(tmp_path_factory.mktemp("room"), task)
-        cls.world = build_world(load_config([*room, *short, *changes]))
+        cls.world = build_world(load_config([*room, *cls.limit, *changes]))
         yield
         del cls.world
 
