@@ -24,6 +24,7 @@ from splatrl.capture.folder import share_of, write_scene
 from splatrl.capture.frames import read_photos
 from splatrl.capture.ground import on_its_side, upside_down
 from splatrl.capture.look import look
+from splatrl.capture.mapping import ENOUGH
 from splatrl.capture.marker import MARKER_SIDE
 from splatrl.capture.moving import find_moving
 from splatrl.capture.poses import find_poses
@@ -32,7 +33,6 @@ from splatrl.capture.recordings import is_recording, read_recording
 from splatrl.capture.resolution import Resolution
 from splatrl.capture.scale import Distance
 from splatrl.capture.stereo import Depths, find_depths
-from splatrl.capture.structure import ENOUGH
 from splatrl.capture.world import Placed, held_poses, place
 from splatrl.files import alone_in, remove_stale, replacing
 from splatrl.native import _core

@@ -10,14 +10,15 @@ import torch
 from torch import Tensor
 
 from splatrl.array_files import read_arrays
-from splatrl.capture import structure
+from splatrl.capture import mapping, structure
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.child import run_child
+from splatrl.capture.job import Job, write_job
 from splatrl.capture.optional import needed
 from splatrl.capture.progress import Progress, silent
 from splatrl.capture.undistort import undistorted
 
-VERSION = 8
+VERSION = 9
 DIGEST = "digest.txt"
 
 
@@ -27,7 +28,7 @@ def find_poses(
     seed: int = 0,
     progress: Progress = silent,
     exact_camera: bool = False,
-    least: float = structure.ENOUGH,
+    least: float = mapping.ENOUGH,
 ) -> Reconstruction:
     """Find the pose of every image, the camera's intrinsics, and points; points only where the poses are known.
 
@@ -63,18 +64,18 @@ def find_poses(
     try:
         model = read_arrays(work / structure.MODEL)
     except (FileNotFoundError, ValueError):  # what is damaged is found again
-        structure.write_job(work, job)
+        write_job(work, job)
         run_child("splatrl.capture.structure", work, progress)
         model = read_arrays(work / structure.MODEL)
     _check_share(photos, model["images"], least)
     return _reconstruction(photos, model, folder, exact_camera, progress)
 
 
-def _job(photos: Photos, seed: int, exact_camera: bool) -> structure.Job:
+def _job(photos: Photos, seed: int, exact_camera: bool) -> Job:
     folder = photos.paths[0].parent
     if any(path.parent != folder for path in photos.paths):
         raise ValueError("photos.paths: expected images of one folder")
-    return structure.Job(
+    return Job(
         images=str(folder.resolve()),
         names=[path.name for path in photos.paths],
         width=photos.width,
@@ -87,7 +88,7 @@ def _job(photos: Photos, seed: int, exact_camera: bool) -> structure.Job:
     )
 
 
-def _digest(photos: Photos, job: structure.Job) -> str:
+def _digest(photos: Photos, job: Job) -> str:
     settings = [VERSION, job.names, job.K, job.fixed, job.camera_to_world, job.seed, job.seconds]
     digest = hashlib.blake2b(json.dumps(settings).encode(), digest_size=16)
     digest.update(str(getattr(needed("pycolmap"), "__version__", "")).encode())

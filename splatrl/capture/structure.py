@@ -5,79 +5,29 @@ killed at any time. What is in the database when that happens is not computed ag
 input closes, so that it never outlives the caller.
 """
 
-import json
 import os
-import shutil
 import sqlite3
 import sys
 import threading
 from contextlib import closing
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
-from splatrl.capture.jerks import jerks, leaps
+from splatrl.capture.job import DATABASE, Job, read_job, tell
 from splatrl.capture.loops import loop_pairs
+from splatrl.capture.mapping import find_cameras, joined, mapping_options
 from splatrl.files import replacing
 
-MODEL, DATABASE, PAIRS, JOB, SEARCHED = "model.npz", "database.db", "pairs.txt", "job.json", "searched"
+MODEL, PAIRS, SEARCHED = "model.npz", "pairs.txt", "searched"
 FEATURES = 4096
 FAINTEST = 0.003
 """Contrast of a feature, at least; with COLMAP's 0.0067 shaded walls and lawns hold too few."""
 FEW, FAINTER = 1000, 0.0008
 """An image with fewer features is searched again for fainter ones: blurred, or bare walls and sky."""
-LEAST_INLIERS, LEAST_SHARE, TRIALS = 15, 0.15, 10
-"""Features, and their share, that must agree with a pose, and how often one is sought; COLMAP's 30, 0.25 and 3 leave
-out images of bare places, whose neighbours on the way then break off too."""
-SHARED = 10
-"""Points that two images of a model must share to hold together: COLMAP leaves images in a model, anywhere, when it has
-taken away all points that joined them to the others."""
-ENOUGH = 0.8
-"""Share of images whose pose must be found; where image after image reaches fewer, all are sought at once."""
-NARROWER = (1.0, 0.75)
-"""Focal lengths from which that begins, times the first guess; it fails from one that is a quarter too long."""
-UNEVEN, NEARLY = 4.0, 0.95
-"""Jerks of a film's camera from which it is mapped a second way, and the share of the images that this must reach. A
-map with more may be bent or right; a second one costs a minute."""
 SPARSE = 40
 """Up to so many images: all pairs, and features from the doubled image, as photos far from each other need."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """What to reconstruct.
-
-    Attributes:
-        images: folder of the images.
-        names: of the images, in the order in which they were taken.
-        width: of every image, pixels.
-        height: of every image, pixels.
-        K: [3][3] intrinsics, pixels; None where unknown.
-        fixed: whether K is exact and the images are without lens distortion.
-        camera_to_world: [N][4][4] known poses, which stay as they are; None where they are to be found.
-        seed: of every random sample.
-        seconds: [N] when each image of a film was taken, ascending; None for photos.
-    """
-
-    images: str
-    names: list[str]
-    width: int
-    height: int
-    K: list[list[float]] | None = None
-    fixed: bool = False
-    camera_to_world: list[list[list[float]]] | None = None
-    seed: int = 0
-    seconds: list[float] | None = None
-
-
-def write_job(folder: Path, job: Job) -> None:
-    """Describe a job in the folder where its results are to appear."""
-    with replacing(folder / JOB) as stream:
-        stream.write(json.dumps(asdict(job)).encode())
 
 
 def pairs(count: int) -> list[tuple[int, int]]:
@@ -104,17 +54,24 @@ def run(folder: Path) -> None:
     """
     import pycolmap
 
-    job = Job(**json.loads((folder / JOB).read_text("utf-8")))
+    job = read_job(folder)
+    match_images(pycolmap, folder, job)
+    tell("map", 0, len(job.names))
+    model = find_cameras(pycolmap, folder, job) if job.camera_to_world is None else _triangulate(pycolmap, folder, job)
+    _keep(folder, job, model)
+
+
+def match_images(pycolmap: Any, folder: Path, job: Job) -> None:
+    """Find features in all images, and which of them show the same; what the folder's database holds is not found anew.
+
+    Args:
+        pycolmap: the module.
+        folder: of the job.
+        job: what it describes.
+    """
     pycolmap.set_random_seed(job.seed)
     _extract(pycolmap, folder, job)
     _match(pycolmap, folder, job)
-    _tell("map", 0, len(job.names))
-    options = _mapping_options(pycolmap, job)
-    if job.camera_to_world is None:
-        model = _map(pycolmap, folder, job, options)
-    else:
-        model = _triangulate(pycolmap, folder, job, options)
-    _keep(folder, job, model)
 
 
 def _extract(pycolmap: Any, folder: Path, job: Job) -> None:
@@ -181,102 +138,7 @@ def _descriptors(pycolmap: Any, folder: Path, job: Job) -> list[np.ndarray]:
     return [np.asarray(getattr(one, "data", one), np.uint8).reshape(-1, 128) for one in found]
 
 
-def _mapping_options(pycolmap: Any, job: Job) -> Any:
-    options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads = options.mapper.num_threads = 1  # with more, sums come in any order
-    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = job.seed
-    options.mapper.abs_pose_min_num_inliers, options.mapper.abs_pose_min_inlier_ratio = LEAST_INLIERS, LEAST_SHARE
-    options.mapper.max_reg_trials = TRIALS
-    options.mapper.init_min_tri_angle /= 2  # COLMAP's preset for video, here and below
-    options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.4
-    options.min_model_size = min(options.min_model_size, max(3, len(job.names) // 2))
-    if job.fixed:
-        options.ba_refine_focal_length = options.ba_refine_extra_params = False
-        options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
-    return options
-
-
-def _map(pycolmap: Any, folder: Path, job: Job, options: Any) -> Any:
-    (folder / "sparse").mkdir(exist_ok=True)
-    done = [1]
-
-    def next_image() -> None:
-        done[0] += 1
-        _tell("map", min(done[0], len(job.names)), len(job.names))
-
-    models = pycolmap.incremental_mapping(
-        folder / DATABASE, job.images, folder / "sparse", options, next_image_callback=next_image
-    )
-    found = _largest([*models.values()])
-    for share in (1.0,) if job.fixed else NARROWER:
-        if len(_joined(found)) >= ENOUGH * len(job.names):
-            break
-        found = _largest([found, *_map_at_once(pycolmap, folder, job, options.min_model_size, share)])
-    uneven = _jerks(found, job)
-    if uneven > UNEVEN:
-        other = _largest(_map_at_once(pycolmap, folder, job, options.min_model_size, 1.0))
-        if len(_joined(other)) >= NEARLY * len(_joined(found)) and _jerks(other, job) < uneven:
-            return other
-    return found
-
-
-def _jerks(model: Any, job: Job) -> float:
-    """How unevenly the camera of a film went; 0 where nothing says when images were taken."""
-    if job.seconds is None or model is None:
-        return 0.0
-    when = dict(zip(job.names, job.seconds, strict=True))
-    images = sorted((model.images[number] for number in _joined(model)), key=lambda image: when[image.name])
-    places = np.array([image.cam_from_world().inverse().translation for image in images]).reshape(-1, 3)
-    return jerks(leaps(places, np.array([when[image.name] for image in images])))
-
-
-def _map_at_once(pycolmap: Any, folder: Path, job: Job, least: int, share: float) -> list[Any]:
-    """Models by global mapping (Pan et al. 2024), which needs no first pair: photos along a road have no good one."""
-    options = pycolmap.GlobalPipelineOptions(num_threads=1, random_seed=job.seed, min_model_size=least)
-    mapper = options.mapper
-    mapper.num_threads, mapper.random_seed = 1, job.seed
-    for part in (mapper.rotation_averaging, mapper.global_positioning, mapper.retriangulation):
-        part.random_seed = job.seed
-    bundle = mapper.bundle_adjustment
-    bundle.ceres.solver_options.num_threads = 1
-    mapper.global_positioning.use_gpu = bundle.ceres.use_gpu = False
-    if job.fixed:
-        bundle.refine_focal_length = bundle.refine_extra_params = False
-    own = folder / "at_once"
-    shutil.rmtree(own, ignore_errors=True)
-    own.mkdir()
-    shutil.copy(folder / DATABASE, own / DATABASE)
-    if share < 1.0:
-        database = pycolmap.Database.open(own / DATABASE)
-        camera = database.read_all_cameras()[0]
-        camera.focal_length *= share
-        database.update_camera(camera)
-        database.close()
-    _tell("map at once", 0, mapper.ba_num_iterations)  # COLMAP says when each of them has ended
-    models = pycolmap.global_mapping(own / DATABASE, job.images, own, options)
-    shutil.rmtree(own)
-    return [*models.values()]
-
-
-def _largest(models: list[Any]) -> Any:
-    """The one with the most images that hold together, the first of equals; None where there is none."""
-    return max((model for model in models if model is not None), key=lambda model: len(_joined(model)), default=None)
-
-
-def _joined(model: Any) -> set[int]:
-    """The images, by COLMAP's numbers, of the largest part of a model that holds together."""
-    if model is None:
-        return set()
-    images = np.array(sorted(image.image_id for image in model.images.values() if image.has_pose), np.int64)
-    tracks = [{element.image_id for element in point.track.elements} for point in model.points3D.values()]
-    rows = np.searchsorted(images, [number for track in tracks for number in track])
-    columns = np.repeat(np.arange(len(tracks)), [len(track) for track in tracks])
-    sees = csr_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(len(images), len(tracks)))
-    parts = connected_components((sees @ sees.T).toarray() >= SHARED, directed=False)[1]
-    return set(images[parts == np.bincount(parts).argmax()].tolist()) if len(images) else set()
-
-
-def _triangulate(pycolmap: Any, folder: Path, job: Job, options: Any) -> Any:
+def _triangulate(pycolmap: Any, folder: Path, job: Job) -> Any:
     (folder / "sparse").mkdir(exist_ok=True)
     database = pycolmap.Database.open(folder / DATABASE)
     cameras, images = database.read_all_cameras(), database.read_all_images()
@@ -290,7 +152,9 @@ def _triangulate(pycolmap: Any, folder: Path, job: Job, options: Any) -> Any:
             name=image.name, keypoints=np.zeros((0, 2)), camera_id=cameras[0].camera_id, image_id=image.image_id
         )
         model.add_image_with_trivial_frame(placed, pycolmap.Rigid3d(world_to_camera[:3]))
-    return pycolmap.triangulate_points(model, folder / DATABASE, job.images, folder / "sparse", True, options)
+    return pycolmap.triangulate_points(
+        model, folder / DATABASE, job.images, folder / "sparse", True, mapping_options(pycolmap, job)
+    )
 
 
 def _keep(folder: Path, job: Job, model: Any) -> None:
@@ -299,7 +163,7 @@ def _keep(folder: Path, job: Job, model: Any) -> None:
     elif job.camera_to_world is not None:
         found = {image.name: image for image in model.images.values()}
     else:
-        found = {model.images[number].name: model.images[number] for number in _joined(model)}
+        found = {model.images[number].name: model.images[number] for number in joined(model)}
     images = [number for number, name in enumerate(job.names) if name in found]
     camera_to_world = np.zeros((len(images), 4, 4))
     for row, number in enumerate(images):
@@ -332,10 +196,6 @@ def _opencv(camera: Any) -> np.ndarray:
     if camera.model.name == "RADIAL":
         parameters[4:6] = camera.params[3:]
     return parameters
-
-
-def _tell(what: str, done: int, total: int) -> None:
-    print(json.dumps([what, done, total]), flush=True)
 
 
 def _end_with_the_caller() -> None:

@@ -14,14 +14,16 @@ import pytest
 import torch
 
 from splatrl.array_files import read_arrays
+from splatrl.capture import mapping
 from splatrl.capture import poses as poses_module
-from splatrl.capture import structure
 from splatrl.capture.base import CaptureError
 from splatrl.capture.child import _pass_on, run_child
+from splatrl.capture.job import Job, write_job
+from splatrl.capture.mapping import SHARED, find_cameras
 from splatrl.capture.optional import needed
 from splatrl.capture.pipeline import CaptureSettings, reconstruct
 from splatrl.capture.poses import find_poses, missing_runs
-from splatrl.capture.structure import MODEL, SHARED, SPARSE, Job, _keep, pairs, run, write_job
+from splatrl.capture.structure import MODEL, SPARSE, _keep, pairs, run
 from tests.capture import ray_cast
 from tests.capture.ray_cast import HALF, photos_of, walk
 
@@ -181,13 +183,12 @@ def test_a_film_that_was_bent_is_mapped_at_once(
             inverse = SimpleNamespace(translation=place)
             model.images[number].cam_from_world = lambda inverse=inverse: SimpleNamespace(inverse=lambda: inverse)
         models.append(model)
-    colmap = SimpleNamespace(incremental_mapping=lambda *_, **__: {0: models[0]})
-    monkeypatch.setattr(structure, "_map_at_once", lambda *_: [models[1]])
+    monkeypatch.setattr(mapping, "map_one_by_one", lambda *_: models[0])
+    monkeypatch.setattr(mapping, "map_at_once", lambda *_: models[1])
     job = Job("", names, 8, 6, seconds=seconds.tolist())
-    assert structure._map(colmap, tmp_path, job, SimpleNamespace(min_model_size=3)) is models[taken]
+    assert find_cameras(None, tmp_path, job) is models[taken]
     photos = dataclasses.replace(job, seconds=None)
-    (tmp_path / "sparse").rmdir()
-    assert structure._map(colmap, tmp_path, photos, SimpleNamespace(min_model_size=3)) is models[0]
+    assert find_cameras(None, tmp_path, photos) is models[0]
 
 
 def test_known_poses_without_intrinsics_are_refused(tmp_path: Path) -> None:
