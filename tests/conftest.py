@@ -99,6 +99,12 @@ def unmade_yards(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splatrl.configuration.scene_files.yard_proposals", lambda _: stated)
 
 
+@pytest.fixture
+def blank_curves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports of experiments have empty files in place of learning curves, which a test does not look at."""
+    monkeypatch.setattr("splatrl.experiments.report.learning_curves", lambda _, path: path.touch())
+
+
 @pytest.fixture(scope="session")
 def translated_once() -> Iterator[None]:
     """PyTorch's ONNX exporter gathers its translations of operations once, and not for each file."""

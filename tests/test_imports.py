@@ -1,11 +1,12 @@
 """The order of the packages: each names only earlier ones, and only a few use Hydra or choose a device."""
 
 import ast
+import functools
 import pkgutil
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -118,9 +119,15 @@ def name_faults(name: str, limit: str) -> list[str]:
     return [f"{name}: {other} comes after {limit}" for other in sorted(rooms) if rank(other) > rank(limit)]
 
 
-def imported(tree: ast.AST) -> Iterator[str]:
+@functools.lru_cache(1)
+def nodes_of(source: str) -> list[ast.AST]:
+    """All nodes of a module's tree; of the last one asked for, they are remembered."""
+    return list(ast.walk(ast.parse(source)))
+
+
+def imported(nodes: Iterable[ast.AST]) -> Iterator[str]:
     """Full names of everything that a module imports, anywhere in it."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -129,9 +136,9 @@ def imported(tree: ast.AST) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def written(tree: ast.AST) -> Iterator[str]:
+def written(nodes: Iterable[ast.AST]) -> Iterator[str]:
     """Dotted names of splatrl that are a whole string, or follow ``-m`` in one; OmegaConf resolvers do not count."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield from MODULE.findall(node.value)
             if DOTTED.fullmatch(node.value) and not OmegaConf.has_resolver(node.value):
@@ -140,8 +147,8 @@ def written(tree: ast.AST) -> Iterator[str]:
 
 def faults(name: str, source: str) -> list[str]:
     """What is wrong with the names that a module of the room ``name`` imports or writes."""
-    found, tree = [], ast.parse(source)
-    for target in imported(tree):
+    found, nodes = [], nodes_of(source)
+    for target in imported(nodes):
         for prefix, rooms in ONLY.items():
             if f"{target}.".startswith(f"{prefix}.") and name not in rooms:
                 found.append(f"{target}: only {sorted(rooms)} may import {prefix}")
@@ -151,7 +158,7 @@ def faults(name: str, source: str) -> list[str]:
                 found += name_faults(target, name)
             else:
                 found.append(f"{target}: expected an import from a room, not from the package's own names")
-    return found + [fault for target in written(tree) for fault in name_faults(target, name)]
+    return found + [fault for target in written(nodes) for fault in name_faults(target, name)]
 
 
 def conf_names(node: Any) -> Iterator[str]:
@@ -176,10 +183,10 @@ def device_choices(source: str) -> list[int]:
 
     Asking what device a tensor has is free: ``x.is_cuda``, ``device.type == "cuda"``.
     """
-    tree = ast.parse(source)
-    compared = {id(part) for node in ast.walk(tree) if isinstance(node, ast.Compare) for part in ast.walk(node)}
+    nodes = nodes_of(source)
+    compared = {id(part) for node in nodes if isinstance(node, ast.Compare) for part in ast.walk(node)}
     lines = []
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in compared:
             if node.value.split(":")[0] in DEVICE_CHOICES:
                 lines.append(node.lineno)
@@ -192,14 +199,19 @@ def test_every_module_has_a_place_in_the_order_and_every_place_a_module() -> Non
     assert {room(path) for path in MODULES} == set().union(*ORDER)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_a_module_names_only_what_its_own_room_and_those_before_it_have(path: Path) -> None:
-    assert faults(room(path), path.read_text()) == []
+@pytest.mark.parametrize("name", sorted({room(path) for path in MODULES}))
+def test_modules_name_only_what_their_room_and_those_before_it_have_and_few_choose_a_device(name: str) -> None:
+    for path in MODULES:
+        if room(path) == name:
+            source = path.read_text()
+            assert faults(name, source) == [], path
+            if name not in CHOOSERS and not path.relative_to(PACKAGE).as_posix().startswith(CUDA_ALONE):
+                assert device_choices(source) == [], path
 
 
-@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: str(path.relative_to(conf_dir())))
-def test_a_config_names_only_what_there_is_in_the_rooms_that_it_may_know(path: Path) -> None:
-    assert conf_faults(path.relative_to(conf_dir()), path.read_text()) == []
+def test_configs_name_only_what_there_is_in_the_rooms_that_they_may_know() -> None:
+    for path in CONFIGS:
+        assert conf_faults(path.relative_to(conf_dir()), path.read_text()) == [], path
 
 
 def test_the_configs_name_what_they_build() -> None:
@@ -218,27 +230,22 @@ def test_every_command_is_there() -> None:
         assert pkgutil.resolve_name(script).args == (name,)
 
 
-@pytest.mark.parametrize(
-    ("name", "word", "status"),
-    [
+def test_mistyped_words_and_calls_for_help_need_no_pytorch() -> None:
+    typed = [
         ("train", "--help", "None"),
         ("train", "taks=fps", "splatrl-train: taks: "),
         ("capture", "--help", "0"),
         ("scene", "--up", "2"),
         ("gait", "--help", "0"),
-    ],
-)
-def test_a_mistyped_word_and_a_call_for_help_need_no_pytorch(name: str, word: str, status: str) -> None:
-    code = f"import sys\nsys.argv = {['x', word]}\ntry:\n    import splatrl.commands.entries as e\n    e.{name}()\n"
-    code += "except SystemExit as end:\n    print(end.code, 'torch' in sys.modules)"
+    ]
+    code = "import sys\nimport splatrl.commands.entries as e\n"
+    for name, word, _ in typed:
+        code += f"sys.argv = {['x', word]}\ntry:\n    e.{name}()\n"
+        code += "except SystemExit as end:\n    print('\\nended:', end.code, 'torch' in sys.modules)\n"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1].startswith(status) and done.stdout.endswith(" False\n"), done
-
-
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_only_entry_points_and_the_modules_they_ask_choose_a_device(path: Path) -> None:
-    if room(path) not in CHOOSERS and not path.relative_to(PACKAGE).as_posix().startswith(CUDA_ALONE):
-        assert device_choices(path.read_text()) == []
+    ended = [line for line in done.stdout.splitlines() if line.startswith("ended: ")]
+    for line, (*words, status) in zip(ended, typed, strict=True):
+        assert line.startswith(f"ended: {status}") and line.endswith(" False"), (words, line)
 
 
 @pytest.mark.parametrize(
@@ -338,7 +345,7 @@ def test_every_name_of_the_package_is_there_under_its_own_name(name: str) -> Non
 def test_what_type_checkers_see_of_the_package_is_what_it_gives() -> None:
     tree = ast.parse((PACKAGE / "__init__.py").read_text())
     checked = next(node for node in tree.body if isinstance(node, ast.If))
-    names = {name.removeprefix("splatrl."): name.rsplit(".")[-1] for name in imported(checked)}
+    names = {name.removeprefix("splatrl."): name.rsplit(".")[-1] for name in imported(ast.walk(checked))}
     assert sorted(names.values()) == sorted(splatrl.__all__)
     assert {name: home.rpartition(".")[0] for home, name in names.items()} == splatrl._HOMES
 

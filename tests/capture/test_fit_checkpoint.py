@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splatrl.capture.base import Reconstruction
-from splatrl.capture.fit import Fitting, fit
+from splatrl.capture.fit import FitSettings, Fitting, fit
 from splatrl.capture.fit_checkpoint import Checkpoint
 from splatrl.scenes.gaussians import Gaussians
 from tests.capture.test_fit import SETTINGS, same_bytes, tiny_capture
@@ -16,6 +16,9 @@ from tests.preloaded import start
 
 FULL = replace(SETTINGS, views=120, views_a_step=2, sh_degree=1, poses=1e-3)
 """Every kind of thing that a fit learns; 60 steps, moved and added to after 20 and 40."""
+
+SHORT = replace(FULL, views=60)
+"""Moved and added to once."""
 
 KILLED = """
 import os, signal, sys
@@ -44,7 +47,21 @@ def whole(capture: Reconstruction) -> Gaussians:
     return fit(capture, FULL)
 
 
-def interrupted(capture: Reconstruction, checkpoint: Checkpoint, last: int) -> None:
+@pytest.fixture(scope="module")
+def short(capture: Reconstruction) -> Gaussians:
+    """Of a shorter fit that was never killed."""
+    return fit(capture, SHORT)
+
+
+@pytest.fixture(scope="module")
+def begun(capture: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The file of the shorter fit, which ended after 20 views."""
+    path = tmp_path_factory.mktemp("begun") / "fit.npz"
+    interrupted(capture, Checkpoint(path, "one", every=0), 20, SHORT)
+    return path.read_bytes()
+
+
+def interrupted(capture: Reconstruction, checkpoint: Checkpoint, last: int, settings: FitSettings = FULL) -> None:
     """A fit that ends with an exception once so many views were drawn."""
 
     def told(done: int, total: int, loss: float) -> None:
@@ -52,13 +69,13 @@ def interrupted(capture: Reconstruction, checkpoint: Checkpoint, last: int) -> N
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fit(capture, FULL, told, None, checkpoint)
+        fit(capture, settings, told, None, checkpoint)
 
 
-def resumed(capture: Reconstruction, checkpoint: Checkpoint) -> tuple[Gaussians, int]:
+def resumed(capture: Reconstruction, checkpoint: Checkpoint, settings: FitSettings = FULL) -> tuple[Gaussians, int]:
     """The rest of a fit, and after how many views it was heard of first."""
     heard: list[int] = []
-    return fit(capture, FULL, lambda done, total, loss: heard.append(done), None, checkpoint), heard[0]
+    return fit(capture, settings, lambda done, total, loss: heard.append(done), None, checkpoint), heard[0]
 
 
 def test_a_fit_that_was_killed_goes_on_with_the_same_bytes(tmp_path: Path, whole: Gaussians) -> None:
@@ -88,10 +105,12 @@ def test_all_that_a_fit_changes_is_in_its_state(capture: Reconstruction) -> None
         assert value.equal(other.state(60)[name]), name
 
 
-def test_of_another_fit_nothing_is_taken(capture: Reconstruction, whole: Gaussians, tmp_path: Path) -> None:
-    interrupted(capture, Checkpoint(tmp_path / "fit.npz", "one", every=0), 20)
-    found, first = resumed(capture, Checkpoint(tmp_path / "fit.npz", "another"))
-    assert first == 2 and same_bytes(found, whole)
+def test_of_another_fit_nothing_is_taken(
+    capture: Reconstruction, short: Gaussians, begun: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "fit.npz").write_bytes(begun)
+    found, first = resumed(capture, Checkpoint(tmp_path / "fit.npz", "another"), SHORT)
+    assert first == 2 and same_bytes(found, short)
 
 
 def damaged(path: Path, how: str) -> None:
@@ -117,13 +136,13 @@ def damaged(path: Path, how: str) -> None:
 
 @pytest.mark.parametrize("how", ["cut", "a bit", "empty", "a shape", "a count", "an order", "a generator"])
 def test_a_damaged_file_is_named_and_the_fit_begins_anew(
-    capture: Reconstruction, whole: Gaussians, how: str, tmp_path: Path
+    capture: Reconstruction, short: Gaussians, begun: bytes, how: str, tmp_path: Path
 ) -> None:
     said: list[str] = []
-    interrupted(capture, Checkpoint(tmp_path / "fit.npz", "one", every=0), 20)
+    (tmp_path / "fit.npz").write_bytes(begun)
     damaged(tmp_path / "fit.npz", how)
-    found, first = resumed(capture, Checkpoint(tmp_path / "fit.npz", "one", say=said.append))
-    assert first == 2 and same_bytes(found, whole)
+    found, first = resumed(capture, Checkpoint(tmp_path / "fit.npz", "one", say=said.append), SHORT)
+    assert first == 2 and same_bytes(found, short)
     assert len(said) == 1 and said[0].startswith(f"{tmp_path / 'fit.npz'}: expected ")
     assert said[0].endswith("; the fit begins anew") and "\n" not in said[0]
 

@@ -21,7 +21,7 @@ from tests.capture.test_stereo import HEIGHT, WIDTH, photographed, speckled
 COUNT = 24
 RADIUS = 13
 """Pixels: of the ball that is in each third photo, where it never is in another."""
-SETTINGS = FitSettings(width=WIDTH, cap=14_000, views=500, sh_degree=0, levels=((0.0, 0.5), (0.3, 1.0)), threads=1)
+SETTINGS = FitSettings(width=WIDTH, cap=14_000, views=350, sh_degree=0, levels=((0.0, 0.5), (0.3, 1.0)), threads=1)
 
 
 def ball(row: int) -> Tensor:
@@ -104,7 +104,7 @@ def test_what_stands_still_is_not(still: Reconstruction, still_depths: Depths) -
 
 
 def test_the_number_of_threads_does_not_matter(capture: Reconstruction, depths: Depths) -> None:
-    short = replace(SETTINGS, views=150)
+    short = replace(SETTINGS, views=60)
     assert torch.equal(find_moving(capture, depths, short), find_moving(capture, depths, replace(short, threads=2)))
 
 

@@ -13,7 +13,6 @@ from splatrl.bodies import Box, Capsule, Sphere
 from splatrl.collision import FclChecker, Occupancy
 from splatrl.collision.fcl import _octree, fcl_octrees
 from splatrl.geometry import axis_rotations, quats_to_rotations, rigid
-from tests.collision.oracle import separation
 
 BODIES = [Box((0.4, 0.3, 0.1)), Sphere(0.17), Capsule(0.08, 0.25)]
 CUBE = Occupancy(np.ones((1, 1, 1), bool), (0, 0, 0), 0.1)  # from 0 to 0.1 along each axis
@@ -64,20 +63,6 @@ def test_the_sense_of_rotation_is_counter_clockwise():
     yaw = torch.tensor([math.pi / 4, -math.pi / 4])
     poses = rigid(axis_rotations(2, yaw), torch.tensor([0.0, 0.0, 0.05]).expand(2, 3))
     assert checker.collides(poses).tolist() == [True, False]
-
-
-@pytest.mark.parametrize("count", [500, pytest.param(5000, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("body", BODIES)
-def test_no_answer_differs_from_separating_axes_and_closest_points(body, count):
-    occupancy = clutter()
-    lower, upper = occupancy.bounds
-    poses = random_poses(count, lower - 0.2, upper + 0.2)
-    gaps = torch.tensor([separation(body, pose, occupancy) for pose in poses.double().numpy()])
-    sure = gaps.abs() > 1e-5
-    expected = gaps < 0
-    assert sure.float().mean() > 0.99
-    assert 0.2 < expected.float().mean() < 0.8
-    assert torch.equal(FclChecker(occupancy, body).collides(poses)[sure], expected[sure])
 
 
 @pytest.mark.parametrize("body", BODIES)

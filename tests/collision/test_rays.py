@@ -38,18 +38,18 @@ def spread_beams(count: int, seed: int = 0) -> Tensor:
 
 def bounds_by_formula(occupancy: Occupancy, poses: Tensor, beams: Tensor, reach: float) -> tuple[Tensor, Tensor]:
     """The ranges with all voxels a little larger, and a little smaller: what rounding may make of a ray that grazes."""
-    keys = occupancy.keys()
+    keys = torch.from_numpy(occupancy.keys().T.astype(float)).unsqueeze(1)  # [3, 1, voxels]
     ways = beams.double() @ poses[:, :3, :3].double().mT
-    ways = (ways / ways.norm(dim=2, keepdim=True)).reshape(-1, 1, 3)
-    start = poses[:, :3, 3].double().repeat_interleave(len(beams), 0)[:, None]
+    ways = (ways / ways.norm(dim=2, keepdim=True)).reshape(-1, 3).T.unsqueeze(2)  # [3, rays, 1]
+    start = poses[:, :3, 3].double().repeat_interleave(len(beams), 0)
     result = []
     for grown in (GRAZE, -GRAZE):
-        low = torch.from_numpy(keys * occupancy.resolution - grown)
-        high = torch.from_numpy((keys + 1) * occupancy.resolution + grown)
+        low, high = keys * occupancy.resolution - grown, (keys + 1) * occupancy.resolution + grown
         nearest = torch.full((len(start),), reach, dtype=torch.float64)
-        for rows in torch.arange(len(start)).split(200):
-            one, other = (low - start[rows]) / ways[rows], (high - start[rows]) / ways[rows]
-            near, far = torch.minimum(one, other).amax(2), torch.maximum(one, other).amin(2)
+        for rows in torch.arange(len(start)).split(16):
+            ends = [(side - start[rows].T.unsqueeze(2)) / ways[:, rows] for side in (low, high)]
+            first, last = torch.minimum(*ends), torch.maximum(*ends)
+            near, far = first[0].maximum(first[1]).maximum(first[2]), last[0].minimum(last[1]).minimum(last[2])
             hit = torch.where((near <= far) & (far >= 0), near.clamp(min=0), torch.inf)
             nearest[rows] = torch.minimum(nearest[rows], hit.amin(1))
         result.append(nearest.reshape(len(poses), len(beams)))
@@ -100,19 +100,19 @@ def test_where_nothing_is_solid_every_beam_goes_on(make):
     assert NoChecker(Occupancy.empty(), BODY).ranges(at((0, 0, 0)), ALONG_X, 7.5).tolist() == [[7.5]]
 
 
-@pytest.mark.parametrize("name", ["native", "cuda"])
 @pytest.mark.parametrize("place", ["rooms", "scattered"])
-def test_no_range_is_outside_what_all_voxels_by_formula_allow(name, place):
+def test_no_range_is_outside_what_all_voxels_by_formula_allow(place):
     occupancy = rooms() if place == "rooms" else scattered()
     lower, upper = occupancy.bounds
-    poses = random_poses(30 if name == "native" else 8, lower - 0.4, upper + 0.4)
+    poses = random_poses(30, lower - 0.4, upper + 0.4)
     poses[::2, :3, :3] = torch.eye(3)  # beams along the axes stay so
     beams = spread_beams(60)
-    found = makers()[name](occupancy, BODY).ranges(poses, beams, 3.0).double()
     least, most = bounds_by_formula(occupancy, poses, beams, 3.0)
-    assert ((found >= least - 1e-6) & (found <= most + 1e-6)).all()
-    assert 0.1 < (found < 3.0).double().mean() < 0.95
     assert ((most - least) < 1e-5).double().mean() > 0.98  # few rays graze
+    for name, count in (("native", 30), ("cuda", 8)):
+        found = makers()[name](occupancy, BODY).ranges(poses[:count], beams, 3.0).double()
+        assert ((found >= least[:count] - 1e-6) & (found <= most[:count] + 1e-6)).all(), name
+        assert 0.1 < (found < 3.0).double().mean() < 0.95
 
 
 def test_the_readable_twin_agrees_but_where_rays_graze():

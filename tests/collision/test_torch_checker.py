@@ -35,14 +35,17 @@ def between(start: torch.Tensor, end: torch.Tensor, share: torch.Tensor | float)
 
 @pytest.mark.parametrize("count", [500, pytest.param(5000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("body", BODIES)
-def test_no_answer_differs_from_separating_axes_and_closest_points(body, count):
+def test_no_answer_of_it_or_of_fcl_differs_from_separating_axes_and_closest_points(body, count):
     occupancy = clutter()
     lower, upper = occupancy.bounds
     poses = random_poses(count, lower - 0.2, upper + 0.2)
     gaps = torch.tensor([separation(body, pose, occupancy) for pose in poses.double().numpy()])
-    sure = gaps.abs() > 1e-8
-    assert 0.2 < (gaps < 0).float().mean() < 0.8
-    assert torch.equal(TorchChecker(occupancy, body).collides(poses)[sure], (gaps < 0)[sure])
+    expected = gaps < 0
+    assert 0.2 < expected.float().mean() < 0.8
+    for checker, rounding in ((TorchChecker(occupancy, body), 1e-8), (FclChecker(occupancy, body), 1e-5)):
+        sure = gaps.abs() > rounding
+        assert sure.float().mean() > 0.99
+        assert torch.equal(checker.collides(poses)[sure], expected[sure])
 
 
 @pytest.mark.parametrize("body", BODIES)
@@ -52,7 +55,8 @@ def test_a_straight_sweep_is_the_union_of_many_poses(body):
     swept = checker.sweeps(start, end)
     dense = torch.zeros(300, dtype=torch.bool)
     for share in np.linspace(0, 1, 201):
-        dense |= checker.collides(between(start, end, float(share)))
+        open_ = (~dense).nonzero()[:, 0]
+        dense[open_] = checker.collides(between(start[open_], end[open_], float(share)))
     assert 0.2 < swept.float().mean() < 0.95
     assert not (dense & ~swept).any()
     assert (swept & ~dense).sum() <= 6  # grazed between two poses
@@ -117,7 +121,7 @@ def test_a_capsule_meets_a_corner_where_its_parallelogram_does():
 
 @pytest.mark.parametrize("body", BODIES)
 def test_the_size_of_a_chunk_changes_nothing(body, monkeypatch):
-    start, end = moves(20, 8, turning=True)
+    start, end = moves(7, 8, turning=True)
     checker = TorchChecker(clutter(), body)
     expected = checker.collides(start), checker.free_fraction(start, end)
     monkeypatch.setattr(torch_checker, "_PAIRS", 97)

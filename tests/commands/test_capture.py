@@ -12,6 +12,7 @@ from PIL import Image
 
 import splatrl
 from splatrl.cameras import Cameras
+from splatrl.capture import folder as write_folder
 from splatrl.capture import pipeline
 from splatrl.capture.base import CaptureError, Photos, Reconstruction
 from splatrl.capture.fit import FitSettings
@@ -97,6 +98,39 @@ def stages(
     return called
 
 
+@pytest.fixture
+def fitted_once(stages: list[str], known: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is fitted is known, too, where a test looks at what follows the fit."""
+    fitted = pipeline.fit
+
+    def fit(found: Reconstruction, settings: FitSettings, *others: Any) -> object:
+        key = f"fit {pipeline._digest(found, settings)}"
+        if key not in known:
+            known[key] = fitted(found, settings, *others)
+        return known[key]
+
+    monkeypatch.setattr(pipeline, "fit", fit)
+
+
+@pytest.fixture
+def unchecked(bare_report: None, known: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Captures are cleared of no floaters, and what is found in the first stands for what is in the others, where a
+    test looks at none of it."""
+
+    def first(name: str, find: Callable[..., object]) -> Callable[..., object]:
+        def found(*arguments: object) -> object:
+            if name not in known:
+                known[name] = find(*arguments)
+            return known[name]
+
+        return found
+
+    monkeypatch.setattr(pipeline, "dense_voxels", lambda *_: None)
+    monkeypatch.setattr(pipeline, "without_floaters", lambda gaussians, *_: (gaussians, 0))
+    for name in ("survey_area", "suggest", "check"):
+        monkeypatch.setattr(write_folder, name, first(name, getattr(write_folder, name)))
+
+
 QUICK = ["--camera-height", "1.4", "--width", "80", "--gaussians", "3000", "--views", "100", "--device", "cpu"]
 
 
@@ -113,7 +147,7 @@ def test_photos_become_a_folder_that_is_all_a_training_needs(
     assert env.robot.height == pytest.approx(1.4, abs=0.15) and env.rollout(3)["pixels"].float().std() > 5
     with pytest.raises(SystemExit, match=r"scene\.yaml: already exists; name another folder by --out, or give --force"):
         capture.main(["garden.mp4", "--out", str(folder), *QUICK])
-    request.getfixturevalue("bare_report")
+    request.getfixturevalue("unchecked")
     capture.main(["garden.mp4", "--out", str(folder), *QUICK, "--force"])
     assert stages.count("fit") == 1  # what was fitted is kept
 
@@ -134,7 +168,7 @@ def test_what_is_fitted_follows_the_robots_unless_it_is_said(
     assert fitted == [(80, 60_000, 7), (80, 60_000, 7), (50, 9, 7)], "the photos are 80 pixels wide"
 
 
-@pytest.mark.usefixtures("bare_report")
+@pytest.mark.usefixtures("bare_report", "fitted_once")
 def test_an_out_that_ends_in_spz_keeps_the_splat_small(
     tmp_path: Path, stages: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -148,7 +182,7 @@ def test_an_out_that_ends_in_spz_keeps_the_splat_small(
     assert env.rollout(3)["pixels"].float().std() > 5
 
 
-@pytest.mark.usefixtures("bare_report")
+@pytest.mark.usefixtures("unchecked")
 def test_a_fit_that_was_stopped_goes_on_with_the_same_bytes(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -176,7 +210,7 @@ def test_a_fit_that_was_stopped_goes_on_with_the_same_bytes(
     assert not list(tmp_path.rglob("fit.npz")) and not list(tmp_path.rglob("*.tmp"))
 
 
-@pytest.mark.usefixtures("bare_report")
+@pytest.mark.usefixtures("unchecked")
 def test_stages_that_were_damaged_are_done_again(
     tmp_path: Path, stages: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -194,7 +228,7 @@ def test_stages_that_were_damaged_are_done_again(
     assert not list(tmp_path.rglob("*.tmp"))
 
 
-@pytest.mark.usefixtures("bare_report")
+@pytest.mark.usefixtures("unchecked")
 def test_what_moved_is_left_out_unless_it_is_said_that_nothing_did(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -212,7 +246,7 @@ def test_what_moved_is_left_out_unless_it_is_said_that_nothing_did(
     assert stages.count("fit") == 2 and written[0] != written[1] == written[2]
 
 
-@pytest.mark.usefixtures("bare_report")
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("name", ["depths.npz", "fit.npz", "splat.ply"])
 def test_a_disk_that_is_full_is_one_line_that_names_the_file(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, name: str
@@ -231,7 +265,7 @@ def test_a_disk_that_is_full_is_one_line_that_names_the_file(
     assert not list(tmp_path.rglob("*.tmp")) and not (tmp_path / "garden" / "scene.yaml").exists()
 
 
-@pytest.mark.usefixtures("bare_report")
+@pytest.mark.usefixtures("unchecked", "fitted_once")
 def test_what_the_report_finds_wrong_is_said_too(
     tmp_path: Path, stages: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,12 +4,15 @@ import os
 import shlex
 import shutil
 import sys
+import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from splatrl.commands import clips, evaluate, experiment, export, record, replay, scene, train
+from splatrl.export import onnx_file
 from splatrl.files import new_folder
 from splatrl.scenes import cache, write_gaussians
 from splatrl.scenes.editing import edit_description
@@ -58,14 +61,44 @@ def garden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return make_garden(tmp_path)
 
 
+@dataclass
+class Training:
+    """A run of such a scene, trained where no cache can be made.
+
+    Attributes:
+        folder: with the scene, ``garden``, and the run, ``run``.
+        before: what was in the scene's folder.
+        after: what is in it once the training has ended.
+        said: warnings.
+    """
+
+    folder: Path
+    before: dict[str, tuple[int, int]]
+    after: dict[str, tuple[int, int]]
+    said: list[str]
+
+
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the same scene, a run of it, demonstrations and clips."""
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Training:
     folder = tmp_path_factory.mktemp("made")
-    make_garden(folder)
+    garden = make_garden(folder)
+    (folder / "cache").write_text("a file, where no folder can be made")
+    before = listing(garden)
+    cache._warn_unwritable.cache_clear()
+    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        patch.chdir(folder)
+        patch.setenv("SPLATRL_CACHE", str(folder / "cache"))
+        run(patch, SMALL)
+    return Training(folder, before, listing(garden), [str(warning.message) for warning in caught])
+
+
+@pytest.fixture(scope="module")
+def made(trained: Training) -> Path:
+    """A folder with the scene, the run of it, demonstrations and clips."""
+    folder = trained.folder
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        run(patch, f"{SMALL} logger.video=false")
         run(patch, DEMOS)
         run(patch, "clips run=run record=walks clips=walks output=walked count=1 height=12")
     return folder
@@ -96,15 +129,10 @@ def _failing(works: Callable[..., None], path: str, code: int, reason: str) -> C
     return fails
 
 
-def test_a_training_writes_nothing_into_its_scene_and_needs_no_cache(
-    garden: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
-) -> None:
-    Path("cache").write_text("a file, where no folder can be made")
-    before = listing(garden)
-    run(monkeypatch, SMALL)
-    assert listing(garden) == before and Path("run/evaluation.json").exists()
-    said = [str(warning.message) for warning in recwarn if "cannot keep caches here" in str(warning.message)]
-    assert len(said) == 1 and said[0].startswith(str(garden.parent / "cache"))
+def test_a_training_writes_nothing_into_its_scene_and_needs_no_cache(trained: Training) -> None:
+    assert trained.after == trained.before and (trained.folder / "run" / "evaluation.json").exists()
+    said = [each for each in trained.said if "cannot keep caches here" in each]
+    assert len(said) == 1 and said[0].startswith(str(trained.folder / "cache"))
 
 
 def test_a_replay_writes_nothing(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -167,6 +195,8 @@ def test_on_such_a_disk_nothing_is_lost_and_nothing_half_written(
     for name in ("garden", "run", "walks"):
         shutil.copytree(made / name, tmp_path / name)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(onnx_file, "onnx_bytes", lambda *_: b"a policy")
+    monkeypatch.setattr(onnx_file, "largest_difference", lambda *_: 0.0)
     before = {name: content for name, content in listing(tmp_path).items() if Path(name).is_file()}
     break_disk(monkeypatch, path, code, reason)
     says_so(monkeypatch, typed, path, reason)

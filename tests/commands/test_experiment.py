@@ -25,6 +25,8 @@ from tests.tiny import tiny_gaussians, tiny_overrides
 
 Command = Callable[..., None]
 
+pytestmark = pytest.mark.usefixtures("blank_curves")
+
 
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch) -> Command:
@@ -64,7 +66,8 @@ def test_every_experiment_composes_and_states_its_budget(
 
 def test_ctrl_c_keeps_what_was_trained_and_says_how_to_go_on(tmp_path: Path) -> None:
     settings = [setting for setting in SETTINGS if not setting.startswith("collector.total_frames")]
-    quoted = ",".join(f"'{override}'" for override in [*tiny_overrides(tmp_path), *settings, "logger.video=false"])
+    settings += ["logger.video=false", "evaluation.starts=8"]
+    quoted = ",".join(f"'{override}'" for override in [*tiny_overrides(tmp_path), *settings])
     words = ["name=grid", f"folder={tmp_path}/asked for", f"scene_overrides.backyard=[{quoted}]", "seeds=[3]", "jobs=1"]
     words += ["~experiments.grid.arms.none", "~experiments.grid.arms.long", "frames=100000"]
     process = start("-m", "splatrl.commands.experiment", *words)
@@ -88,7 +91,8 @@ def test_a_training_is_run_reported_and_not_run_again(
 
     monkeypatch.setattr(conduct, "train", functools.partial(running.train, begin=begin))
     settings = [setting for setting in SETTINGS if not setting.startswith("collector.total_frames")]
-    quoted = ",".join(f"'{override}'" for override in [*tiny_overrides(tmp_path), *settings, "logger.video=false"])
+    settings += ["logger.video=false", "evaluation.starts=8"]
+    quoted = ",".join(f"'{override}'" for override in [*tiny_overrides(tmp_path), *settings])
     folder = tmp_path / "experiments"
     words = ["name=grid", f"folder={folder}", f"scene_overrides.backyard=[{quoted}]", "seeds=[3]", "jobs=1"]
     words += ["~experiments.grid.arms.none", "~experiments.grid.arms.long"]

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from splatrl.building import build_trainer, build_world
 from splatrl.commands import gait
-from splatrl.commands.train import main as train
+from splatrl.configuration import load_config, save_config
 from splatrl.motions.legs import FELT, JOINTS
 from splatrl.physics.dense import Dense
 from tests.tiny import tiny_overrides
@@ -19,9 +20,10 @@ def told(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
 
 def test_a_run_becomes_a_file_of_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sizes = ["env.num_envs=4", "collector.frames_per_batch=16", "collector.total_frames=16", "loss.mini_batch_size=16"]
-    tests = ["logger.num_test_episodes=2", "evaluation.starts=2", f"hydra.run.dir={tmp_path / 'run'}"]
-    monkeypatch.setattr(sys, "argv", ["splatrl-train", *tiny_overrides(tmp_path, "strides"), *sizes, *tests])
-    train()
+    cfg = load_config([*tiny_overrides(tmp_path, "strides"), *sizes, "logger.num_test_episodes=2"])
+    (tmp_path / "run").mkdir()
+    save_config(cfg, tmp_path / "run")
+    build_trainer(cfg, build_world(cfg), tmp_path / "run").fit()
     told(monkeypatch, tmp_path / "run")
     assert len(Dense.load(tmp_path / "run" / "gait.npz", FELT, JOINTS).layers) == 3
 

@@ -172,7 +172,7 @@ def test_a_training_begins_with_what_was_shown_and_counts_its_frames(
 
 def test_a_number_of_demonstrations_is_shown_by_the_planner(scene: list[str], tmp_path: Path) -> None:
     settings = ["demos=5", "cloning.epochs=1", "dagger.rounds=2", "dagger.frames_per_round=96", "dagger.epochs=1"]
-    cfg = load_config([*scene, *SETTINGS, *settings, "seed=3"])
+    cfg = load_config([*scene, *SETTINGS, *settings, "seed=3", "collector.total_frames=512"])
     world = build_world(cfg)
     trainer = build_trainer(cfg, world, tmp_path)
     trainer.fit()

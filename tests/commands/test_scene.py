@@ -39,12 +39,33 @@ def splat(tmp_path: Path) -> Path:
     return folder / "yard.ply"
 
 
+@pytest.fixture
+def few_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Goals are looked for in a few places."""
+    monkeypatch.setattr("splatrl.capture.suggestions.MOST", 8)
+
+
+@pytest.fixture
+def few_pictures(few_places: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The view and what is solid are all that is drawn."""
+    for name in ("evaluation.scene_pictures.draw_maps", "commands.scene.draw_goals", "commands.scene.show_terrain"):
+        monkeypatch.setattr(f"splatrl.{name}", lambda *_: None)
+
+
+@pytest.fixture
+def unproposed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is drawn, and nothing proposed but where the scene is, where a test looks at none of it."""
+    monkeypatch.setattr("splatrl.commands.scene.draw", lambda *_: None)
+    monkeypatch.setattr("splatrl.commands.scene.propose", lambda scene, *_: (scene.bounds, {}))
+
+
 def heights(folder: Path) -> tuple[float, float]:
     """Heights of the floor and of the highest box of a scene folder."""
     z = read_scene(folder).gaussians.means[:, 2]
     return float(z.median()), float(z.max())
 
 
+@pytest.mark.usefixtures("few_places")
 def test_a_capture_becomes_a_scene_folder_with_pictures_without_a_word_said(
     splat: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -103,6 +124,7 @@ def test_a_description_is_replaced_only_by_force_and_nothing_is_drawn_without(
     assert read_scene(splat.parent).name == "yard"
 
 
+@pytest.mark.usefixtures("few_places")
 def test_out_is_a_scene_that_says_all_and_the_files_own_folder_stays(
     splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -157,13 +179,13 @@ def test_a_large_place_has_longer_steps_coarser_voxels_and_a_larger_thing(tmp_pa
         (["--matrix", ROWS, "--scale", "3"], 5.1, 8.7),
     ],
 )
-@pytest.mark.usefixtures("ungrounded")
+@pytest.mark.usefixtures("unproposed")
 def test_what_is_stated_goes_before_the_guess(splat: Path, options: list[str], floor: float, top: float) -> None:
     main([*options, str(splat)])
     assert heights(splat.parent) == pytest.approx((floor, top), abs=0.03)
 
 
-@pytest.mark.usefixtures("ungrounded")
+@pytest.mark.usefixtures("unproposed")
 def test_nerfstudios_own_frame_is_undone(tmp_path: Path) -> None:
     transforms = dataparser(tmp_path)
     moved = torch.tensor([[1.0, 0, 0, 0.5], [0, 0, -1, 2], [0, 1, 0, -1], [0, 0, 0, 4]], dtype=torch.float64) * 0.25
@@ -255,7 +277,7 @@ def test_it_runs_as_a_module_and_explains_itself() -> None:
     assert "--nerfstudio" in shown
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("unproposed")
 def test_the_kitchen_stands_in_metres_with_its_floor_at_zero(shared_scenes: Path, tmp_path: Path) -> None:
     main([str(shared_scenes / "kitchen" / "kitchen.spz"), "--out", str(tmp_path)])
     written = (tmp_path / "scene.yaml").read_text()
@@ -267,7 +289,11 @@ def test_the_kitchen_stands_in_metres_with_its_floor_at_zero(shared_scenes: Path
 
 
 def test_an_out_that_ends_in_spz_makes_a_folder_with_a_small_splat(
-    splat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
+    splat: Path,
+    tmp_path: Path,
+    few_pictures: None,
+    capsys: pytest.CaptureFixture[str],
+    request: pytest.FixtureRequest,
 ) -> None:
     main([str(splat), "--scale", "2", "--out", str(tmp_path / "small.spz")])
     assert f"wrote       {tmp_path / 'small' / 'splat.spz'}, 0.0 MB" in capsys.readouterr().out

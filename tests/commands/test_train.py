@@ -142,7 +142,8 @@ def test_kills_at_random_instants_change_nothing(
 
 
 def test_ctrl_c_saves_and_says_how_to_go_on(run: tuple[Path, str], scene: list[str], tmp_path: Path) -> None:
-    process = command("train", *scene, *UNFILMED, "checkpoint.interval=100000", f"hydra.run.dir={tmp_path}")
+    few = ["checkpoint.interval=100000", "evaluation.starts=8"]
+    process = command("train", *scene, *UNFILMED, *few, f"hydra.run.dir={tmp_path}")
     said = ""
     while not re.search(r" [1-9]\d*/1280 ", said) and (more := process.stdout.read(1)):
         said += more

@@ -440,7 +440,10 @@ def test_a_task_without_goal_states_is_planned_trained_and_evaluated(
     assert "SPL" not in said and f"return {summary['mean_return']:.1f}" in said
 
 
-def test_a_snake_is_tested_by_its_apples(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_snake_is_tested_by_its_apples(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("splatrl.evaluation.figures.save_figure", lambda *_: None)
     settings = ["task.red_share=0.001", "task.reach=9.0", "env.num_envs=8", "logger.num_test_episodes=4"]
     settings += ["task.motion.step=0.25", "task.motion.angle_step_deg=45.0", "task.apples=2", "logger.video=false"]
     settings += ["collector.total_frames=128", "collector.frames_per_batch=128", "evaluation.starts=16"]

@@ -1,12 +1,14 @@
 """A run folder from a stranger runs no code: what it names is built only where it stands in conf/, or was allowed."""
 
+import json
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from omegaconf import OmegaConf
 
 from splatrl.building import build_world
@@ -58,6 +60,14 @@ WAYS = [  # key, and what a stranger puts there
 ]
 
 
+@pytest.fixture(scope="module", autouse=True)
+def compiled_parser() -> Iterator[None]:
+    """YAML is parsed by libyaml, where it is there: other tests look at how it is parsed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(yaml, "SafeLoader", getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        yield
+
+
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run folder of a run in the tiny room."""
@@ -76,14 +86,17 @@ def folder(saved: Path, tmp_path: Path) -> Path:
 def changed(folder: Path, key: str, text: str) -> None:
     """Write YAML for a key into the config of a run folder, which may be one that refers to robot.word."""
     with (folder / "config.yaml").open() as file:
-        cfg = OmegaConf.to_container(OmegaConf.load(file))
-    node: Any = cfg
+        cfg: Any = OmegaConf.to_container(OmegaConf.load(file))
+    node = cfg
     node["robot"].setdefault("word", "os.system")
     *parents, leaf = key.split(".")
     for parent in parents:
         node = node.setdefault(parent, {})
     node[leaf] = "PLACE"
-    (folder / "config.yaml").write_text(OmegaConf.to_yaml(cfg).replace("PLACE", text))
+    section, *_ = key.split(".")
+    changed_node = OmegaConf.to_yaml({section: cfg.pop(section)}).replace("PLACE", text)
+    others = [f"{name}: {json.dumps(value)}\n" for name, value in cfg.items()]
+    (folder / "config.yaml").write_text("".join([*others, changed_node]))
 
 
 @pytest.mark.parametrize(("key", "text"), WAYS)

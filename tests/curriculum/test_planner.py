@@ -42,15 +42,16 @@ def brute_force(motion: LatticeMotion, checker: BlockChecker, task: Grid) -> dic
                 found.append(ahead)
         return found
 
-    steps = {}
-    moves = {tuple(state): neighbours(tuple(state)) for state in motion.states().tolist()}
+    steps, states = {}, motion.states()
+    goals = set(map(tuple, states[task.reached(states)].tolist()))
+    moves = {tuple(state): neighbours(tuple(state)) for state in states.tolist()}
     for start in moves:
         if checker.collides(motion.body_to_world(torch.tensor([start]))).any():
             continue
         queue, seen = deque([(start, 0)]), {start}
         while queue:
             state, depth = queue.popleft()
-            if task.reached(torch.tensor([state])).any():
+            if state in goals:
                 steps[start] = depth
                 break
             for ahead in moves[state]:

@@ -22,8 +22,8 @@ WALK = ("task.motion.step=0.25", "task.motion.angle_step_deg=45.0", "task.motion
 class ConfiguredContract(EnvContract):
     """An env contract that builds its world once."""
 
-    limit: tuple[str, ...] = ("task.max_steps=10",)
-    steps = 12  # more than the limit of an episode
+    limit: tuple[str, ...] = ("task.max_steps=6",)
+    steps = 7  # more than the limit of an episode
     world: World
 
     @classmethod

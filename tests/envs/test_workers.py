@@ -51,7 +51,7 @@ def test_makers_give_the_same_workers_anywhere(tmp_path: Path) -> None:
     parallel.close()
     assert begun(serial) == states == [begun(make()) for make in makers]
     assert states[0] != states[1]
-    assert states != [begun(make()) for make in env_makers(2, tiny_overrides(tmp_path), (5,), seed=5)]
+    assert states[0] != begun(env_makers(2, tiny_overrides(tmp_path), (5,), seed=5)[0]())
 
 
 def test_seeds_of_workers_differ_and_fit() -> None:

@@ -57,10 +57,16 @@ def has(picture: np.ndarray, color: str) -> bool:
     return bool((np.abs(picture - wanted).max(-1) < 30).sum() > 60)
 
 
-def test_each_step_is_a_frame_and_the_last_of_an_episode_stays(tmp_path: Path) -> None:
-    rollout_video(RECORDINGS, tiny_robot(), VIEW, tmp_path / "clip.mp4", fps=10)
-    assert [path.name for path in tmp_path.iterdir()] == ["clip.mp4"]
-    shown = frames(tmp_path / "clip.mp4")
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory: pytest.TempPathFactory) -> list[np.ndarray]:
+    """The frames of both recordings, at ten a second."""
+    folder = tmp_path_factory.mktemp("shown")
+    rollout_video(RECORDINGS, tiny_robot(), VIEW, folder / "clip.mp4", fps=10)
+    assert [path.name for path in folder.iterdir()] == ["clip.mp4"]
+    return frames(folder / "clip.mp4")
+
+
+def test_each_step_is_a_frame_and_the_last_of_an_episode_stays(shown: list[np.ndarray]) -> None:
     shades = [picture[8:392, 280:500].mean() for picture in shown]
     expected = [60, 80, 100] + [120] * 8 + [100, 120] + [140] * 8
     assert shades == pytest.approx(expected, abs=3)
@@ -68,9 +74,8 @@ def test_each_step_is_a_frame_and_the_last_of_an_episode_stays(tmp_path: Path) -
     assert height % 2 == 0 and width % 2 == 0
 
 
-def test_the_policys_pixels_are_enlarged_without_blur(tmp_path: Path) -> None:
-    rollout_video(RECORDINGS, tiny_robot(), VIEW, tmp_path / "clip.mp4")
-    row = frames(tmp_path / "clip.mp4")[0][200, 8:520].mean(-1)
+def test_the_policys_pixels_are_enlarged_without_blur(shown: list[np.ndarray]) -> None:
+    row = shown[0][200, 8:520].mean(-1)
     assert row[:250] == pytest.approx(0, abs=6) and row[262:] == pytest.approx(60, abs=6)
 
 
@@ -86,14 +91,14 @@ def test_with_a_drawing_the_view_is_large_and_the_policys_pixels_are_its_inset(t
     assert inset[:, :78].max() < 8 and inset[:, 90:].min() > 50
 
 
-def test_the_image_of_a_goal_is_in_the_corner_of_the_view(tmp_path: Path) -> None:
+def test_the_image_of_a_goal_is_in_the_corner_of_the_view(tmp_path: Path, shown: list[np.ndarray]) -> None:
     red = torch.tensor([200, 0, 0], dtype=torch.uint8).expand(12, 16, 3)
-    rollout_video([replace(RECORDINGS[0], goal_image=red)], tiny_robot(), VIEW, tmp_path / "clip.mp4")
-    rollout_video(RECORDINGS[:1], tiny_robot(), VIEW, tmp_path / "plain.mp4")
-    shown, plain = (frames(tmp_path / name)[0] for name in ("clip.mp4", "plain.mp4"))
+    one = replace(recording(60, Outcome.GOAL, steps=1), goal_image=red)
+    rollout_video([one], tiny_robot(), VIEW, tmp_path / "clip.mp4")
+    with_goal, plain = frames(tmp_path / "clip.mp4")[0], shown[0]
     inset = (slice(262, 384), slice(18, 180))
-    assert np.abs(shown[inset] - (200, 0, 0)).max() < 30 and plain[inset].max() < 40
-    named = shown[236:254, 14:60].mean(-1)
+    assert np.abs(with_goal[inset] - (200, 0, 0)).max() < 30 and plain[inset].max() < 40
+    named = with_goal[236:254, 14:60].mean(-1)
     assert named.max() > 200 and plain[236:254, 14:60].mean(-1).max() < 80
 
 
@@ -151,18 +156,15 @@ class Kept(SceneDrawing):
         return View(torch.zeros(len(cameras), cameras.height, cameras.width, 3, dtype=torch.uint8), {})
 
 
-def test_the_outcome_is_told_at_the_end_of_each_episode_and_not_before(tmp_path: Path) -> None:
-    rollout_video(RECORDINGS, tiny_robot(), VIEW, tmp_path / "clip.mp4", fps=10)
-    shown = frames(tmp_path / "clip.mp4")
+def test_the_outcome_is_told_at_the_end_of_each_episode_and_not_before(shown: list[np.ndarray]) -> None:
     assert [has(picture[STRIP], REACHED) for picture in shown] == [False] * 3 + [True] * 8 + [False] * 10
     assert [has(picture[STRIP], MISSED) for picture in shown] == [False] * 13 + [True] * 8
 
 
-def test_the_robot_moves_on_the_map(tmp_path: Path) -> None:
-    rollout_video(RECORDINGS, tiny_robot(), VIEW, tmp_path / "clip.mp4")
+def test_the_robot_moves_on_the_map(shown: list[np.ndarray]) -> None:
     blue = np.array([int(BLUE[i : i + 2], 16) for i in (1, 3, 5)])
     tops = []
-    for picture in frames(tmp_path / "clip.mp4")[:3]:
+    for picture in shown[:3]:
         rows, columns = (np.abs(picture[:, 528:] - blue).max(-1) < 40).nonzero()
         tops.append(rows.min())
         assert abs(columns.mean() - 142.5) < 3  # x = 0 is the middle of the map
@@ -181,7 +183,8 @@ def test_without_x264_the_video_is_mpeg4(tmp_path: Path, monkeypatch: pytest.Mon
 def test_the_action_that_led_to_a_frame_is_named_or_shown_as_numbers(tmp_path: Path) -> None:
     first, second = [], []
     for names in (("+x", "-x", "+y"), ("left", "right", "+y"), ("+y", "+y", "-x"), ()):
-        rollout_video(RECORDINGS, tiny_robot(), VIEW, tmp_path / "clip.mp4", action_names=names)
+        one = [recording(60, Outcome.GOAL, steps=1)]
+        rollout_video(one, tiny_robot(), VIEW, tmp_path / "clip.mp4", action_names=names)
         for kept, picture in zip((first, second), frames(tmp_path / "clip.mp4"), strict=False):
             kept.append(picture)
     assert all((picture == first[0]).all() for picture in first)  # nothing has been done yet

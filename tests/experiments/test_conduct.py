@@ -84,6 +84,7 @@ def test_an_experiment_is_scored_once_when_all_of_it_is_finished(tmp_path: Path)
     assert [row["run"] for row in rows] == [run.folder.name for run in experiment.runs]
 
 
+@pytest.mark.usefixtures("blank_curves")
 def test_several_experiments_have_a_report_each_and_one_of_all(tmp_path: Path) -> None:
     one, other = made_up(tmp_path / "a"), made_up(tmp_path / "b")
     for experiment in (one, other):

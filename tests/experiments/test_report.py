@@ -38,6 +38,7 @@ def test_a_report_says_question_paper_results_and_machine(report: Path) -> None:
     assert places == sorted(places)
 
 
+@pytest.mark.usefixtures("blank_curves")
 def test_whatever_a_report_links_is_there(tmp_path: Path) -> None:
     experiment = reported(tmp_path / "two words")
     own = write_report(experiment, "an abacus")
@@ -71,12 +72,14 @@ def test_a_report_without_a_finished_run_says_so(tmp_path: Path) -> None:
     assert "None of 6 trainings is finished" in write_report(experiment, "an abacus").read_text()
 
 
+@pytest.mark.usefixtures("blank_curves")
 def test_a_report_of_some_runs_says_how_many(tmp_path: Path) -> None:
     experiment = made_up(tmp_path)
     finish(experiment.runs[0], 0.5)
     assert "1 of 6 trainings are finished" in write_report(experiment, "an abacus").read_text()
 
 
+@pytest.mark.usefixtures("blank_curves")
 def test_the_machine_of_the_trainings_is_told_rather_than_that_of_the_report(tmp_path: Path) -> None:
     experiment = reported(tmp_path)
     (experiment.folder / "machine.json").write_text(json.dumps({"machine": "a loom"}))

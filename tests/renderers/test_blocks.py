@@ -1,6 +1,8 @@
 """Scenes in blocks are drawn as if they were whole, whatever is in memory."""
 
+import functools
 import pickle
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -36,12 +38,19 @@ def small_tops(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(blocks, "TOP_GROUPS", 20)
 
 
-def all_in_memory(town: BlockScene, cameras: Cameras, tolerance: float) -> Tensor:
-    """Every block as a part, whole."""
-    renderer = NativeRenderer([block.read() for block in town.blocks], tolerance=tolerance)
-    count = len(town.blocks)
-    model = torch.arange(count).expand(len(cameras), count).contiguous()
-    return renderer.pixels(cameras, Parts(model, torch.eye(4).expand(len(cameras), count, 4, 4)))
+@pytest.fixture(scope="module")
+def all_in_memory(town: BlockScene) -> Callable[[Cameras, float], Tensor]:
+    """Draws every block as a part, whole, with some tolerance."""
+    models = [block.read() for block in town.blocks]
+    made = functools.cache(lambda tolerance: NativeRenderer(models, tolerance=tolerance))
+    count = len(models)
+
+    def pixels(cameras: Cameras, tolerance: float) -> Tensor:
+        model = torch.arange(count).expand(len(cameras), count).contiguous()
+        drawn: Tensor = made(tolerance).pixels(cameras, Parts(model, torch.eye(4).expand(len(cameras), count, 4, 4)))
+        return drawn
+
+    return pixels
 
 
 def room_for(renderer: BlockRenderer, count: int) -> int:
@@ -65,18 +74,20 @@ def test_exact_pictures_across_borders_are_those_of_one_merged_file(
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 1.0, 3.0])
-def test_pictures_have_the_bytes_of_all_blocks_in_memory(town: BlockScene, tolerance: float) -> None:
+def test_pictures_have_the_bytes_of_all_blocks_in_memory(
+    town: BlockScene, all_in_memory: Callable[[Cameras, float], Tensor], tolerance: float
+) -> None:
     cameras = walkers()
-    assert torch.equal(
-        BlockRenderer(town, tolerance=tolerance).pixels(cameras), all_in_memory(town, cameras, tolerance)
-    )
+    assert torch.equal(BlockRenderer(town, tolerance=tolerance).pixels(cameras), all_in_memory(cameras, tolerance))
 
 
-def test_what_is_far_is_shown_by_merged_gaussians_that_stay_in_memory(town: BlockScene) -> None:
+def test_what_is_far_is_shown_by_merged_gaussians_that_stay_in_memory(
+    town: BlockScene, all_in_memory: Callable[[Cameras, float], Tensor]
+) -> None:
     above = Cameras(look_at([12.0, 8.0, 90.0], [12.0, 8.1, 0.0])[None], intrinsics(0.3, *SIZE), *SIZE)
     renderer = BlockRenderer(town, tolerance=1.0)
     assert renderer.bytes_held == renderer._tops > 0
-    assert torch.equal(renderer.pixels(above), all_in_memory(town, above, 1.0))
+    assert torch.equal(renderer.pixels(above), all_in_memory(above, 1.0))
     assert renderer.bytes_held == renderer._tops
     near = walkers(batch=1)
     renderer.pixels(near)
@@ -85,13 +96,16 @@ def test_what_is_far_is_shown_by_merged_gaussians_that_stay_in_memory(town: Bloc
 
 @pytest.mark.parametrize("groups", [1, 5, 14])
 def test_a_top_may_end_above_the_node_over_the_whole_block(
-    town: BlockScene, groups: int, monkeypatch: pytest.MonkeyPatch
+    town: BlockScene,
+    all_in_memory: Callable[[Cameras, float], Tensor],
+    groups: int,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(blocks, "TOP_GROUPS", groups)
     renderer = BlockRenderer(town, tolerance=1.0)
     above = [[12.0, 8.0, height] for height in (20.0, 60.0, 200.0, 2000.0)]
     cameras = Cameras(look_at(above, [12.0, 8.1, 0.0]), intrinsics(0.3, *SIZE), *SIZE)
-    assert torch.equal(renderer.pixels(cameras), all_in_memory(town, cameras, 1.0))
+    assert torch.equal(renderer.pixels(cameras), all_in_memory(cameras, 1.0))
     read = [sum(slot in renderer._whole for slot in row) for row in slots_of(renderer, cameras)]
     assert read[0] > 0 and read[3] == 0
 

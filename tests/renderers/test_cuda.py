@@ -67,9 +67,9 @@ def test_a_yard_looks_as_on_the_cpu_at_every_level_of_detail(make: Make, toleran
     scene = backyard()
     cameras = Cameras(
         look_at([[0.3, -1.0, 0.5], [-1.8, 1.2, 0.6]], [[1.0, 0.4, 0.3], [2.0, -2.0, 0.4]]),
-        intrinsics(1.5, 48, 40),
-        48,
-        40,
+        intrinsics(1.5, 36, 30),
+        36,
+        30,
     )
     native = NativeRenderer(scene, antialiased, tolerance=tolerance)
     assert_like_native(make(scene, antialiased, tolerance=tolerance), native, cameras)
@@ -93,7 +93,7 @@ def test_a_small_model_looks_as_on_the_cpu_from_any_distance(make: Make, count: 
 
 
 def test_a_captured_room_looks_as_on_the_cpu(make: Make, kitchen: Gaussians) -> None:
-    cameras = Cameras(look_at([0.2, -0.1, 1.05], [1.0, 0.6, 1.0])[None], intrinsics(1.57, 64, 64), 64, 64)
+    cameras = Cameras(look_at([0.2, -0.1, 1.05], [1.0, 0.6, 1.0])[None], intrinsics(1.57, 40, 40), 40, 40)
     assert_like_native(make(kitchen), NativeRenderer(kitchen), cameras)
 
 

@@ -44,7 +44,7 @@ def assert_equal(some: list[torch.Tensor], others: list[torch.Tensor]) -> None:
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_parts_look_like_their_gaussians_moved_to_the_world(maker: Maker, degree: int, antialiased: bool) -> None:
-    models, cameras, parts = random_models([degree] * 3), random_cameras(31, 6, 45, 28), random_parts(32, 6)
+    models, cameras, parts = random_models([degree] * 3), random_cameras(31, 4, 45, 28), random_parts(32, 4)
     renderer = maker.make(models, antialiased)
     expected, pixels = drawn_in_world(lambda model: maker.make(model, antialiased), models, cameras, parts)
     assert_like(renderer.render(cameras, parts), expected, maker.rgb)
@@ -55,7 +55,7 @@ def test_parts_look_like_their_gaussians_moved_to_the_world(maker: Maker, degree
 @pytest.mark.parametrize("degree", [1, 3])
 def test_parts_that_are_not_turned_differ_in_no_byte_but_one_in_ten_thousand(maker: Maker, degree: int) -> None:
     """Only turned harmonics, which a renderer keeps rounded, may differ in more."""
-    models, cameras, parts = random_models([degree] * 3), random_cameras(31, 6, 45, 28), random_parts(32, 6)
+    models, cameras, parts = random_models([degree] * 3), random_cameras(31, 4, 45, 28), random_parts(32, 4)
     parts.model_to_world[..., :3, :3] = torch.eye(3)
     expected, pixels = drawn_in_world(lambda model: maker.make(model), models, cameras, parts)
     assert_like(maker.make(models).render(cameras, parts), expected, maker.rgb)

@@ -198,7 +198,9 @@ def test_another_value_of_any_field_is_another_scene_to_the_cache(name: str) -> 
     [path for path in sorted(CONF.glob("*.yaml")) if "_target_" in OmegaConf.load(path).scene],
     ids=lambda path: path.stem,
 )
-def test_a_node_of_the_configuration_loads_a_scene(path: Path, splat: Path) -> None:
+def test_a_node_of_the_configuration_loads_a_scene(path: Path, splat: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("block_gaussians", "around_gaussians"):
+        monkeypatch.setattr(f"splatrl.scenes.town.source.{name}", lambda *_: sample_gaussians())
     node = OmegaConf.load(path).scene
     if OmegaConf.is_missing(node, "path"):
         node.path = str(splat)

@@ -120,21 +120,14 @@ def test_it_is_a_valid_scene_of_moderate_size_on_disk(made: Yard, own_cache: Pat
     assert kept.stat().st_size < 30e6
 
 
-def test_a_seed_always_gives_the_same_bytes_and_another_seed_another_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first, cached, other = yards([3])[0], yards([3])[0], yards([10])[0]
-    monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
-    again = yard(3)
-    assert all_bytes(first.scene) == all_bytes(again) == all_bytes(cached.scene)
-    assert all_bytes(first.scene) != all_bytes(other.scene)
-    assert first.egg != other.egg and first.scene.bounds != other.scene.bounds
-
-
-def test_processes_make_the_same_yards_in_the_order_of_their_seeds(
+def test_a_seed_gives_the_same_bytes_in_any_process_in_the_order_of_seeds_and_another_seed_another_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     alone = yards([10, 3])
+    other, first = alone
+    assert all_bytes(first.scene) == all_bytes(yards([3])[0].scene)  # from the cache
+    assert all_bytes(first.scene) != all_bytes(other.scene)
+    assert first.egg != other.egg and first.scene.bounds != other.scene.bounds
     monkeypatch.setenv("SPLATRL_CACHE", str(tmp_path))
     begun: list[str] = []
 
@@ -149,6 +142,7 @@ def test_processes_make_the_same_yards_in_the_order_of_their_seeds(
     assert [one.seed for one in together] == [10, 3]
     for one, same in zip(alone, together, strict=True):
         assert all_bytes(one.scene) == all_bytes(same.scene) and one.goal == same.goal and one.walk == same.walk
+    assert all_bytes(yard(3)) == all_bytes(first.scene)
 
 
 def test_the_measure_gives_for_the_backyard_what_the_planner_gives() -> None:

@@ -1,10 +1,14 @@
 """A rollout that stays on the device equals TorchRL's, never synchronises, and can be replayed."""
 
 import math
+from collections.abc import Callable
+from contextlib import nullcontext
+from functools import partial
 
 import pytest
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.modules import ActorValueOperator
 
@@ -14,7 +18,7 @@ from splatrl.training import PPO, actor_critic, load_checkpoint, save_checkpoint
 from splatrl.training.collectors import CHOSEN, ENDS, DeviceCollector, HostCollector, device_collector
 from splatrl.training.cuda_graph import CudaGraph
 from splatrl.training.memory import STATE, Memory
-from tests.envs.contract import base_env
+from tests.envs.contract import assert_same, base_env
 from tests.envs.devices import NoHostReads, NoTransfers, Painter, pretend_device
 from tests.envs.test_device import WORLDS, made, whole_overlay
 from tests.tiny import tiny_env
@@ -72,32 +76,41 @@ def assert_same_frames(batch: TensorDictBase, expected: TensorDictBase) -> None:
         assert torch.equal(batch[key], expected[key]), key
 
 
-@pytest.mark.usefixtures("whole_overlay")
-@pytest.mark.parametrize("name", WORLDS)
-def test_a_rollout_is_that_of_torchrl_row_for_row(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    reset_in_every_step(monkeypatch)
+def two_batches(
+    name: str, make: Callable[[EnvBase, ActorValueOperator], HostCollector | DeviceCollector], watch: bool = False
+) -> tuple[list[TensorDictBase], Tensor, Tensor]:
+    """Batches of a collector, whose model learns in between; the curriculum's progress and the generator after them."""
+    env, model = pair(name)
+    torch.manual_seed(3)
+    collector = make(env, model)
+    if isinstance(collector, DeviceCollector):  # it resets after each step, the other one before
+        collector.carried = restart(env, collector.carried)
     batches = []
-    for kind in (HostCollector, DeviceCollector):
-        env, model = pair(name)
-        torch.manual_seed(3)
-        collector = kind(env, model, 5)
-        if kind is DeviceCollector:  # it resets after each step, the other one before
-            collector.carried = restart(env, collector.carried)
-        batches.append([collector.collect().clone() for _ in range(3)])
-    for expected, batch in zip(*batches, strict=True):
-        assert batch.shape == (ROBOTS, 5)
-        assert_same_frames(batch, expected)
-    assert torch.cat(batches[0], 1)["next", "done"].any(0).sum() >= 2
+    for weight in (1.0, 1.1):  # learning changes weights in place, and the curriculum advances
+        for parameter in model.parameters():
+            parameter.data.mul_(weight)
+        with NoHostReads() if watch else nullcontext():
+            batch = collector.collect()
+        batches.append(batch.clone())
+    return batches, base_env(env).curriculum.progress.clone(), base_env(env).generator.get_state()
 
 
 @pytest.mark.usefixtures("whole_overlay")
 @pytest.mark.parametrize("name", WORLDS)
-def test_a_rollout_asks_the_host_nothing(name: str) -> None:
-    collector = DeviceCollector(*pair(name), 5)
-    with NoHostReads():
-        collector.collect()
-        batch = collector.collect()
-    assert batch["next", "done"].any()
+def test_a_rollout_is_torchrls_row_for_row_asks_the_host_nothing_and_can_be_replayed(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reset_in_every_step(monkeypatch)
+    expected, _, _ = two_batches(name, partial(HostCollector, steps=7))
+    eager, progress, drawn = two_batches(name, partial(DeviceCollector, steps=7), watch=True)
+    replayed, progress_again, drawn_again = two_batches(name, partial(DeviceCollector, steps=7, capture=Taped))
+    assert torch.cat(expected, 1)["next", "done"].any(0).sum() >= 2
+    for theirs, mine, again in zip(expected, eager, replayed, strict=True):
+        assert mine.shape == (ROBOTS, 7)
+        assert_same_frames(mine, theirs)
+        assert_same(mine, again)
+    assert progress[1] > 0 and torch.equal(progress, progress_again)
+    assert torch.equal(drawn, drawn_again)
 
 
 @pytest.mark.parametrize("name", WORLDS)
@@ -108,33 +121,11 @@ def test_a_rollout_fetches_nothing_from_the_cpu(name: str, monkeypatch: pytest.M
     for part in model.modules():  # the limits of actions are not parameters
         if hasattr(part, "distribution_kwargs"):
             part.distribution_kwargs = {key: value.to("meta") for key, value in part.distribution_kwargs.items()}
-    collector = DeviceCollector(elsewhere, model.to("meta"), 3, begin=elsewhere._reset(set_state=False))
+    collector = DeviceCollector(elsewhere, model.to("meta"), 1, begin=elsewhere._reset(set_state=False))
     collector.collect()
     with NoTransfers():
         batch = collector.collect()
     assert {value.device.type for value in batch.values(True, True)} == {"meta"}
-
-
-@pytest.mark.usefixtures("whole_overlay")
-@pytest.mark.parametrize("name", WORLDS)
-def test_a_rollout_can_be_replayed(name: str) -> None:
-    runs = []
-    for capture in (None, Taped):
-        env, model = pair(name)
-        torch.manual_seed(3)
-        collector = DeviceCollector(env, model, 6, capture)
-        batches = []
-        for weight in (1.0, 1.1):  # learning changes weights in place, and the curriculum advances
-            for parameter in model.parameters():
-                parameter.data.mul_(weight)
-            batches.append(collector.collect().clone())
-        runs.append((batches, base_env(env).curriculum.progress.clone(), base_env(env).generator.get_state()))
-    for eager, replayed in zip(*(batches for batches, _, _ in runs), strict=True):
-        assert set(eager.keys(True, True)) == set(replayed.keys(True, True))
-        for key in eager.keys(True, True):
-            assert torch.equal(eager[key], replayed[key]), key
-    assert runs[0][1][1] > 0 and torch.equal(runs[0][1], runs[1][1])
-    assert torch.equal(runs[0][2], runs[1][2])
 
 
 def settled(on_device: bool = True, seed: int = 0, **options: object) -> PPO:
@@ -186,15 +177,14 @@ def test_a_gradient_step_asks_the_host_nothing() -> None:
 
 def test_a_resumed_training_is_the_same_to_the_byte(tmp_path: object) -> None:
     whole = settled()
-    reports = [whole.iterate() for _ in range(4)]
-    half = settled()
     for _ in range(2):
-        half.iterate()
-    save_checkpoint(tmp_path / "last.pt", half.state_dict())
+        whole.iterate()
+    save_checkpoint(tmp_path / "last.pt", whole.state_dict())
+    reports = [whole.iterate() for _ in range(2)]
     resumed = settled(seed=1)
     resumed.iterate()
     resumed.load_state_dict(load_checkpoint(tmp_path / "last.pt"))
-    assert str([resumed.iterate() for _ in range(2)]) == str(reports[2:])
+    assert str([resumed.iterate() for _ in range(2)]) == str(reports)
     assert torch.equal(parameters(resumed), parameters(whole))
 
 

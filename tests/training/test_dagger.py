@@ -37,17 +37,17 @@ def test_what_the_policy_visits_is_labelled_by_the_planner(made: tuple[DictConfi
     cfg, world = made
     ppo = make_ppo(cfg, world)
     torch.manual_seed(1)
-    batch = HostCollector(world.env(16, seed=5), ppo.model, 40).collect()
+    batch = HostCollector(world.env(16, seed=5), ppo.model, 24).collect()
     torch.manual_seed(1)
-    found = visited(world.env(16, seed=5), ppo.learner, [world.plan], 640)
+    found = visited(world.env(16, seed=5), ppo.learner, [world.plan], 384)
     rows = batch.flatten(0, 1)
     assert torch.equal(found["pixels"], rows["pixels"])
     assert torch.equal(found["target"] > 0, world.plan.optimal(rows["state"]))
-    torch.testing.assert_close(found["target"].sum(1), torch.ones(640))
+    torch.testing.assert_close(found["target"].sum(1), torch.ones(384))
     begins = (found["frame"] == 0).nonzero().squeeze(1)
-    assert set(range(0, 640, 40)) <= set(begins.tolist()), "each robot begins an episode"
+    assert set(range(0, 384, 24)) <= set(begins.tolist()), "each robot begins an episode"
     ended = rows["next", "done"].squeeze(1).nonzero().squeeze(1)
-    assert {row + 1 for row in ended.tolist() if (row + 1) % 40} == {row for row in begins.tolist() if row % 40}
+    assert {row + 1 for row in ended.tolist() if (row + 1) % 24} == {row for row in begins.tolist() if row % 24}
     for row in ended[rows["next", "terminated"].squeeze(1)[ended]][:5].tolist():
         assert found["value_target"][row] == pytest.approx(0.1 * float(rows["next", "reward"][row])), "its last reward"
 
@@ -61,14 +61,15 @@ def test_a_policy_learns_from_its_own_mistakes(made: tuple[DictConfig, World]) -
     for row in imitate(ppo, cloner, world, [shown], DaggerSettings(3, 320, 6), 1):
         assert row.keys() == {"loss_cloning"}
         frames.append(ppo.frames)
-        reached.append(float(run_episodes(env, ppo.model.get_policy_operator(), starts).success.double().mean()))
+        if len(frames) in (1, 4):
+            reached.append(float(run_episodes(env, ppo.model.get_policy_operator(), starts).success.double().mean()))
     assert frames == [len(shown), len(shown) + 320, len(shown) + 640, len(shown) + 960]
     assert reached[-1] > max(0.65, reached[0] + 0.3)
 
 
 def test_in_several_scenes_each_frame_is_labelled_by_the_planner_of_its_own(tmp_path: Path) -> None:
     settings = ["demos=3", "cloning.epochs=1", "dagger.rounds=1", "dagger.epochs=1", "collector.frames_per_batch=128"]
-    cfg = load_config([*in_both(tmp_path), *settings, "collector.total_frames=256"])
+    cfg = load_config([*in_both(tmp_path), *settings, "collector.total_frames=256", "logger.num_test_episodes=2"])
     world = build_world(cfg)
     build_trainer(cfg, world, tmp_path / "run").fit()
     west, east = (one.plan for one in world.worlds)
@@ -84,7 +85,7 @@ def test_in_several_scenes_each_frame_is_labelled_by_the_planner_of_its_own(tmp_
 
 
 def test_the_teacher_of_a_task_with_discrete_actions_labels_them(tmp_path: Path) -> None:
-    cfg = load_config([*in_both(tmp_path, "pointnav")])
+    cfg = load_config([*in_both(tmp_path, "pointnav"), "task.goals=8", "task.test_goals=3"])
     world = build_world(cfg)
     ppo = make_ppo(cfg, world)
     found = visited(

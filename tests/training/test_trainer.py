@@ -72,19 +72,18 @@ def test_a_folder_without_a_checkpoint_begins_anew(tmp_path: Path) -> None:
 
 
 def test_a_damaged_checkpoint_is_replaced_by_the_one_before(tmp_path: Path) -> None:
-    whole = trainer(tmp_path / "whole", [0.4, 0.9, 0.6])
+    whole = trainer(tmp_path, [0.4, 0.9, 0.6])
     whole.fit()
-    trainer(tmp_path / "half", [0.4, 0.9, 0.6]).fit()
-    last = tmp_path / "half" / "checkpoints" / "last.pt"
+    weights, last = parameters(whole.ppo), tmp_path / "checkpoints" / "last.pt"
     for damage in (lambda: last.write_bytes(last.read_bytes()[:1000]), last.unlink):
         damage()
-        again = trainer(tmp_path / "half", [0.9, 0.6])
+        again = trainer(tmp_path, [0.9, 0.6])
         with pytest.warns(UserWarning, match=r"last\.pt: expected .*; going on from the one before it, previous\.pt"):
             again.resume()
         assert again.ppo.frames == 192
         again.fit()
-        assert (parameters(again.ppo) == parameters(whole.ppo)).all()
-        trainer(tmp_path / "half", []).resume()  # whole again
+        assert (parameters(again.ppo) == weights).all()
+        trainer(tmp_path, []).resume()  # whole again
 
 
 def test_traces_of_a_training_without_a_checkpoint_do_not_begin_anew(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """A training that is watched, and a policy at work."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,33 +21,33 @@ from tests.tiny import tiny_overrides
 from tests.viewer.visitor import Visitor, until
 
 
-@pytest.fixture
-def run(tmp_path: Path) -> Callable[[str, bool], tuple[dict[str, Any], Path]]:
-    """Trains in the room, watched or not; gives the last checkpoint and the run folder."""
-    overrides = [*tiny_overrides(tmp_path), *SETTINGS, "collector.total_frames=512"]
+def train(room: Path, name: str, watched: bool = False) -> Path:
+    """Train in the room, watched or not; return the run folder."""
+    cfg = load_config([*tiny_overrides(room), *SETTINGS, "collector.total_frames=512"])
+    world, folder = build_world(cfg), room / name
+    folder.mkdir()
+    save_config(cfg, folder)
+    trainer = build_trainer(cfg, world, folder)
+    if watched:
+        page = Page(world.scene, port=0)
+        view = TrainingView(page, world, trainer)
+        visitor = Visitor(page.address)
+        visitor.find("BatchedMeshesMessage")
+    trainer.fit()
+    if watched:
+        until(lambda: view.played > 8, "robots that move")
+        assert "frames 512" in view.status.content and "test success" in view.status.content
+        visitor.close()
+        view.close()
+        page.close()
+        assert not view._thread.is_alive()
+    return folder
 
-    def train(name: str, watched: bool) -> tuple[dict[str, Any], Path]:
-        cfg = load_config(overrides)
-        world, folder = build_world(cfg), tmp_path / name
-        folder.mkdir()
-        save_config(cfg, folder)
-        trainer = build_trainer(cfg, world, folder)
-        if watched:
-            page = Page(world.scene, port=0)
-            view = TrainingView(page, world, trainer)
-            visitor = Visitor(page.address)
-            visitor.find("BatchedMeshesMessage")
-        trainer.fit()
-        if watched:
-            until(lambda: view.played > 8, "robots that move")
-            assert "frames 512" in view.status.content and "test success" in view.status.content
-            visitor.close()
-            view.close()
-            page.close()
-            assert not view._thread.is_alive()
-        return load_checkpoint(folder / "checkpoints" / "last.pt"), folder
 
-    return train
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run folder of a training that no one watched."""
+    return train(tmp_path_factory.mktemp("room"), "trained")
 
 
 def equal(a: Any, b: Any) -> bool:
@@ -61,12 +61,11 @@ def equal(a: Any, b: Any) -> bool:
     return bool(a == b) or (a != a and b != b)
 
 
-def test_a_watched_training_has_the_bytes_of_an_unwatched_one(
-    run: Callable[[str, bool], tuple[dict[str, Any], Path]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_watched_training_has_the_bytes_of_an_unwatched_one(trained: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training, "EVERY", 0.0)  # look at every batch
     monkeypatch.setattr(training, "RATE", 200)
-    (plain, _), (watched, _) = run("plain", False), run("watched", True)
+    folders = (trained, train(trained.parent, "watched", watched=True))
+    plain, watched = (load_checkpoint(folder / "checkpoints" / "last.pt") for folder in folders)
     for state in (plain, watched):
         state["seconds"] = 0.0
         for row in state["history"]:
@@ -76,11 +75,10 @@ def test_a_watched_training_has_the_bytes_of_an_unwatched_one(
 
 
 @pytest.fixture
-def rollout(run: Callable[[str, bool], tuple[dict[str, Any], Path]]) -> Iterator[Rollout]:
-    _, folder = run("trained", False)
-    trained = load_policy(folder)
-    page = Page(trained.world.scene, port=0)
-    shown = Rollout(page, trained)
+def rollout(trained: Path) -> Iterator[Rollout]:
+    policy = load_policy(trained)
+    page = Page(policy.world.scene, port=0)
+    shown = Rollout(page, policy)
     shown.speed.value = 30
     yield shown
     shown.stop()

@@ -72,6 +72,8 @@ class CourseContract:
             for row in verdict.terminated.squeeze(1).nonzero().flatten().tolist():
                 outcomes.setdefault(row, int(verdict.outcome[row]))
             state, memory = move.state, dict(verdict.memory)
+            if len(outcomes) == 6:
+                break
         assert outcomes == dict.fromkeys(range(6), int(Outcome.GOAL))
 
     def test_a_state_that_is_no_number_has_left_the_bounds(self) -> None:

@@ -187,7 +187,7 @@ def test_other_tasks_have_no_measures_of_navigation() -> None:
 
 def test_run_episodes_begins_each_anew_with_its_goal() -> None:
     task = task_of(max_steps=40)
-    drawn = task.episodes(paths().starts, 7, seed=3)
+    drawn = task.episodes(paths().starts, 5, seed=3)
     state = drawn.pop("state")
 
     def towards(td: TensorDict) -> TensorDict:
@@ -199,7 +199,7 @@ def test_run_episodes_begins_each_anew_with_its_goal() -> None:
 
     found = run_episodes(env_of(task, (3,)), towards, state, memory=drawn)
     alone = []
-    for row in torch.arange(7).split(1):
+    for row in torch.arange(5).split(1):
         memory = {key: value[row] for key, value in drawn.items()}
         alone.append(run_episodes(env_of(task, (1,)), towards, state[row], memory=memory))
     for key, values in found.measures.items():
@@ -275,9 +275,9 @@ def walked(task: NavigationTask, who: Any) -> Episodes:
 
 @pytest.mark.parametrize("motion", ["steps", "drive"])
 def test_the_teacher_knows_the_way_around_and_the_straight_one_does_not(motion: str) -> None:
-    task = task_of(max_steps=150)
+    task = task_of(max_steps=90)
     if motion == "drive":
-        task = PointNav(DriveMotion(HEIGHT, **BOUNDS), REWARDS, **(FEW | {"max_steps": 150}))
+        task = PointNav(DriveMotion(HEIGHT, **BOUNDS), REWARDS, **(FEW | {"max_steps": 90}))
         task.settle(checker())
     taught, straight = walked(task, task.teach), walked(task, task.beeline)
     assert taught.success.all()

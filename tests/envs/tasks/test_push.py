@@ -254,4 +254,6 @@ def test_the_teacher_pushes_balls_to_marks() -> None:
         verdict = task.judge(Step(state, action, move, memory, torch.zeros(0)), anywhere)
         state, memory = move.state, dict(verdict.memory)
         succeeded |= verdict.outcome.squeeze(1) == Outcome.GOAL
-    assert succeeded.float().mean() > 0.9
+        if succeeded.float().mean() > 0.9:
+            return
+    raise AssertionError(f"{int(succeeded.sum())} of 24 balls came to their mark")

@@ -2,9 +2,8 @@
 
 import torch
 from torchrl.envs import EnvBase
-from torchrl.envs.utils import step_mdp
 
-from tests.envs.contract import EnvContract, assert_same, base_env
+from tests.envs.contract import EnvContract
 from tests.envs.transforms.views import transformed
 
 
@@ -12,20 +11,6 @@ class TransformedContract(EnvContract):
     """TorchRL's ``TransformedEnv.state_dict`` holds only the transforms, so that of the env is saved beside it."""
 
     steps = 16
-
-    def test_a_loaded_state_dict_goes_on_to_the_byte(self) -> None:
-        env = self.make((3,), seed=3)
-        carried = env.rollout(self.steps, break_when_any_done=False)[:, -1]
-        other = self.make((3,), seed=4)
-        other.reset()
-        for own, new in ((base_env(env), base_env(other)), (env, other)):
-            new.load_state_dict({key: value.clone() for key, value in own.state_dict().items()})
-        runs = []
-        for each in (env, other):
-            torch.manual_seed(0)
-            start = each.maybe_reset(step_mdp(carried.clone()))
-            runs.append(each.rollout(self.steps, auto_reset=False, tensordict=start, break_when_any_done=False).clone())
-        assert_same(*runs)
 
 
 class TestAllTransforms(TransformedContract):
