@@ -3,6 +3,7 @@
 import importlib
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,7 @@ def test_a_row_says_how_many_images_a_map_has_how_even_it_is_and_how_far_off(
     }
     for name, found in maps.items():
         monkeypatch.setattr(benchmark, name, lambda *_, found=found: found)
+    monkeypatch.setattr(benchmark, "pycolmap", SimpleNamespace(logging=SimpleNamespace()))  # its log stays as it is
     monkeypatch.setattr(benchmark, "camera_places", lambda model, _: model)
     monkeypatch.setattr(benchmark, "match_images", lambda *_: None)
     monkeypatch.setattr(benchmark, "job_of", lambda *_: job)
