@@ -1,15 +1,20 @@
 """``splatrl-export`` from the outside, and the script that it writes."""
 
+import runpy
 import subprocess
 import sys
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from torchrl.modules import ActorValueOperator
 
-from splatrl.commands.export import main
+from splatrl.commands import export
 from splatrl.configuration import load_config
+from splatrl.envs.world import World
 from splatrl.evaluation.clips import fitted
 from splatrl.images import open_video
 from splatrl.runs import load_policy
@@ -30,7 +35,21 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
     monkeypatch.setattr(sys, "argv", ["splatrl-export", *arguments])
-    main()
+    export.main()
+
+
+def run_policy(monkeypatch: pytest.MonkeyPatch, folder: Path, *arguments: object) -> None:
+    """Run the script that was written into a folder, in this process."""
+    monkeypatch.setattr(sys, "argv", ["run_policy.py", *map(str, arguments)])
+    runpy.run_path(str(folder / "run_policy.py"), run_name="__main__")
+
+
+@pytest.fixture(scope="module")
+def exported(run: Path, translated_once: None) -> tuple[Path, str]:
+    """The folder into which the run was exported, and what the command said."""
+    with pytest.MonkeyPatch.context() as patched, redirect_stdout(StringIO()) as said:
+        command(patched, f"run={run}", "frames=64")
+    return run / "export", said.getvalue()
 
 
 @pytest.fixture(scope="module")
@@ -46,15 +65,11 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_policy_is_exported_and_run_on_a_video(
-    run: Path, film: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command(monkeypatch, f"run={run}", "frames=64")
-    printed = capsys.readouterr().out
+def test_a_policy_is_exported_and_run_on_a_video(run: Path, film: Path, exported: tuple[Path, str]) -> None:
+    folder, printed = exported
     assert str(run / "export" / "policy.onnx") in printed and "on 64 views" in printed
-    done = subprocess.run(
-        [sys.executable, str(run / "export" / "run_policy.py"), str(film)], capture_output=True, text=True, check=True
-    )
+    line = [sys.executable, str(folder / "run_policy.py"), str(film)]
+    done = subprocess.run(line, capture_output=True, text=True, check=True)
     lines = [line.split(maxsplit=2) for line in done.stdout.splitlines()]
     assert [(number, name) for number, name, _ in lines] == [(str(number), NAMES[1]) for number in range(5)]
     trained = load_policy(run)
@@ -70,34 +85,49 @@ def test_a_policy_is_exported_and_run_on_a_video(
         np.testing.assert_allclose(found, expected, atol=2e-3)  # areas are averaged and rounded in other ways
 
 
-def test_a_wider_camera_is_cropped_to_the_policys_field_of_view(
-    run: Path, film: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_the_checkpoint_and_the_folder_are_chosen(run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    given: list[tuple[int, Path, int]] = []
+
+    def export_policy(model: ActorValueOperator, world: World, folder: Path, frames: int, _: object) -> float:
+        preferred = model.get_policy_head().module[0].module.bias.argmax()
+        given.append((int(preferred), folder, frames))
+        return 0.0
+
+    monkeypatch.setattr(export, "export_policy", export_policy)
     command(monkeypatch, f"run={run}", f"output={tmp_path / 'new'}", "frames=8", "checkpoint=best")
+    command(monkeypatch, f"run={run}", "frames=9")
+    assert given == [(BEST, tmp_path / "new", 8), (1, run / "export", 9)]
+
+
+def test_a_wider_camera_is_cropped_to_the_policys_field_of_view(
+    exported: tuple[Path, str], film: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     told = {}
     for fov in ("90", "60", "127"):
-        line = [sys.executable, str(tmp_path / "new" / "run_policy.py"), str(film), "--fov", fov]
-        told[fov] = subprocess.run(line, capture_output=True, text=True, check=True).stdout
-        assert told[fov].startswith(f"0 {NAMES[BEST]} ")
+        run_policy(monkeypatch, exported[0], film, "--fov", fov)
+        told[fov] = capsys.readouterr().out
+        assert told[fov].startswith(f"0 {NAMES[1]} ")
     assert told["90"] == told["60"] != told["127"]
 
 
 def test_what_a_policy_observes_besides_is_given_by_hand(
-    film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     chosen = load_config([*tiny_overrides(tmp_path, "pointnav"), "sensors=[rgb,imagegoal,pointgoal]"])
     run = save_run(tmp_path / "run", chosen, 1)
     command(monkeypatch, f"run={run}", "frames=8")
     picture = str(tmp_path / "goal.png")
     cv2.imwrite(picture, np.full((24, 32, 3), 90, np.uint8))
-    line = [sys.executable, str(run / "export" / "run_policy.py"), str(film), "--give", f"imagegoal={picture}"]
-    told = [
-        subprocess.run([*line, *more], capture_output=True, text=True)
-        for more in (["--give", "pointgoal_with_gps_compass=2.5,0.3"], [], ["--give", "pointgoal_with_gps_compass=2"])
-    ]
-    assert told[0].returncode == 0 and len(told[0].stdout.splitlines()) == 5, told[0].stderr
-    assert "--give: expected imagegoal and pointgoal_with_gps_compass for this policy" in told[1].stderr
-    assert told[2].returncode != 0 and not told[2].stdout
+    folder, words = run / "export", (film, "--give", f"imagegoal={picture}")
+    capsys.readouterr()
+    run_policy(monkeypatch, folder, *words, "--give", "pointgoal_with_gps_compass=2.5,0.3")
+    assert len(capsys.readouterr().out.splitlines()) == 5
+    with pytest.raises(SystemExit, match="2"):
+        run_policy(monkeypatch, folder, *words)
+    assert "--give: expected imagegoal and pointgoal_with_gps_compass for this policy" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="reshape"):
+        run_policy(monkeypatch, folder, *words, "--give", "pointgoal_with_gps_compass=2")
+    assert not capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,13 @@ from tests.tiny import tiny_motion, tiny_overrides, tiny_robot
 
 CHOICES = {
     "grid": [],
-    "snake": ["transforms/pose_noise=uniform", "transforms/appearance=varied", "memory=stack", "transforms/skip=four"],
+    "snake": [
+        "transforms/pose_noise=uniform",
+        "transforms/appearance=varied",
+        "memory=stack",
+        "transforms/skip=four",
+        "transforms.skip.steps=2",
+    ],
 }
 
 

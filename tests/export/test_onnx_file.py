@@ -26,9 +26,13 @@ pytestmark = pytest.mark.usefixtures("translated_once")
 
 SHAKEN = ["transforms/pose_noise=unsteady", "transforms/appearance=varied"]
 KINDS: dict[str, list[str]] = {
-    "both": ["task=grid", "memory=stack", "network.memory=24"],
     "drive": ["task=drive", "memory=gru", "task.motion.spacing=0.25", *SHAKEN],
-    "sensors": ["task=pointnav", "sensors=[rgb,depth,lidar,contact,pointgoal]", "memory=stack"],
+    "sensors": [
+        "task=pointnav",
+        "sensors=[rgb,depth,lidar,contact,pointgoal]",
+        "memory=stack",
+        "network.memory=24",
+    ],
     "blind": ["task=pointnav", "sensors=[pointgoal]"],
     "compared": ["task=imagenav", "network.fusion=correlation"],
 }
@@ -38,7 +42,7 @@ OBSERVED = {
     "compared": ["pixels", "imagegoal"],
 }
 
-REMEMBERED = {"both": ["frames", "recurrent_state"], "drive": ["recurrent_state"], "sensors": ["frames"]}
+REMEMBERED = {"drive": ["recurrent_state"], "sensors": ["frames", "recurrent_state"]}
 
 
 def trained(folder: Path, *overrides: str) -> tuple[World, ActorValueOperator]:
@@ -98,7 +102,7 @@ def test_onnxruntime_does_what_pytorch_does(kind: str, exported: Callable[[str],
 
 
 def test_actions_depend_on_what_is_seen_and_remembered(exported: Callable[[str], Exported]) -> None:
-    world, model, folder, _ = exported("both")
+    world, model, folder, _ = exported("sensors")
     policy = StandalonePolicy(model, world.env(1))
     session = onnxruntime.InferenceSession(folder / "policy.onnx")
     given = {name: value.numpy() for name, value in zip(policy.inputs, policy.example(2), strict=True)}
@@ -119,8 +123,8 @@ def test_actions_depend_on_what_is_seen_and_remembered(exported: Callable[[str],
 def test_a_policy_that_differs_is_not_written(
     tmp_path: Path, exported: Callable[[str], Exported], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    world, model, folder, _ = exported("both")
-    other = trained(tmp_path, *KINDS["both"])[1]
+    world, model, folder, _ = exported("sensors")
+    other = trained(tmp_path, *KINDS["sensors"])[1]
     with torch.no_grad():
         next(other.get_policy_head().parameters()).mul_(1.001)
     env = world.env(8)
