@@ -1,6 +1,6 @@
 """What makes a map of a film torn, and whether it is known without the truth: two ways of mapping generated yards.
 
-    python benchmarks/mappers.py                        # 8 yards, about five CPU minutes each
+    python benchmarks/mappers.py                        # 8 yards, about six CPU minutes each
     python benchmarks/mappers.py --yards 100 101 --seconds 60 --size 1280 720
     python benchmarks/mappers.py --films kitchen_m.mp4  # any video with its truth in a .npz beside it
 
@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pycolmap
 import torch
 from capture import filmed
@@ -28,8 +29,9 @@ from splatrl.capture.jerks import jerks, leaps
 from splatrl.capture.job import Job
 from splatrl.capture.mapping import camera_places, find_cameras, map_at_once, map_one_by_one
 from splatrl.capture.pipeline import CaptureSettings
+from splatrl.capture.poses import job_of
 from splatrl.capture.structure import match_images
-from splatrl.capture.truth import Truth, closest_similarity, read_truth
+from splatrl.capture.truth import Truth, distances, poses_at, read_truth
 
 
 @dataclass(frozen=True)
@@ -38,8 +40,8 @@ class Map:
 
     film: str
     way: str
-    posed: int
     images: int
+    posed: int
     jerks: float
     ate_metres: float
     worst_metres: float
@@ -64,23 +66,8 @@ def parsed() -> argparse.Namespace:
 
 def filmed_yard(yard: int, folder: Path, options: argparse.Namespace) -> Path:
     """The film of a yard, in a folder of its own."""
-    own = folder / f"yard {yard}"
-    own.mkdir(parents=True, exist_ok=True)
-    return filmed(own / "walk.mp4", argparse.Namespace(**{**vars(options), "yard": yard}))
-
-
-def job_of(film: Path, folder: Path, seed: int) -> Job:
-    """What a capture of a film would reconstruct."""
-    photos = read_photos(film, folder, CaptureSettings.count, CaptureSettings.longest, lambda *_: None)
-    return Job(
-        images=str(photos.paths[0].parent.resolve()),
-        names=[path.name for path in photos.paths],
-        width=photos.width,
-        height=photos.height,
-        K=None if photos.K is None else photos.K.tolist(),
-        seed=seed,
-        seconds=photos.seconds.tolist(),
-    )
+    folder.mkdir(parents=True, exist_ok=True)
+    return filmed(folder / "walk.mp4", argparse.Namespace(**{**vars(options), "yard": yard}))
 
 
 def against(truth: Truth, job: Job, model: Any) -> tuple[int, float, float, float]:
@@ -88,25 +75,33 @@ def against(truth: Truth, job: Job, model: Any) -> tuple[int, float, float, floa
     images, places = camera_places(model, job)
     if len(images) < 3:
         return len(images), 0.0, float("nan"), float("nan")
-    seconds = torch.tensor(job.seconds, dtype=torch.float64)[images]
-    true = truth.camera_to_world[(seconds[:, None] - truth.time).abs().argmin(1), :3, 3]
-    found = torch.from_numpy(places)
-    closest = closest_similarity(found, true)
-    away = (found @ closest[:3, :3].T + closest[:3, 3] - true).norm(dim=1)
-    return len(images), jerks(leaps(places, seconds.numpy())), float((away**2).mean().sqrt()), float(away.max())
+    seconds = np.array(job.seconds)[images]
+    away = distances(torch.from_numpy(places), poses_at(torch.from_numpy(seconds), truth)[:, :3, 3])
+    return len(images), jerks(leaps(places, seconds)), float(away.square().mean().sqrt()), float(away.max())
 
 
-def mapped(film: Path, folder: Path, seed: int) -> list[Map]:
+def mapped(name: str, film: Path, folder: Path, seed: int) -> list[Map]:
     """A film's maps: image after image, all at once, and the one that a capture takes."""
     folder.mkdir(parents=True, exist_ok=True)
-    job, truth, rows = job_of(film, folder, seed), read_truth(film), []
+    photos = read_photos(film, folder, CaptureSettings.count, CaptureSettings.longest, lambda *_: None)
+    job, truth, rows = job_of(photos, seed), read_truth(film), []
     match_images(pycolmap, folder, job)
     for way, find in (("one by one", map_one_by_one), ("at once", map_at_once), ("taken", find_cameras)):
         began = time.process_time()
-        posed, uneven, mean, most = against(truth, job, find(pycolmap, folder, job))
+        model = find(pycolmap, folder, job)
         cpu = time.process_time() - began
-        rows.append(Map(film.parent.name, way, posed, len(job.names), uneven, mean, most, cpu))
+        rows.append(Map(name, way, len(job.names), *against(truth, job, model), cpu))
     return rows
+
+
+def print_maps(maps: list[Map]) -> None:
+    """A table, a row for each."""
+    header = ["film", "way", "images", "jerks", "mean off, m", "most off, m", "CPU s"]
+    rows = []
+    for one in maps:
+        figures = [f"{one.jerks:.1f}", f"{one.ate_metres:.3f}", f"{one.worst_metres:.2f}", f"{one.cpu:.0f}"]
+        rows.append([one.film, one.way, f"{one.posed} of {one.images}", *figures])
+    print_markdown(header, rows)
 
 
 def main() -> None:
@@ -117,26 +112,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as spare:
         folder = options.keep or Path(spare)
         for source in options.films or options.yards:
-            film = source if options.films else filmed_yard(source, folder, options)
-            found += mapped(film, folder / film.parent.name / film.stem, options.seed)
-            print(*found[-3:], sep="\n", flush=True)
-    print_markdown(
-        ["film", "way", "images", "jerks", "mean off, m", "most off, m", "CPU s"],
-        [
-            [
-                one.film,
-                one.way,
-                f"{one.posed} of {one.images}",
-                *(
-                    f"{figure:.{digits}f}"
-                    for figure, digits in zip(
-                        (one.jerks, one.ate_metres, one.worst_metres, one.cpu), (1, 3, 2, 0), strict=True
-                    )
-                ),
-            ]
-            for one in found
-        ],
-    )
+            name = source.stem if options.films else f"yard {source}"
+            film = source if options.films else filmed_yard(source, folder / name, options)
+            maps = mapped(name, film, folder / name / film.stem, options.seed)
+            print_maps(maps)
+            found += maps
+    print_maps(found)
     if options.json:
         print(f"written to {write_json('mappers', machine, found)}")
 

@@ -58,7 +58,7 @@ def find_poses(
     if exact_camera and photos.K is None:
         raise ValueError("photos.K: expected intrinsics with known poses or an exact camera, got none")
     work = folder / "structure"
-    job = _job(photos, seed, exact_camera)
+    job = job_of(photos, seed, exact_camera)
     digest = _digest(photos, job)
     _start_over_unless(folder, work, digest)
     try:
@@ -71,7 +71,8 @@ def find_poses(
     return _reconstruction(photos, model, folder, exact_camera, progress)
 
 
-def _job(photos: Photos, seed: int, exact_camera: bool) -> Job:
+def job_of(photos: Photos, seed: int = 0, exact_camera: bool = False) -> Job:
+    """What ``find_poses`` has to do, with the same arguments."""
     folder = photos.paths[0].parent
     if any(path.parent != folder for path in photos.paths):
         raise ValueError("photos.paths: expected images of one folder")

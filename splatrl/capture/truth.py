@@ -90,7 +90,12 @@ def true_poses(reconstruction: Reconstruction, truth: Truth) -> Tensor:
     """
     if reconstruction.seconds is None:
         raise ValueError("seconds: expected the times at which the images were taken, got none")
-    return truth.camera_to_world[(reconstruction.seconds[:, None] - truth.time).abs().argmin(1)]
+    return poses_at(reconstruction.seconds, truth)
+
+
+def poses_at(seconds: Tensor, truth: Truth) -> Tensor:
+    """The true poses [N, 4, 4] at the frames that are nearest to some times [N], seconds."""
+    return truth.camera_to_world[(seconds[:, None] - truth.time).abs().argmin(1)]
 
 
 def closest_similarity(found: Tensor, true: Tensor) -> Tensor:
@@ -103,6 +108,12 @@ def closest_similarity(found: Tensor, true: Tensor) -> Tensor:
     transform = np.eye(4)
     transform[:3, :3], transform[:3, 3] = linear, middle_b - linear @ middle_a
     return torch.from_numpy(transform)
+
+
+def distances(found: Tensor, true: Tensor) -> Tensor:
+    """How far points are from others once a similarity has brought them closest: [N, 3], [N, 3] -> [N]."""
+    transform = closest_similarity(found, true)
+    return (found @ transform[:3, :3].T + transform[:3, 3] - true).norm(dim=1)
 
 
 def deviation(placed: Placed, truth: Truth, width: int) -> Deviation:
@@ -118,8 +129,7 @@ def deviation(placed: Placed, truth: Truth, width: int) -> Deviation:
     transform = closest_similarity(poses[:, :3, 3], true[:, :3, 3])
     scale = float(transform[:3, :3].det() ** (1 / 3))
     turn = transform[:3, :3] / scale
-    places = poses[:, :3, 3] @ transform[:3, :3].T + transform[:3, 3]
-    metres = float((places - true[:, :3, 3]).square().sum(1).mean().sqrt())
+    metres = float(distances(poses[:, :3, 3], true[:, :3, 3]).square().mean().sqrt())
     length = float(truth.camera_to_world[:, :3, 3].diff(dim=0).norm(dim=1).sum())
     between = torch.einsum("nij,nij->n", turn @ poses[:, :3, :3], true[:, :3, :3])
     focal = float(reconstruction.K[0, 0]) / reconstruction.width / (float(truth.K[0, 0]) / width) - 1

@@ -42,13 +42,14 @@ def test_a_row_says_how_many_images_a_map_has_how_even_it_is_and_how_far_off(
     monkeypatch.setattr(benchmark, "pycolmap", SimpleNamespace(logging=SimpleNamespace()))  # its log stays as it is
     monkeypatch.setattr(benchmark, "camera_places", lambda model, _: model)
     monkeypatch.setattr(benchmark, "match_images", lambda *_: None)
+    monkeypatch.setattr(benchmark, "read_photos", lambda *_: None)
     monkeypatch.setattr(benchmark, "job_of", lambda *_: job)
     monkeypatch.setattr(benchmark, "filmed", lambda path, options: path)
     monkeypatch.setattr(benchmark, "read_truth", lambda _: Truth(poses, torch.from_numpy(SECONDS), torch.eye(3)))
     monkeypatch.setattr(benchmark, "measured_machine", lambda: None)
     monkeypatch.setattr(sys, "argv", ["mappers.py", "--yards", "7", "--keep", str(tmp_path)])
     benchmark.main()
-    one, once, taken = benchmark.mapped(film, tmp_path / "again", 0)
+    one, once, taken = benchmark.mapped("yard 7", film, tmp_path / "again", 0)
     assert (one.film, one.posed, one.images, once.posed, taken.posed) == ("yard 7", COUNT, COUNT, COUNT - 5, 2)
     assert one.jerks > 4.0 > once.jerks
     assert 0.9 * WRONG < one.worst_metres < WRONG and 0.9 * WRONG < one.ate_metres * COUNT**0.5 < WRONG
