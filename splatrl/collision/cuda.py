@@ -159,11 +159,11 @@ class CudaChecker:
 
     def free_fraction(self, start: Tensor, end: Tensor) -> Tensor:
         """The free share of each move: see ``Checker.free_fraction``. It never goes beyond the first contact."""
-        return self._answers("find_fractions", torch.float32, start=start, end=end)
+        return self._answers("follow_moves", torch.float32, start=start, end=end)
 
     def sweeps(self, start: Tensor, end: Tensor) -> Tensor:
         """Whether anything is hit on the way, ends included: [B] bool."""
-        return self._answers("find_swept_hits", torch.bool, start=start, end=end)
+        return self._answers("follow_moves", torch.bool, start=start, end=end)
 
     @torch.compiler.disable
     def clearance(self, points: Tensor) -> Tensor:
@@ -230,7 +230,8 @@ class CudaChecker:
             at_once = self._at_once(count)
             queries = _Queries(here[0].data_ptr(), here[-1].data_ptr(), faults.flag.data_ptr(), count, at_once)
             blocks = min(-(-count // at_once), _MOST_BLOCKS)
-            self._kernels.launch(query, blocks, BLOCK_THREADS, self._grid, self._shape, queries, answers)
+            arrays = [answers] if query == "find_hits" else [answers, None] if dtype is torch.bool else [None, answers]
+            self._kernels.launch(query, blocks, BLOCK_THREADS, self._grid, self._shape, queries, *arrays)
         if faults is self._faults_elsewhere and faults.take() is not None:
             refuse(**poses)
         return answers.to(asked.device)

@@ -112,29 +112,6 @@ SPLAT_INLINE Shape of_this_kind(Shape shape) {
     return shape;
 }
 
-// Answer moves; write(row, free share) stores each result.
-template <bool ANY, class Write>
-SPLAT_INLINE void answer_moves(const Grid& grid, const Shape& shape, const Queries& queries, const Write& write) {
-    const auto settled = [&](int row) {
-        const Matrix start = matrix_in(queries.start, row), end = matrix_in(queries.end, row);
-        const bool right = is_pose(start.at) && is_pose(end.at);
-        if (!right) atomicMin(queries.fault, row);
-        const Vec3 from = position_of(grid, start.at), way = between(from, position_of(grid, end.at));
-        const bool passed = right && passes(grid, shape, from, way);
-        if (passed || !right) write(row, passed ? 1.0 : 0.0);
-        return passed || !right;
-    };
-    const auto answer = [&](int row, Search& search) {
-        __syncwarp();
-        if (lane() == 0) search.start = pose_of(grid, matrix_in(queries.start, row).at);
-        if (lane() == 1) search.end = pose_of(grid, matrix_in(queries.end, row).at);
-        __syncwarp();
-        const double free = free_fraction(grid, shape, search.start, search.end, ANY, WarpContact{grid, search});
-        if (lane() == 0) write(row, free);
-    };
-    each_query(queries, settled, answer);
-}
-
 }  // namespace splatrl
 
 using namespace splatrl;
@@ -158,15 +135,36 @@ extern "C" __global__ void __launch_bounds__(BLOCK_THREADS, BLOCKS_A_MULTIPROCES
     each_query(queries, settled, answer);
 }
 
+// Of each move whether it touches anything, or its free share; the array of the other is null. One kernel for both,
+// since what it calls takes seconds to compile.
 extern "C" __global__ void __launch_bounds__(BLOCK_THREADS, BLOCKS_A_MULTIPROCESSOR)
-    find_fractions(Grid grid, Shape body, Queries queries, float* fractions) {
-    answer_moves<false>(grid, of_this_kind(body), queries,
-                        [&](int row, double free) { fractions[row] = rounded_down(free); });
-}
-
-extern "C" __global__ void __launch_bounds__(BLOCK_THREADS, BLOCKS_A_MULTIPROCESSOR)
-    find_swept_hits(Grid grid, Shape body, Queries queries, bool* hits) {
-    answer_moves<true>(grid, of_this_kind(body), queries, [&](int row, double free) { hits[row] = free < 1.0; });
+    follow_moves(Grid grid, Shape body, Queries queries, bool* hits, float* fractions) {
+    const Shape shape = of_this_kind(body);
+    const auto write = [&](int row, double free) {
+        if (hits != nullptr)
+            hits[row] = free < 1.0;
+        else
+            fractions[row] = rounded_down(free);
+    };
+    const auto settled = [&](int row) {
+        const Matrix start = matrix_in(queries.start, row), end = matrix_in(queries.end, row);
+        const bool right = is_pose(start.at) && is_pose(end.at);
+        if (!right) atomicMin(queries.fault, row);
+        const Vec3 from = position_of(grid, start.at), way = between(from, position_of(grid, end.at));
+        const bool passed = right && passes(grid, shape, from, way);
+        if (passed || !right) write(row, passed ? 1.0 : 0.0);
+        return passed || !right;
+    };
+    const auto answer = [&](int row, Search& search) {
+        __syncwarp();
+        if (lane() == 0) search.start = pose_of(grid, matrix_in(queries.start, row).at);
+        if (lane() == 1) search.end = pose_of(grid, matrix_in(queries.end, row).at);
+        __syncwarp();
+        const bool any = hits != nullptr;
+        const double free = free_fraction(grid, shape, search.start, search.end, any, WarpContact{grid, search});
+        if (lane() == 0) write(row, free);
+    };
+    each_query(queries, settled, answer);
 }
 
 // points [count, 3], metres
