@@ -16,10 +16,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
-#include <memory>
-#include <tuple>
 #include <utility>
-#include <vector>
 
 #define __global__
 #define __device__
@@ -73,12 +70,12 @@ struct Block {
     uint64_t random = 0;
     Barrier barrier;
     Warp warps[MOST_THREADS / LANES];
-    std::vector<Fiber> fibers{MOST_THREADS};
-    std::unique_ptr<char[]> stacks{new char[MOST_THREADS * STACK]};  // unused pages take no memory
+    Fiber fibers[MOST_THREADS];
     alignas(128) unsigned char shared_memory[MOST_SHARED];
 };
 
-inline std::vector<Block> resident(MOST_AT_ONCE);
+static Block resident[MOST_AT_ONCE];
+inline char* const stacks = new char[MOST_AT_ONCE * MOST_THREADS * STACK];  // unused pages take no memory
 inline Block* here = nullptr;  // the block that runs
 inline Fiber* running = nullptr;
 inline jmp_buf scheduler;
@@ -210,7 +207,7 @@ inline void take_turn(Block& block, uint64_t seed) {
     const unsigned first = seed == 0 ? 0 : unsigned(block.random >> 33) % threads;
     const unsigned stride = seed == 0 || block.random >> 63 == 0 ? 1 : threads - 1;  // forwards or backwards
     for (unsigned i = 0, at = first; i < threads; ++i, at = (at + stride) % threads)
-        if (!block.fibers[at].finished) resume(block.fibers[at], block.stacks.get() + at * STACK);
+        if (!block.fibers[at].finished) resume(block.fibers[at], stacks + ((&block - resident) * MOST_THREADS + at) * STACK);
     running = nullptr;
 }
 
