@@ -55,7 +55,7 @@ def world(name: str) -> World:
     """The tiny room with the task of this name."""
     task, *more = WORLDS[name]
     with TemporaryDirectory() as folder:
-        return build_world(load_config([*tiny_overrides(Path(folder), task), *more, "task.max_steps=6"]))
+        return build_world(load_config([*tiny_overrides(Path(folder), task), *more, "task.max_steps=5"]))
 
 
 def made(name: str, batch: int = 5, device: str = "cpu") -> EnvBase:
@@ -109,7 +109,7 @@ def test_an_automatic_reset_reads_nothing_gives_what_torchrls_gives_and_keeps_th
     torch.manual_seed(0)
     now, expected = mine.reset(), theirs.reset()
     count = 0
-    for _ in range(9):
+    for _ in range(8):
         action = mine.rand_action(now)["action"]
         other = theirs.step(expected.set("action", action.clone()))
         with NoHostReads():

@@ -33,7 +33,8 @@ def test_a_policy_is_tested_in_several_scenes_at_once_and_in_one(tmp_path: Path)
     choose_places(tmp_path, places)
     rows = score_in_places([run], tmp_path)
     assert [(row["place"], row["starts"]) for row in rows] == [("backyard", 6), ("kitchen", 6)]
-    assert rows == score_in_places([run], tmp_path)
+    choose_places(tmp_path, {"backyard": places["backyard"]})
+    assert rows[:1] == score_in_places([run], tmp_path)
     assert all(0 <= row["success_rate"] <= 1 for row in rows)
 
 

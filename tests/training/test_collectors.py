@@ -101,12 +101,12 @@ def test_a_rollout_is_torchrls_row_for_row_asks_the_host_nothing_and_can_be_repl
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reset_in_every_step(monkeypatch)
-    expected, _, _ = two_batches(name, partial(HostCollector, steps=7))
-    eager, progress, drawn = two_batches(name, partial(DeviceCollector, steps=7), watch=True)
-    replayed, progress_again, drawn_again = two_batches(name, partial(DeviceCollector, steps=7, capture=Taped))
+    expected, _, _ = two_batches(name, partial(HostCollector, steps=6))
+    eager, progress, drawn = two_batches(name, partial(DeviceCollector, steps=6), watch=True)
+    replayed, progress_again, drawn_again = two_batches(name, partial(DeviceCollector, steps=6, capture=Taped))
     assert torch.cat(expected, 1)["next", "done"].any(0).sum() >= 2
     for theirs, mine, again in zip(expected, eager, replayed, strict=True):
-        assert mine.shape == (ROBOTS, 7)
+        assert mine.shape == (ROBOTS, 6)
         assert_same_frames(mine, theirs)
         assert_same(mine, again)
     assert progress[1] > 0 and torch.equal(progress, progress_again)
