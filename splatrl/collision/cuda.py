@@ -71,7 +71,7 @@ class _Queries(ctypes.Structure):
     """``Queries`` of cuda/collide.cu."""
 
     _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("start", "end", "fault")),
+        *((name, ctypes.c_void_p) for name in ("start", "end", "hits", "fractions", "fault")),
         *((name, ctypes.c_int) for name in ("count", "at_once")),
     )
 
@@ -228,10 +228,11 @@ class CudaChecker:
         answers = torch.empty(count, dtype=dtype, device=self.device)
         if count > 0:
             at_once = self._at_once(count)
-            queries = _Queries(here[0].data_ptr(), here[-1].data_ptr(), faults.flag.data_ptr(), count, at_once)
+            ends, at = (here[0].data_ptr(), here[-1].data_ptr()), answers.data_ptr()
+            places = (at, None) if dtype is torch.bool else (None, at)
+            queries = _Queries(*ends, *places, faults.flag.data_ptr(), count, at_once)
             blocks = min(-(-count // at_once), _MOST_BLOCKS)
-            arrays = [answers] if query == "find_hits" else [answers, None] if dtype is torch.bool else [None, answers]
-            self._kernels.launch(query, blocks, BLOCK_THREADS, self._grid, self._shape, queries, *arrays)
+            self._kernels.launch(query, blocks, BLOCK_THREADS, self._grid, self._shape, queries)
         if faults is self._faults_elsewhere and faults.take() is not None:
             refuse(**poses)
         return answers.to(asked.device)

@@ -74,7 +74,7 @@ struct Block {
     alignas(128) unsigned char shared_memory[MOST_SHARED];
 };
 
-static Block resident[MOST_AT_ONCE];
+static Block resident[MOST_AT_ONCE];  // of each source its own, since those that count have larger fibers
 inline char* const stacks = new char[MOST_AT_ONCE * MOST_THREADS * STACK];  // unused pages take no memory
 inline Block* here = nullptr;  // the block that runs
 inline Fiber* running = nullptr;
@@ -204,10 +204,11 @@ inline void begin(Block& block, unsigned index, uint64_t seed) {
 inline void take_turn(Block& block, uint64_t seed) {
     here = &block;
     block.random = block.random * 6364136223846793005ull + 1442695040888963407ull;
+    char* const first_stack = stacks + (&block - resident) * MOST_THREADS * STACK;
     const unsigned first = seed == 0 ? 0 : unsigned(block.random >> 33) % threads;
     const unsigned stride = seed == 0 || block.random >> 63 == 0 ? 1 : threads - 1;  // forwards or backwards
     for (unsigned i = 0, at = first; i < threads; ++i, at = (at + stride) % threads)
-        if (!block.fibers[at].finished) resume(block.fibers[at], stacks + ((&block - resident) * MOST_THREADS + at) * STACK);
+        if (!block.fibers[at].finished) resume(block.fibers[at], first_stack + at * STACK);
     running = nullptr;
 }
 

@@ -16,10 +16,12 @@ namespace splatrl {
 
 constexpr int MOST_OPEN = 1024, WARPS = BLOCK_THREADS / WARP;
 
-// The queries of a launch, with poses as row-major 4×4 matrices.
+// The queries of a launch, with poses as row-major 4×4 matrices, and where answers go.
 struct Queries {
     const float *start, *end;
-    int* fault;  // the lowest row that was refused
+    bool* hits;        // whether anything is touched; null where free shares are asked for
+    float* fractions;  // of moves; null where hits are
+    int* fault;        // the lowest row that was refused
     int count;
     int at_once;  // queries per block, a multiple of WARP and at most MOST_OPEN
 };
@@ -117,34 +119,34 @@ SPLAT_INLINE Shape of_this_kind(Shape shape) {
 using namespace splatrl;
 
 extern "C" __global__ void __launch_bounds__(BLOCK_THREADS, BLOCKS_A_MULTIPROCESSOR)
-    find_hits(Grid grid, Shape body, Queries queries, bool* hits) {
+    find_hits(Grid grid, Shape body, Queries queries) {
     const Shape shape = of_this_kind(body);
     const auto settled = [&](int row) {
         const Matrix pose = matrix_in(queries.start, row);
         const bool right = is_pose(pose.at);
         if (!right) atomicMin(queries.fault, row);
         const Verdict verdict = right ? judge(grid, shape, position_of(grid, pose.at)) : Verdict::HIT;
-        if (verdict != Verdict::MAYBE) hits[row] = verdict == Verdict::HIT;
+        if (verdict != Verdict::MAYBE) queries.hits[row] = verdict == Verdict::HIT;
         return verdict != Verdict::MAYBE;
     };
     const auto answer = [&](int row, Search& search) {
         const Pose pose = pose_of(grid, matrix_in(queries.start, row).at);
         const bool hit = touches(shape, pose, WarpContact{grid, search});
-        if (lane() == 0) hits[row] = hit;
+        if (lane() == 0) queries.hits[row] = hit;
     };
     each_query(queries, settled, answer);
 }
 
-// Of each move whether it touches anything, or its free share; the array of the other is null. One kernel for both,
-// since what it calls takes seconds to compile.
+// One kernel for hits and free shares of moves, since what it calls takes seconds to compile.
 extern "C" __global__ void __launch_bounds__(BLOCK_THREADS, BLOCKS_A_MULTIPROCESSOR)
-    follow_moves(Grid grid, Shape body, Queries queries, bool* hits, float* fractions) {
+    follow_moves(Grid grid, Shape body, Queries queries) {
     const Shape shape = of_this_kind(body);
+    const bool any = queries.hits != nullptr;
     const auto write = [&](int row, double free) {
-        if (hits != nullptr)
-            hits[row] = free < 1.0;
+        if (any)
+            queries.hits[row] = free < 1.0;
         else
-            fractions[row] = rounded_down(free);
+            queries.fractions[row] = rounded_down(free);
     };
     const auto settled = [&](int row) {
         const Matrix start = matrix_in(queries.start, row), end = matrix_in(queries.end, row);
@@ -160,7 +162,6 @@ extern "C" __global__ void __launch_bounds__(BLOCK_THREADS, BLOCKS_A_MULTIPROCES
         if (lane() == 0) search.start = pose_of(grid, matrix_in(queries.start, row).at);
         if (lane() == 1) search.end = pose_of(grid, matrix_in(queries.end, row).at);
         __syncwarp();
-        const bool any = hits != nullptr;
         const double free = free_fraction(grid, shape, search.start, search.end, any, WarpContact{grid, search});
         if (lane() == 0) write(row, free);
     };
