@@ -79,8 +79,8 @@ class DeviceAlbum:
         first = torch.full_like(self.taken, len(keys), dtype=torch.int64).scatter_reduce(0, asked, rows, "amin")
         kept = torch.where(first[asked] == rows, asked, nowhere)
         self.keys[kept], self.images[kept] = keys, images
-        self.taken[kept] = True
-        self.taken[-1] = False
+        self.taken.index_fill_(0, kept, True)  # a number that is assigned comes from the host
+        self.taken[-1:].zero_()
 
 
 class DeviceLatticeRenderer(ViewCache[DeviceAlbum]):

@@ -122,10 +122,10 @@ class GsplatRenderer:
             eps2d=DILATION,
             sh_degree=self._degree,
             packed=self._packed,
-            backgrounds=self._background.expand(len(Ks), 3).contiguous(),
             render_mode=render_mode,
             rasterize_mode=self._mode,
         )
+        colors[..., :3] += (1.0 - alphas) * self._background  # gsplat 1.5.3 refuses backgrounds where it is packed
         return colors, alphas
 
     def _here(self, value: Tensor) -> Tensor:

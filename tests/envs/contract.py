@@ -1,6 +1,7 @@
 """The contract of every env: derive from ``EnvContract`` and say how to make the env, and its tests run."""
 
 from abc import ABC, abstractmethod
+from copy import copy
 from functools import partial
 
 import pytest
@@ -96,6 +97,7 @@ class EnvContract(ABC):
     def test_a_partial_reset_renders_only_the_rows_that_it_resets(self) -> None:
         env = self.make((6,))
         base = base_env(env)
+        base.drawing = copy(base.drawing)  # others share it
         base.drawing.renderer = counting = CountingRenderer(base.drawing.renderer)
         td = env.reset()
         assert counting.rendered == 6

@@ -37,7 +37,8 @@ READS = {
 }
 """Operations for which the host waits."""
 INDEXED = {aten.index, aten.index_put, aten.index_put_, aten._index_put_impl_}
-"""Operations that synchronise if one of the indices is a mask, because they look up its rows."""
+"""Operations that synchronise if one of the indices is a mask, because they look up its rows, and if what they put is a
+number, because it comes from the host."""
 
 
 class HostReadError(AssertionError):
@@ -52,8 +53,9 @@ class NoHostReads(TorchDispatchMode):
         masked = packet in INDEXED and any(
             index is not None and index.dtype in (torch.bool, torch.uint8) for index in args[1]
         )
-        if packet in READS or masked:
-            raise HostReadError(f"{func}{' by a mask' if masked else ''}")
+        number = packet in INDEXED and len(args) > 2 and args[2].ndim == 0
+        if packet in READS or masked or number:
+            raise HostReadError(f"{func}{' by a mask' if masked else ' of a number' if number else ''}")
         return func(*args, **(kwargs or {}))
 
 

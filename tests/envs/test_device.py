@@ -188,6 +188,7 @@ def test_what_a_device_noted_is_raised_when_asked_for_and_only_once() -> None:
         lambda x: x[x > 1],
         lambda x: x[torch.tensor(1)],
         lambda x: x.index_put((x > 1,), torch.tensor(0.0)),
+        lambda x: x.__setitem__(torch.tensor([1]), 0.0),
         lambda x: x.nonzero(),
         lambda x: x.multinomial(1),
         lambda x: x.unique(),

@@ -12,9 +12,10 @@ from splatrl.configuration import load_config
 from splatrl.curriculum import Curriculum
 from splatrl.envs import SplatEnv
 from splatrl.envs.world import World
+from splatrl.renderers import DeviceLatticeRenderer
 from splatrl.renderers.cuda import CudaRenderer
 from tests.envs.contract import EnvContract, base_env
-from tests.tiny import tiny_env, tiny_overrides
+from tests.tiny import tiny_env, tiny_gaussians, tiny_overrides
 
 pytestmark = pytest.mark.gpu
 
@@ -40,7 +41,9 @@ class OnAGpu(EnvContract):
     def test_it_is_all_on_the_gpu(self) -> None:
         env = self.make((3,))
         base = base_env(env)
-        assert isinstance(base.drawing.renderer, CudaRenderer) and base.generator.device.type == "cuda"
+        renderer = base.drawing.renderer
+        assert isinstance(renderer.renderer if isinstance(renderer, DeviceLatticeRenderer) else renderer, CudaRenderer)
+        assert base.generator.device.type == "cuda"
         assert {value.device.type for value in env.rollout(2).values(True, True)} == {"cuda"}
 
 
@@ -63,6 +66,6 @@ def test_an_env_moves_to_the_gpu_and_goes_on_there(cuda_device: torch.device) ->
     env = tiny_env((5,), max_steps=6)
     moved = env.to(cuda_device)
     assert moved is env and isinstance(env, SplatEnv) and env.generator.device.type == "cuda"
-    env.renderer = CudaRenderer(tiny_env((1,)).renderer.renderer.models[0], device=cuda_device)
+    env.drawing.renderer = CudaRenderer(tiny_gaussians(), device=cuda_device)
     batch = env.rollout(20, break_when_any_done=False)
     assert batch.device.type == "cuda" and batch["next", "done"].any()

@@ -38,12 +38,13 @@ def rasterization(
     assert (means.shape, quats.shape, scales.shape) == ((count, 3), (count, 4), (count, 3))
     assert opacities.shape == (count,) and viewmats.shape == (batch, 4, 4) and Ks.shape == (batch, 3, 3)
     assert sh_degree is not None and colors.shape == (count, (sh_degree + 1) ** 2, 3)
-    assert backgrounds is not None and backgrounds.shape == (batch, 3) and batch > 0
-    given = (means, quats, scales, opacities, colors, viewmats, Ks, backgrounds)
+    assert backgrounds is None or not packed  # it confuses the shape of the images with that of the packed means
+    assert batch > 0
+    given = (means, quats, scales, opacities, colors, viewmats, Ks)
     assert all(value.dtype == torch.float32 and value.is_contiguous() and not value.requires_grad for value in given)
     assert (near_plane, radius_clip, eps2d, far_plane) == (0.01, 0.0, 0.3, 1e10)
     scene = Gaussians(means, quats, scales, opacities, colors, batch_size=[count])
-    reference = ReferenceRenderer(scene, rasterize_mode == "antialiased", backgrounds[0].tolist())
+    reference = ReferenceRenderer(scene, rasterize_mode == "antialiased")
     rgb, depth, alpha = reference.render(Cameras(invert_rigid(viewmats), Ks, width, height))
     assert render_mode in ("RGB", "RGB+ED") and rasterize_mode in ("classic", "antialiased")
     colors_out = rgb if render_mode == "RGB" else torch.cat([rgb, depth.unsqueeze(-1)], -1)
