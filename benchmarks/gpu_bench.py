@@ -67,7 +67,7 @@ class Sizes:
     batches: tuple[int, ...] = (1, 64, 1024, 4096)
     base: int = 2
     frames: int = 64
-    tolerances: tuple[float, ...] = (0.5, 1.0)
+    tolerances: tuple[float, ...] = (0.45, 0.5, 1.0)
     views: int = 256
     native_views: int = 64
     voxels: tuple[str, ...] = ("10k", "300k")

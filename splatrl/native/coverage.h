@@ -13,15 +13,20 @@ constexpr int SMALL_TILE = 32;                    // width and height of a tile,
 constexpr int CELL_WIDTH = 4, CELL_HEIGHT = 2;    // 8 pixels: a quarter of the lanes of a warp
 constexpr int CELLS_ACROSS = SMALL_TILE / CELL_WIDTH, CELLS_DOWN = SMALL_TILE / CELL_HEIGHT;
 constexpr int CELLS = CELLS_ACROSS * CELLS_DOWN;  // of a tile
-constexpr uint32_t BLOCK_CELLS = 4;               // 4×4 cells, 16×8 pixels, belong to one warp
+constexpr int BANDS = 4, BAND_ROWS = CELLS_DOWN / BANDS;  // rows of cells
 
-// Cells are numbered warp by warp; those of a warp by where they are in a patch of 2×2 cells, and then patch by patch,
-// so that one quarter of its lanes finds its cells of all four patches side by side.
-SPLAT_INLINE uint32_t cell_number(uint32_t column, uint32_t row) {
-    const uint32_t warp = row / BLOCK_CELLS * (CELLS_ACROSS / BLOCK_CELLS) + column / BLOCK_CELLS;
-    const uint32_t quarter = row % 2 * 2 + column % 2, patch = row / 2 % 2 * 2 + column / 2 % 2;
-    return (warp * 4 + quarter) * 4 + patch;
+// A quarter of a warp has a cell in each of four bands. The bands are turned against each other, so that splats that
+// crowd on one place of a tile, however narrow, are spread over all quarters.
+SPLAT_INLINE int turn_of(int band) { return band % 2 * (CELLS_ACROSS / 2) + band / 2 * (CELLS_ACROSS / 4); }
+
+// Cells are numbered quarter by quarter, so that each finds its own side by side.
+SPLAT_INLINE int cell_number(int column, int row) {
+    const int band = row / BAND_ROWS;
+    return (row % BAND_ROWS * CELLS_ACROSS + (column + turn_of(band)) % CELLS_ACROSS) * BANDS + band;
 }
+
+// The column of a quarter's cell in a band; its row is quarter / CELLS_ACROSS of the band's.
+SPLAT_INLINE int column_of(int quarter, int band) { return (quarter + CELLS_ACROSS - turn_of(band)) % CELLS_ACROSS; }
 
 // Pixels or lines of a tile, first to last; none where last < first.
 struct Stretch {
@@ -85,7 +90,7 @@ SPLAT_INLINE void for_each_cell(const Ellipse& ellipse, const Show& show) {
         if (pixels.empty()) continue;
         for (int column = pixels.first / CELL_WIDTH; column <= pixels.last / CELL_WIDTH; ++column) {
             PASS(cell);
-            show(cell_number(uint32_t(column), uint32_t(row)));
+            show(cell_number(column, row));
         }
     }
 }

@@ -18,8 +18,10 @@ from splatrl.renderers.parts import Parts
 from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import Scene
 
-BLOCK_THREADS, SHARED_BYTES = 256, 40 * 1024
-"""Threads and shared memory of a block, which draws one tile at a time."""
+BLOCK_THREADS = 256
+"""Threads of a block, which draws one tile at a time."""
+SHARED_KIB = {"draw_pixels": 49, "draw_images": 60}
+"""Shared memory of a block, by kernel: a graphics card has 100 on a multiprocessor, and takes another one for a block."""
 TILE = 32
 """Width and height of a tile, pixels."""
 
@@ -39,8 +41,14 @@ def kernel_defines(antialiased: bool, sh_degree: int, levels: bool, parts: bool 
         "SH_DEGREE": sh_degree,
         "MOST_PARTS": MOST_PARTS if parts else 0,
         "BLOCK_THREADS": BLOCK_THREADS,
-        "SHARED_BYTES": SHARED_BYTES,
+        "SHARED_BYTES": shared_bytes("draw_pixels", parts),
+        "SHARED_BYTES_WITH_DEPTH": shared_bytes("draw_images", parts),
     }
+
+
+def shared_bytes(kernel: str, parts: bool) -> int:
+    """Shared memory of a block; where each part of a row begins takes half a KiB."""
+    return 1024 * (SHARED_KIB[kernel] + int(parts))
 
 
 LEAST_KEYS = 2**15
@@ -216,13 +224,15 @@ class CudaRenderer:
         tiles = len(cameras) * -(-cameras.height // TILE) * -(-cameras.width // TILE)
         left = self._zeros(1 + tiles, dtype=torch.int32) if working.key_capacity < working.most_keys else None
 
+        shared = shared_bytes(kernel, parts is not None)
+
         def launch(blocks: int, key_capacity: int, chosen: Tensor | None, left: Tensor | None) -> None:
             next_tile = self._zeros(1, dtype=torch.int32)
             memory = (working.keys, working.nodes, next_tile, chosen, left, self._faults.flag, efforts)
             addresses = (_address(part) for part in memory)
             workspace = _Workspace(*addresses, key_capacity, working.nodes.shape[2])
             arguments = self._models.arrays, views, workspace, images
-            kernels.launch(kernel, min(blocks, tiles), BLOCK_THREADS, *arguments, shared=SHARED_BYTES)
+            kernels.launch(kernel, min(blocks, tiles), BLOCK_THREADS, *arguments, shared=shared)
 
         with self._turns.taken():
             launch(len(working.nodes), working.key_capacity, None, left)
@@ -245,7 +255,8 @@ class CudaRenderer:
                 kernels, placing = self._for_parts()
                 most_keys = placing.capacity(parts)
             node_capacity = max(1, columns or 1) * self._models.clusters
-            resident = kernels.multiprocessors * kernels.resident("draw_pixels", BLOCK_THREADS, SHARED_BYTES)
+            shared = shared_bytes("draw_pixels", parts is not None)
+            resident = kernels.multiprocessors * kernels.resident("draw_pixels", BLOCK_THREADS, shared)
             room = (self._memory // resident - 12 * node_capacity) // 16
             key_capacity = min(most_keys, max(LEAST_KEYS, room))
             blocks = max(1, min(resident, self._memory // (16 * key_capacity + 12 * node_capacity)))

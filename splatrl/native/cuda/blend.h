@@ -1,5 +1,6 @@
-// From sorted keys to pixels. Each warp holds four patches of 8×4 pixels in its registers, a pixel of each in a lane;
-// each quarter of its lanes goes through the splats of its own cell of a patch: narrow splats leave fewer lanes idle.
+// From sorted keys to pixels. A quarter of a warp has four cells of 4×2 pixels in different places of the tile, and goes
+// through the splats of one after the other: narrow splats leave few lanes idle, and no warp has much more to do than
+// others, which would wait for it.
 #pragma once
 
 #include "order.h"
@@ -7,10 +8,7 @@
 
 namespace splatrl {
 
-constexpr int PATCHES = 4;                   // of a warp
-constexpr int QUARTER = WARP / 4;            // lanes that share a cell
-constexpr uint32_t FIRST = 1u << 31;         // the bit of the first of 32 splats or chunks
-static_assert(CELL_WIDTH * CELL_HEIGHT == QUARTER, "a lane for each pixel of a cell");
+constexpr uint32_t FIRST = 1u << 31;  // the bit of the first of 32 splats or chunks
 
 // The half floats of a colour, seen along `offset` and relative to the background, beside the peak of its splat.
 SPLAT_INLINE void add_color(const SceneArrays& scene, uint32_t at, const Vector<float>& offset, float peak,
@@ -94,8 +92,8 @@ struct Seen {
 
 // Project the Gaussians of a sorted slab and keep those that may show, in their order. Returns how many.
 template <bool WITH_DEPTH>
-SPLAT_INLINE uint32_t project_slab(const SceneArrays& scene, const Views& views, Shared& shared, uint32_t count,
-                                   float log2_invisible) {
+SPLAT_INLINE uint32_t project_slab(const SceneArrays& scene, const Views& views,
+                                   typename SharedFor<WITH_DEPTH>::Type& shared, uint32_t count, float log2_invisible) {
     uint32_t kept = 0;
     for (uint32_t begin = 0; begin < count; begin += THREADS) {
         const uint32_t i = begin + thread();
@@ -119,7 +117,7 @@ SPLAT_INLINE uint32_t project_slab(const SceneArrays& scene, const Views& views,
             shared.sorted[place] = key;  // none behind it has been read, and none before it will be
             shared.records[place] = {print.x, print.y, print.l11, print.l12, print.l22, print.log2_opacity,
                                      __float_as_uint(print.peak), 0};
-            if (WITH_DEPTH) shared.depths[place] = print.depth;
+            if constexpr (WITH_DEPTH) shared.depths[place] = print.depth;
         }
         __syncthreads();
     }
@@ -153,101 +151,119 @@ SPLAT_INLINE void color_slab(const SceneArrays& scene, const Views& views, Share
     __syncthreads();
 }
 
-// What a lane accumulates: a pixel of each of its warp's patches.
+// The pixels of a thread: one in each cell of its quarter.
 template <bool WITH_DEPTH>
 struct Pixels {
-    float red[PATCHES], green[PATCHES], blue[PATCHES], transmittance[PATCHES], depth[PATCHES], alpha[PATCHES];
-    float finished;        // the transmittance at which a pixel is
-    float log2_invisible;
-    float x, y;            // of the lane's pixel in the first patch
-    uint32_t active;       // patches in which the lane's cell is not finished, by bits
-    uint32_t blended;      // splats that its cells met
+    using SharedMemory = typename SharedFor<WITH_DEPTH>::Type;
 
-    INLINE_MEMBER void begin(const SceneArrays& scene, const Tile& tile) {
-        const int quarter = lane() / QUARTER, pixel = lane() % QUARTER;
-        const int column = warp() % 2 * 4 * CELL_WIDTH + quarter % 2 * CELL_WIDTH + pixel % CELL_WIDTH;
-        const int row = warp() / 2 * 4 * CELL_HEIGHT + quarter / 2 * CELL_HEIGHT + pixel / CELL_WIDTH;
+    float finished;         // the transmittance at which a pixel is
+    float log2_invisible;
+    int left, top, column;  // of the tile, and of the pixel in its cell
+    uint32_t open;          // bands in which the pixel is not finished, by bits
+    uint32_t active;        // bands in which the cell is not
+    uint32_t blended;       // splats that the cells met
+
+    INLINE_MEMBER void begin(const SceneArrays& scene, SharedMemory& shared) {
         finished = finished_at(scene.tolerance);
         log2_invisible = log2_invisible_at(scene.tolerance, ANTIALIASED_IMAGE);
-        x = float(tile.left + column) + 0.5f, y = float(tile.top + row) + 0.5f, blended = 0;
-#pragma unroll
-        for (int i = 0; i < PATCHES; ++i) {
-            red[i] = scene.background[0], green[i] = scene.background[1], blue[i] = scene.background[2];
-            transmittance[i] = x_of(i) < float(tile.right) && y_of(i) < float(tile.bottom) ? 1.0f : 0.0f;
-            if (WITH_DEPTH) depth[i] = 0.0f, alpha[i] = 0.0f;
+        left = shared.tile.left, top = shared.tile.top + quarter() / CELLS_ACROSS * CELL_HEIGHT;
+        top += thread() % QUARTER / CELL_WIDTH, column = thread() % CELL_WIDTH;
+        open = blended = 0;
+        for (int band = 0; band < BANDS; ++band) {
+            const bool seen = column_in(band) < shared.tile.right && row_in(band) < shared.tile.bottom;
+            open |= uint32_t(seen) << band;
+            shared.pixels[band][thread()] = {scene.background[0], scene.background[1], scene.background[2],
+                                             seen ? 1.0f : 0.0f};
+            if constexpr (WITH_DEPTH) shared.behind[band][thread()] = {0.0f, 0.0f};
         }
         find_active();
     }
 
-    INLINE_MEMBER float x_of(int patch) const { return x + float(patch % 2 * 2 * CELL_WIDTH); }
-    INLINE_MEMBER float y_of(int patch) const { return y + float(patch / 2 * 2 * CELL_HEIGHT); }
+    static INLINE_MEMBER int quarter() { return thread() / QUARTER; }
+    INLINE_MEMBER int column_in(int band) const { return left + column_of(quarter(), band) * CELL_WIDTH + column; }
+    INLINE_MEMBER int row_in(int band) const { return top + band * BAND_ROWS * CELL_HEIGHT; }
 
     INLINE_MEMBER void find_active() {
         active = 0;
-#pragma unroll
-        for (int i = 0; i < PATCHES; ++i) {
-            const uint32_t lanes = __ballot_sync(ALL_LANES, transmittance[i] > finished);
-            active |= uint32_t((lanes >> lane() / QUARTER * QUARTER & ((1u << QUARTER) - 1)) != 0) << i;
+        for (int band = 0; band < BANDS; ++band) {
+            const uint32_t lanes = __ballot_sync(ALL_LANES, open >> band & 1);
+            active |= uint32_t((lanes >> lane() / QUARTER * QUARTER & ((1u << QUARTER) - 1)) != 0) << band;
         }
     }
 
-    // Blend one splat over a cell. Its share of a pixel is 0 once the transmittance has fallen to `finished`, or in an
-    // exact image once it would; the transmittance itself keeps falling.
-    INLINE_MEMBER void blend(const Shared& shared, int splat, int patch) {
-        const Record record = shared.records[splat];
-        const float before = transmittance[patch];
-        const float share = before * alpha_at(x_of(patch) - record.x, y_of(patch) - record.y, record.l11, record.l12,
-                                              record.l22, record.log2_opacity, low_half(record.peak_red),
-                                              log2_invisible);
-        transmittance[patch] = before - share;
-        const float tested = finished > MIN_TRANSMITTANCE ? before : transmittance[patch];
+    // Blend one splat over a pixel. Its share is 0 once the transmittance has fallen to `finished`, or in an exact image
+    // once it would; the transmittance itself keeps falling. Returns the share.
+    INLINE_MEMBER float blend(const Record& record, float x, float y, Pixel& pixel) const {
+        const float before = pixel.transmittance;
+        const float share = before * alpha_at(x - record.x, y - record.y, record.l11, record.l12, record.l22,
+                                              record.log2_opacity, low_half(record.peak_red), log2_invisible);
+        pixel.transmittance = before - share;
+        const float tested = finished > MIN_TRANSMITTANCE ? before : pixel.transmittance;
         const float counted = tested > finished ? share : 0.0f;
-        red[patch] += counted * high_half(record.peak_red);
-        green[patch] += counted * low_half(record.green_blue);
-        blue[patch] += counted * high_half(record.green_blue);
-        if (WITH_DEPTH) depth[patch] += counted * shared.depths[splat], alpha[patch] += counted;
+        pixel.red += counted * high_half(record.peak_red);
+        pixel.green += counted * low_half(record.green_blue);
+        pixel.blue += counted * high_half(record.green_blue);
+        return counted;
     }
 
-    // Blend a slab, nearest first. A quarter of a warp takes the chunks in which its cell has splats, and these by
-    // their bits.
-    INLINE_MEMBER void blend_slab(const Shared& shared) {
-        const int first = thread() / QUARTER * PATCHES;  // of its cells
-#pragma unroll
-        for (int i = 0; i < PATCHES; ++i) {
-            uint32_t chunks = active >> i & 1 ? shared.chunks[first + i] : 0, splats = 0;
-            int begin = 0;  // of the chunk
-            while (chunks != 0 || splats != 0) {
-                if (splats == 0) {
-                    PASS(chunk);
-                    const int chunk = __clz(chunks);
-                    splats = shared.cells[chunk][first + i], begin = chunk * WARP;
-                    chunks &= ~(FIRST >> chunk), blended += __popc(splats);
+    // Blend a slab, nearest first. A quarter of a warp takes the chunks in which a cell has splats, these by their bits,
+    // and then its next cell: quarters do not wait for each other.
+    INLINE_MEMBER void blend_slab(SharedMemory& shared) {
+        const int first = quarter() * BANDS;  // of its cells
+        uint32_t chunks = 0, splats = 0;
+        int band = -1, begin = 0;  // of the chunk
+        float x = 0.0f, y = 0.0f;
+        Pixel pixel{};
+        Behind behind{};
+        for (;;) {
+            if (splats == 0) {
+                if (chunks == 0) {
+                    if (band >= 0) put(shared, band, pixel, behind);
+                    while (++band < BANDS && (chunks = active >> band & 1 ? shared.chunks[first + band] : 0) == 0)
+                        ;
+                    if (band == BANDS) break;
+                    pixel = shared.pixels[band][thread()];
+                    if constexpr (WITH_DEPTH) behind = shared.behind[band][thread()];
+                    x = float(column_in(band)) + 0.5f, y = float(row_in(band)) + 0.5f;
                 }
-                PASS(pair);
-                const int next = __clz(splats);
-                blend(shared, begin + next, i);
-                splats &= ~(FIRST >> next);
+                PASS(chunk);
+                const int chunk = __clz(chunks);
+                splats = shared.cells[chunk][first + band], begin = chunk * WARP;
+                chunks &= ~(FIRST >> chunk), blended += __popc(splats);
             }
-            __syncwarp();  // or quarters drift apart
+            PASS(pair);
+            const int next = __clz(splats);
+            const float share = blend(shared.records[begin + next], x, y, pixel);
+            if constexpr (WITH_DEPTH) behind.depth += share * shared.depths[begin + next], behind.alpha += share;
+            splats &= ~(FIRST >> next);
         }
+        __syncwarp();
         find_active();
     }
 
-    INLINE_MEMBER void write(const Tile& tile, const Images& images, int row_of_batch, int width, int height) const {
-#pragma unroll
-        for (int i = 0; i < PATCHES; ++i) {
-            const int column = int(x_of(i)), row = int(y_of(i));
-            if (column >= tile.right || row >= tile.bottom) continue;
-            const size_t at = (size_t(row_of_batch) * height + row) * width + column;
-            const float sums[3] = {red[i], green[i], blue[i]};
+    INLINE_MEMBER void put(SharedMemory& shared, int band, const Pixel& pixel, const Behind& behind) {
+        shared.pixels[band][thread()] = pixel;
+        if constexpr (WITH_DEPTH) shared.behind[band][thread()] = behind;
+        if (!(pixel.transmittance > finished)) open &= ~(1u << band);
+    }
+
+    INLINE_MEMBER void write(const SharedMemory& shared, const Images& images, int width, int height) const {
+        for (int band = 0; band < BANDS; ++band) {
+            const int across = column_in(band), down = row_in(band);
+            if (across >= shared.tile.right || down >= shared.tile.bottom) continue;
+            const size_t at = (size_t(shared.row) * height + down) * width + across;
+            const Pixel pixel = shared.pixels[band][thread()];
+            const float sums[3] = {pixel.red, pixel.green, pixel.blue};
             for (int channel = 0; channel < 3; ++channel) {
                 const float value = min(max(sums[channel], 0.0f), 1.0f);
                 if (images.pixels) images.pixels[3 * at + channel] = uint8_t(int(255.0f * value + 0.5f));
                 if (WITH_DEPTH) images.rgb[3 * at + channel] = value;
             }
-            if (!WITH_DEPTH) continue;
-            images.depth[at] = alpha[i] > 0.0f ? depth[i] / alpha[i] : 0.0f;
-            images.alpha[at] = min(alpha[i], 1.0f);
+            if constexpr (WITH_DEPTH) {
+                const Behind behind = shared.behind[band][thread()];
+                images.depth[at] = behind.alpha > 0.0f ? behind.depth / behind.alpha : 0.0f;
+                images.alpha[at] = min(behind.alpha, 1.0f);
+            }
         }
     }
 };

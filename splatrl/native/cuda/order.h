@@ -238,7 +238,7 @@ SPLAT_INLINE uint32_t next_slab(Shared& shared) {
         if (some > 0) sort_slab(shared, some, Cut(slabs.from, until - 1));
         slabs.from = until;
     }
-    if (thread() == 0) shared.slabs = slabs;
+    if (thread() == 0 && some > 0) shared.slabs = slabs;  // others may still be reading what says that none is left
     return some;
 }
 

@@ -1,6 +1,6 @@
 // Thousands of small images at once. A block draws a tile of 32×32 pixels from beginning to end and takes the next: it
 // descends the tree (candidates.h), sorts what may show by depth (order.h), and blends it slab by slab with the pixels
-// in registers (blend.h). Blocks are independent, and what threads find in any order is sorted by keys of which no two
+// in shared memory (blend.h). Blocks are independent, and what threads find in any order is sorted by keys of which no two
 // are equal: a frame has the same bytes in every batch.
 //
 // ANTIALIASED_IMAGES, LEVELS_OF_DETAIL (1 or 0), SH_DEGREE and MOST_PARTS (of a row; 0 draws the first model where it
@@ -69,7 +69,8 @@ SPLAT_INLINE void note(const Workspace& workspace, const Shared& shared, Efforts
 template <bool WITH_DEPTH>
 SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const Workspace& workspace,
                              const Images& images) {
-    DYNAMIC_SHARED(Shared, shared);
+    using SharedMemory = typename SharedFor<WITH_DEPTH>::Type;
+    DYNAMIC_SHARED(SharedMemory, shared);
     Key* keys = workspace.keys + 2 * size_t(blockIdx.x) * workspace.key_capacity;
     uint32_t* nodes = workspace.nodes + 3 * size_t(blockIdx.x) * workspace.node_capacity;
     while (next_tile(views, workspace, shared)) {
@@ -80,7 +81,7 @@ SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const
         if (leave_tile(workspace, shared)) continue;
         if (workspace.efforts != nullptr) note(workspace, shared, PROJECTED, thread() == 0 ? shared.count : 0);
         Pixels<WITH_DEPTH> pixels;
-        pixels.begin(scene, shared.tile);
+        pixels.begin(scene, shared);
         begin_slabs(shared, keys, workspace.key_capacity);
         while (const uint32_t count = next_slab(shared)) {
             const uint32_t shown = project_slab<WITH_DEPTH>(scene, views, shared, count, pixels.log2_invisible);
@@ -89,7 +90,7 @@ SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const
             pixels.blend_slab(shared);
             if (!__syncthreads_or(pixels.active != 0)) break;
         }
-        pixels.write(shared.tile, images, shared.row, views.width, views.height);
+        pixels.write(shared, images, views.width, views.height);
         if (workspace.efforts != nullptr) note(workspace, shared, BLENDED, lane() % QUARTER == 0 ? pixels.blended : 0);
     }
 }

@@ -11,7 +11,9 @@
 namespace splatrl {
 
 constexpr int THREADS = BLOCK_THREADS, WARPS = THREADS / WARP;
-static_assert(WARPS * BLOCK_CELLS * BLOCK_CELLS == CELLS, "a warp holds 4×4 cells in its registers");
+constexpr int QUARTER = WARP / 4;  // lanes that share a cell
+static_assert(CELL_WIDTH * CELL_HEIGHT == QUARTER, "a lane for each pixel of a cell");
+static_assert(THREADS / QUARTER * BANDS == CELLS, "a quarter has a cell in each band");
 
 // Blocks that share the registers of a multiprocessor: as many as its shared memory holds, on graphics cards 100 KB.
 #if defined(__CUDA_ARCH__) && (__CUDA_ARCH__ == 860 || __CUDA_ARCH__ == 890 || __CUDA_ARCH__ >= 1200)
@@ -87,6 +89,16 @@ struct alignas(16) Record {
     uint32_t peak_red, green_blue;    // half floats, the first in the low bits; relative to the background
 };
 
+// What a pixel has become: its colour, and how much of what is behind shows through.
+struct alignas(16) Pixel {
+    float red, green, blue, transmittance;
+};
+
+// The same for images with depth: the sum of depths by their shares, and the sum of these.
+struct alignas(8) Behind {
+    float depth, alpha;
+};
+
 // How far the candidates of a tile have been put in order; see order.h.
 struct Slabs {
     const Key* keys;                  // in the order of their buckets, unless one slab takes them all
@@ -120,16 +132,33 @@ struct Shared {
     union {                           // never needed at the same time
         View views[VIEWS];            // of the parts
         struct {
-            uint32_t histogram[BUCKETS];
-            Key dealt[SLAB];          // the keys of a slab in the order of their buckets
-        };
-        struct {
-            Record records[SLAB];
-            float depths[SLAB];
+            union {                   // likewise
+                struct {
+                    uint32_t histogram[BUCKETS];
+                    Key dealt[SLAB];  // the keys of a slab in the order of their buckets
+                };
+                Record records[SLAB];
+            };
+            Pixel pixels[BANDS][THREADS];  // of each thread, in the cells of its quarter; it alone looks at them
         };
     };
 };
 
+struct SharedWithDepth : Shared {
+    float depths[SLAB];               // of the records
+    Behind behind[BANDS][THREADS];    // of the pixels
+};
+
+template <bool WITH_DEPTH>
+struct SharedFor {
+    using Type = Shared;
+};
+template <>
+struct SharedFor<true> {
+    using Type = SharedWithDepth;
+};
+
 static_assert(sizeof(Shared) <= SHARED_BYTES, "the launch asks for enough shared memory");
+static_assert(sizeof(SharedWithDepth) <= SHARED_BYTES_WITH_DEPTH, "the launch asks for enough shared memory");
 
 }  // namespace splatrl
