@@ -60,7 +60,7 @@ def _speeds(axes: Axes, rows: Sequence[Rendering]) -> None:
     axes.set_xticks(batches, [f"{batch:,}" for batch in batches], minor=False)
     axes.xaxis.set_minor_locator(NullLocator())
     _plain(axes.yaxis)
-    _finish(axes, legend=bool(rows))
+    _finish(axes, legend=bool(rows), beside=True)
 
 
 def _qualities(axes: Axes, bench: Bench) -> None:
@@ -80,7 +80,7 @@ def _qualities(axes: Axes, bench: Bench) -> None:
     axes.axhline(WORST_DB, color="0.6", linewidth=1, linestyle="--", label="required worst view")
     axes.set(xscale="log", xlabel="frames/s at the best batch", ylabel="PSNR to exact (dB)", title="Level of detail")
     _plain(axes.xaxis)
-    _finish(axes, legend=bool(rows))
+    _finish(axes, legend=bool(rows), beside=True)
 
 
 def _queries(axes: Axes, rows: Sequence[Collision]) -> None:
@@ -130,8 +130,9 @@ def _plain(axis: Axis, form: str = "{x:,.0f}") -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def _finish(axes: Axes, legend: bool) -> None:
+def _finish(axes: Axes, legend: bool, beside: bool = False) -> None:
     axes.grid(color="0.9", linewidth=0.8, which="major")
     axes.set_axisbelow(True)
     if legend:
-        axes.legend(frameon=False, fontsize=9)
+        place = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)} if beside else {}
+        axes.legend(frameon=False, fontsize=9, **place)

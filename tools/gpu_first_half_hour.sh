@@ -94,13 +94,30 @@ unpack() {
     [[ ! -f $kit/kernels.tar.gz ]] || tar -xzf "$kit/kernels.tar.gz" -C "$WORK/cache"
 }
 
-# GPU tests in some folders, each file a process.
+# GPU tests in some folders, each file a process, side by side: most of their time is not the GPU's.
 tests_in() { # FOLDER...
-    local file files
+    local file files name
     mapfile -t files < <(grep -rlE 'mark\.gpu' "$@" --include='test_*.py' | LC_ALL=C sort)
+    if [[ -z $gpu && -z ${dry[*]} ]]; then
+        for file in "${files[@]}"; do ended "$file" "no GPU, not run"; done
+        return
+    fi
     for file in "${files[@]}"; do
-        PYTHONSAFEPATH=1 gpu_step "$file" 150 "$PYTHON" -m pytest -o addopts= -p no:cacheprovider --import-mode=append \
-            -q -x -m gpu "$file"
+        name=${file//\//-}
+        (
+            log=$WORK/$name.log steps=$WORK/$name.steps
+            : >"$log"
+            : >"$steps"
+            PYTHONSAFEPATH=1 step "$file" 150 "$PYTHON" -m pytest -o addopts= -p no:cacheprovider \
+                --import-mode=append -q -x -m gpu "$file" >/dev/null
+        ) &
+    done
+    wait
+    for file in "${files[@]}"; do
+        name=${file//\//-}
+        cat "$WORK/$name.log" >>"$log"
+        tail -n "$SHOWN" "$WORK/$name.log"
+        cat "$WORK/$name.steps" >>"$steps"
     done
 }
 
@@ -114,19 +131,16 @@ part_correct() {
     try tiny 60
     try frames 60
     try twice 60
-    local tool
+    local tool quiet=(--report-api-errors no) # cuda-bindings asks drivers for functions that only newer ones have
     for tool in memcheck racecheck synccheck; do
         tool_step compute-sanitizer "$tool" 100 env PYTORCH_NO_CUDA_MEMORY_CACHING=1 \
-            compute-sanitizer --tool "$tool" --error-exitcode 9 "$PYTHON" benchmarks/gpu_steps.py tiny
+            compute-sanitizer --tool "$tool" "${quiet[@]}" --error-exitcode 9 "$PYTHON" benchmarks/gpu_steps.py tiny
     done
-    tests_in tests/renderers tests/native
-    tests_in tests/collision
+    tests_in tests/renderers tests/native tests/collision
 }
 
 part_learning() {
-    tests_in tests/envs
-    tests_in tests/training
-    tests_in tests/capture
+    tests_in tests/envs tests/training tests/capture
 }
 
 benchmark() { # FOLDER SECONDS SECTION...
@@ -145,7 +159,7 @@ part_rendering() {
 profile() { # NAME TOLERANCE
     local report=$out/$1.ncu-rep
     rm -f "$report"
-    tool_step ncu "profile: $1" 120 ncu --set full --kernel-name regex:^draw --launch-skip 1 --launch-count 1 \
+    tool_step ncu "profile: $1" 120 ncu --set full --clock-control none --kernel-name regex:^draw --launch-skip 1 --launch-count 1 \
         --export "$report" "$PYTHON" benchmarks/gpu_steps.py launch --tolerance "$2" "${dry[@]}"
     [[ ! -f $report ]] || step "report: $1" 30 ncu --import "$report" --page details
 }

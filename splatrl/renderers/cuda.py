@@ -21,7 +21,7 @@ from splatrl.scenes.scene import Scene
 BLOCK_THREADS = 256
 """Threads of a block, which draws one tile at a time."""
 SHARED_KIB = {"draw_pixels": 49, "draw_images": 60}
-"""Shared memory of a block, by kernel: a graphics card has 100 on a multiprocessor, and takes another one for a block."""
+"""Shared memory of a block, by kernel: a multiprocessor of a graphics card has 100, and needs one more for a block."""
 TILE = 32
 """Width and height of a tile, pixels."""
 

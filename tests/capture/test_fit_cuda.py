@@ -125,7 +125,7 @@ def test_views_and_slopes_are_those_of_the_cpu(fitter: CudaFitter, model: str) -
     assert expected[1].amax() > 0.3 and expected[2].amax() > 0.5
     assert_same_slopes(found[3], expected[3], count)
     assert (found[3][:, :, count:] == 0).all()
-    assert torch.allclose(found[4], expected[4], rtol=1e-4, atol=1e-4 * float(expected[4].abs().max()))
+    assert torch.allclose(found[4], expected[4], rtol=1e-3, atol=1e-3 * float(expected[4].abs().max()))
 
 
 @pytest.mark.parametrize("model", MODELS)

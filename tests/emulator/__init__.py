@@ -13,7 +13,8 @@ from typing import Any
 
 import torch
 
-from splatrl.native.cuda.compiler import NATIVE
+from splatrl.native.cuda import compiler
+from splatrl.native.cuda.compiler import NATIVE, source_path
 from splatrl.native.cuda.kernels import packed
 from tests.builds import built
 
@@ -50,15 +51,15 @@ class EmulatedKernels:
     multiprocessors, memory = 2, 2**30
 
     def __init__(self, source: str | Path, defines: Mapping[str, int]) -> None:
-        path = Path(source) if Path(source).suffix else NATIVE / "cuda" / f"{source}.cu"
-        self._source, self._defines = path, tuple(sorted(defines.items()))
+        self._source, self._defines = source_path(source), tuple(sorted(defines.items()))
+        self._folders = compiler.FOLDERS
         self.seed = 0
         self.counts = "COUNT_PASSES" in defines
 
     @functools.cached_property
     def _library(self) -> ctypes.CDLL:
         """The compiled source, made when it is used first: renderers also load kernels that they may never launch."""
-        library = ctypes.CDLL(str(_library(self._source, self._defines)))
+        library = ctypes.CDLL(str(_library(self._source, self._defines, self._folders)))
         library.launch.argtypes = [ctypes.c_char_p, ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p, ctypes.c_uint64]
         return library
 
@@ -95,7 +96,7 @@ def counted(source: str | Path, defines: Mapping[str, int] | None = None) -> Emu
 
 
 @functools.cache
-def _library(path: Path, defines: tuple[tuple[str, int], ...]) -> Path:
+def _library(path: Path, defines: tuple[tuple[str, int], ...], headers: tuple[Path, ...]) -> Path:
     """Compile a source again only when it or a header changes, not in another checkout."""
     text = path.read_text()
     names, at_once = _KERNEL.findall(text), 1 if "__shared__" in text else "emulator::MOST_AT_ONCE"
@@ -110,11 +111,11 @@ extern "C" int launch(const char* name, unsigned blocks, unsigned threads, void*
     return 0;
 }}
 """
-    folders = [HERE, NATIVE / "cuda", NATIVE, NATIVE / "kernels"]
+    folders = [HERE, *(folder for folder in headers if folder.name != "std")]  # a CPU has these headers
     macros = [f"-D{name}={value}" for name, value in defines]
     flags = [*_FLAGS, *macros]
     digest = hashlib.sha256(repr([program.replace(str(path), path.name), flags]).encode())
-    files = {path, *(f for folder in folders for f in folder.glob("*.*")), *NATIVE.glob("cuda/*.cu")}
+    files = {path, *(f for folder in folders for f in folder.glob("*.*")), *headers[0].glob("*.cu")}
     for file in sorted(files, key=lambda file: (file.name, file.parent.name)):
         if file.is_file():
             digest.update(file.read_bytes())
@@ -124,8 +125,8 @@ extern "C" int launch(const char* name, unsigned blocks, unsigned threads, void*
 
 def _compile(program: str, flags: list[str], made: Path) -> None:
     """Compile a program into a shared library."""
-    compiler = os.environ.get("CXX") or shutil.which("c++") or shutil.which("g++")
-    assert compiler, "expected the C++ compiler that builds the package"
-    command = [compiler, *flags, "-x", "c++", "-", "-o", str(made)]
+    cxx = os.environ.get("CXX") or shutil.which("c++") or shutil.which("g++")
+    assert cxx, "expected the C++ compiler that builds the package"
+    command = [cxx, *flags, "-x", "c++", "-", "-o", str(made)]
     done = subprocess.run(command, input=program, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -184,9 +184,9 @@ class EnvContract(ABC):
         for _ in range(self.steps):
             step, td = env.step_and_maybe_reset(env.rand_action(td))
             handed.append((step, step.clone()))
-        assert any(copy["next", "done"].any() for _, copy in handed)
-        for step, copy in handed:
-            assert_same(step, copy)
+        assert any(then["next", "done"].any() for _, then in handed)
+        for step, then in handed:
+            assert_same(step, then)
 
     def test_moving_to_its_own_device_changes_nothing(self, rolled: TensorDictBase) -> None:
         env = self.make((3,))

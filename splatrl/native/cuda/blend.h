@@ -42,6 +42,14 @@ SPLAT_INLINE void add_color(const SceneArrays& scene, uint32_t at, const Vector<
     record.green_blue = halves_of(out[1], out[2]);
 }
 
+// Have the colour of a Gaussian on its way; it may lie on two lines of a cache.
+SPLAT_INLINE void prefetch_color(const SceneArrays& scene, uint32_t at) {
+    constexpr int WORDS = color_stride(SH_DEGREE) / 8;
+    if (SH_DEGREE == 0) return;
+    const uint4* words = scene.colors + size_t(at) * WORDS;
+    prefetch_to_own_cache(words), prefetch_to_own_cache(words + WORDS - 1);
+}
+
 // The part to which an index of the row belongs.
 SPLAT_INLINE int part_of(const Views& views, const Shared& shared, uint32_t index) {
     return WITH_PARTS ? behind_last(shared.bases, 0, views.parts, index) - 1 : 0;
@@ -74,7 +82,7 @@ struct Seen {
     Vector<float> offset;  // from the camera
 
     INLINE_MEMBER Seen(const SceneArrays& scene, const Views& views, const Shared& shared, Key key) {
-        const uint32_t index = uint32_t(key) & ((1u << INDEX_BITS) - 1);
+        const uint32_t index = index_of(key);
         const int part = part_of(views, shared, index);
         camera = camera_of_part(views, shared, part);
         at = location_of(views, shared, part, index);
@@ -114,6 +122,7 @@ SPLAT_INLINE uint32_t project_slab(const SceneArrays& scene, const Views& views,
             kept += shared.sums[other];
         }
         if (shows) {
+            if (!WITH_PARTS) prefetch_color(scene, index_of(key));
             shared.sorted[place] = key;  // none behind it has been read, and none before it will be
             shared.records[place] = {print.x, print.y, print.l11, print.l12, print.l22, print.log2_opacity,
                                      __float_as_uint(print.peak), 0};

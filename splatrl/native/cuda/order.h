@@ -187,14 +187,18 @@ SPLAT_INLINE Key fitting_cut(Shared& shared, const Key* keys, uint32_t count, Ke
     }
 }
 
-// Copy the keys in [from, until), at most SLAB of them, to shared.sorted. Returns how many.
-SPLAT_INLINE uint32_t gather(Shared& shared, const Key* keys, uint32_t count, Key from, Key until) {
+// Copy the keys in [from, until), at most SLAB of them, to shared.sorted. Returns how many. Their shapes are on their way
+// while they are sorted.
+SPLAT_INLINE uint32_t gather(const SceneArrays& scene, Shared& shared, const Key* keys, uint32_t count, Key from,
+                             Key until) {
     if (thread() == 0) shared.gathered = 0;
     __syncthreads();
     for (uint32_t i = thread(); i < count; i += THREADS) {
         PASS(key);
         const Key key = keys[i];
-        if (key >= from && key < until) shared.sorted[atomicAdd(&shared.gathered, 1u)] = key;
+        if (key < from || key >= until) continue;
+        shared.sorted[atomicAdd(&shared.gathered, 1u)] = key;
+        if (!WITH_PARTS) prefetch_to_shared_cache(scene.shapes + 3 * size_t(index_of(key)));
     }
     __syncthreads();
     return shared.gathered;
@@ -225,7 +229,7 @@ SPLAT_INLINE void take_buckets(const Shared& shared, Slabs& slabs) {
 
 // Bring the next slab, nearest first, to shared.sorted. Returns its size, 0 after the last one. The progress
 // is kept in shared memory, because blending needs the registers.
-SPLAT_INLINE uint32_t next_slab(Shared& shared) {
+SPLAT_INLINE uint32_t next_slab(const SceneArrays& scene, Shared& shared) {
     PASS(slab);
     Slabs slabs = shared.slabs;
     uint32_t some = 0;
@@ -234,7 +238,7 @@ SPLAT_INLINE uint32_t next_slab(Shared& shared) {
         const Key* keys = slabs.keys + slabs.begin;
         const uint32_t count = slabs.end - slabs.begin;
         const Key until = count <= SLAB ? slabs.last + 1 : fitting_cut(shared, keys, count, slabs.from, slabs.last);
-        some = gather(shared, keys, count, slabs.from, until);
+        some = gather(scene, shared, keys, count, slabs.from, until);
         if (some > 0) sort_slab(shared, some, Cut(slabs.from, until - 1));
         slabs.from = until;
     }

@@ -33,6 +33,10 @@ SPLAT_INLINE uint32_t halves_of(float low, float high) {
 
 SPLAT_INLINE uint64_t bits_of(double value) { return uint64_t(__double_as_longlong(value)); }
 
+// Bring what is at an address into a cache, without waiting: the one that all multiprocessors share, or their own.
+SPLAT_INLINE void prefetch_to_shared_cache(const void* at) { asm volatile("prefetch.global.L2 [%0];" ::"l"(at)); }
+SPLAT_INLINE void prefetch_to_own_cache(const void* at) { asm volatile("prefetch.global.L1 [%0];" ::"l"(at)); }
+
 }  // namespace splatrl
 
 #endif

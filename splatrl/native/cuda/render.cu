@@ -83,7 +83,7 @@ SPLAT_INLINE void draw_tiles(const SceneArrays& scene, const Views& views, const
         Pixels<WITH_DEPTH> pixels;
         pixels.begin(scene, shared);
         begin_slabs(shared, keys, workspace.key_capacity);
-        while (const uint32_t count = next_slab(shared)) {
+        while (const uint32_t count = next_slab(scene, shared)) {
             const uint32_t shown = project_slab<WITH_DEPTH>(scene, views, shared, count, pixels.log2_invisible);
             if (workspace.efforts != nullptr) note(workspace, shared, VISIBLE, thread() == 0 ? shown : 0);
             color_slab(scene, views, shared, shown, pixels.log2_invisible);

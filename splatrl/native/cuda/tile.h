@@ -36,6 +36,8 @@ using Key = uint64_t;
 constexpr int INDEX_BITS = 28;
 constexpr Key NO_KEY = ~Key(0);
 
+SPLAT_INLINE uint32_t index_of(Key key) { return uint32_t(key) & ((1u << INDEX_BITS) - 1); }
+
 // The models of a renderer, one after another. Slots are in the order of the trees, and some pad a group of sixteen.
 struct SceneArrays {
     const float4* spheres;            // [slots] mean, metres; the bits of its reach (flat_scene.h), 0 for nothing
