@@ -15,18 +15,30 @@ constexpr int CELLS_ACROSS = SMALL_TILE / CELL_WIDTH, CELLS_DOWN = SMALL_TILE / 
 constexpr int CELLS = CELLS_ACROSS * CELLS_DOWN;  // of a tile
 constexpr int BANDS = 4, BAND_ROWS = CELLS_DOWN / BANDS;  // rows of cells
 
-// A quarter of a warp has a cell in each of four bands. The bands are turned against each other, so that splats that
-// crowd on one place of a tile, however narrow, are spread over all quarters.
-SPLAT_INLINE int turn_of(int band) { return band % 2 * (CELLS_ACROSS / 2) + band / 2 * (CELLS_ACROSS / 4); }
+// A warp has a patch of 2×2 cells in each of four bands, and each quarter of it has a cell of each patch: neighbours have
+// much the same to do. The bands are turned against each other, so that splats that crowd on one place of a tile, however
+// narrow, are spread over all warps.
+constexpr int PATCHES_ACROSS = CELLS_ACROSS / 2, PATCHES_DOWN = BAND_ROWS / 2;  // of a band
+SPLAT_INLINE int turn_across(int band) { return band % 2 * (PATCHES_ACROSS / 2) + band / 2; }
+SPLAT_INLINE int turn_down(int band) { return band / 2; }
 
 // Cells are numbered quarter by quarter, so that each finds its own side by side.
 SPLAT_INLINE int cell_number(int column, int row) {
-    const int band = row / BAND_ROWS;
-    return (row % BAND_ROWS * CELLS_ACROSS + (column + turn_of(band)) % CELLS_ACROSS) * BANDS + band;
+    const int band = row / BAND_ROWS, across = (column / 2 + turn_across(band)) % PATCHES_ACROSS;
+    const int down = (row % BAND_ROWS / 2 + turn_down(band)) % PATCHES_DOWN;
+    const int quarter = (down * PATCHES_ACROSS + across) * 4 + row % 2 * 2 + column % 2;
+    return quarter * BANDS + band;
 }
 
-// The column of a quarter's cell in a band; its row is quarter / CELLS_ACROSS of the band's.
-SPLAT_INLINE int column_of(int quarter, int band) { return (quarter + CELLS_ACROSS - turn_of(band)) % CELLS_ACROSS; }
+// Column and row of a quarter's cell in a band.
+SPLAT_INLINE int column_of(int quarter, int band) {
+    const int across = quarter / 4 % PATCHES_ACROSS;
+    return (across + PATCHES_ACROSS - turn_across(band)) % PATCHES_ACROSS * 2 + quarter % 2;
+}
+SPLAT_INLINE int row_of(int quarter, int band) {
+    const int down = quarter / 4 / PATCHES_ACROSS;
+    return band * BAND_ROWS + (down + PATCHES_DOWN - turn_down(band)) % PATCHES_DOWN * 2 + quarter % 4 / 2;
+}
 
 // Pixels or lines of a tile, first to last; none where last < first.
 struct Stretch {

@@ -167,7 +167,7 @@ struct Pixels {
 
     float finished;         // the transmittance at which a pixel is
     float log2_invisible;
-    int left, top, column;  // of the tile, and of the pixel in its cell
+    int left, top;          // of the tile, and from there to the pixel in its cell
     uint32_t open;          // bands in which the pixel is not finished, by bits
     uint32_t active;        // bands in which the cell is not
     uint32_t blended;       // splats that the cells met
@@ -175,8 +175,7 @@ struct Pixels {
     INLINE_MEMBER void begin(const SceneArrays& scene, SharedMemory& shared) {
         finished = finished_at(scene.tolerance);
         log2_invisible = log2_invisible_at(scene.tolerance, ANTIALIASED_IMAGE);
-        left = shared.tile.left, top = shared.tile.top + quarter() / CELLS_ACROSS * CELL_HEIGHT;
-        top += thread() % QUARTER / CELL_WIDTH, column = thread() % CELL_WIDTH;
+        left = shared.tile.left + thread() % CELL_WIDTH, top = shared.tile.top + thread() % QUARTER / CELL_WIDTH;
         open = blended = 0;
         for (int band = 0; band < BANDS; ++band) {
             const bool seen = column_in(band) < shared.tile.right && row_in(band) < shared.tile.bottom;
@@ -189,8 +188,8 @@ struct Pixels {
     }
 
     static INLINE_MEMBER int quarter() { return thread() / QUARTER; }
-    INLINE_MEMBER int column_in(int band) const { return left + column_of(quarter(), band) * CELL_WIDTH + column; }
-    INLINE_MEMBER int row_in(int band) const { return top + band * BAND_ROWS * CELL_HEIGHT; }
+    INLINE_MEMBER int column_in(int band) const { return left + column_of(quarter(), band) * CELL_WIDTH; }
+    INLINE_MEMBER int row_in(int band) const { return top + row_of(quarter(), band) * CELL_HEIGHT; }
 
     INLINE_MEMBER void find_active() {
         active = 0;
