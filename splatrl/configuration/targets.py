@@ -100,8 +100,7 @@ def _standing(source: ConfigSource) -> set[object]:
     if source.provider in HYDRAS_OWN or not source.available():
         return set()
     if place not in _known:
-        in_package = source.scheme() == "pkg"
-        folder = files(source.path.replace("/", ".")) if in_package else Path(source.path)
+        folder = files(source.path) if source.scheme() == "pkg" else Path(source.path)
         _known[place] = {target for text in _texts(folder) for target in _values_of("_target_", _parsed(text))}
     return _known[place]
 

@@ -9,10 +9,12 @@ from typing import Any
 
 import pytest
 import yaml
+from hydra._internal.core_plugins.importlib_resources_config_source import ImportlibResourcesConfigSource
 from omegaconf import OmegaConf
 
 from splatrl.building import build_world
 from splatrl.configuration import load_config, resumed_config, run_config, save_config, targets
+from splatrl.configuration.targets import check_targets
 from splatrl.runs import load_policy
 from splatrl.scenes import read_scene
 from tests.tiny import tiny_overrides
@@ -206,3 +208,18 @@ def test_the_name_of_a_scene_in_a_run_folder_is_no_way_out_either(folder: Path) 
     changed(folder, "scene.name", "../../x")
     with pytest.raises(Exception, match=r"scene\.name: expected a name, without slashes, got '\.\./\.\./x'"):
         build_world(run_config(folder))
+
+
+def test_what_a_plugins_package_names_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "plugin_of_a_test" / "conf" / "motion"
+    folder.mkdir(parents=True)
+    (folder.parent / "__init__.py").touch()  # Hydra asks for one
+    glide = "# @package _global_\nmotion:\n  - {_target_: plugin_of_a_test.Glide, pace: 1e-1}\n"
+    (folder / "glide.yaml").write_text(glide)
+    (folder / "names_nothing.yaml").write_text("pace: [\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    source = ImportlibResourcesConfigSource("a plugin", "pkg://plugin_of_a_test.conf")
+    cfg = OmegaConf.create({"motion": [{"_target_": "plugin_of_a_test.Glide"}]})
+    check_targets(cfg, [source])
+    with pytest.raises(ValueError, match=r"motion.0._target_: expected a constructor that stands in conf/"):
+        check_targets(OmegaConf.create({"motion": [{"_target_": "plugin_of_a_test.Fall"}]}), [source])
