@@ -213,6 +213,7 @@ def test_it_learns_actions_that_are_numbers() -> None:
 
 @pytest.mark.slow
 def test_a_compiled_loss_is_the_loss_whatever_the_bonus_and_the_size_of_the_minibatch() -> None:
+    torch._dynamo.utils.counters.clear()  # what other tests compiled
     eager, compiled = (
         learner(tiny_env([4], max_steps=5), frames_per_batch=52, compile=compile) for compile in (False, True)
     )
