@@ -94,6 +94,13 @@ unpack() {
     [[ ! -f $kit/kernels.tar.gz ]] || tar -xzf "$kit/kernels.tar.gz" -C "$WORK/cache"
 }
 
+# Has gsplat compile itself, which takes minutes, beside everything else; the last section finds it compiled.
+compile_gsplat() {
+    [[ -n $gpu ]] && command -v nvcc >/dev/null || return
+    TORCH_CUDA_ARCH_LIST=${arch:3:-1}.${arch: -1} MAX_JOBS=8 setsid nice "$PYTHON" -c 'import gsplat.cuda._backend' \
+        >"$WORK/gsplat.log" 2>&1 </dev/null &
+}
+
 # GPU tests in some folders, each file a process, side by side: most of their time is not the GPU's.
 tests_in() { # FOLDER...
     local file files name
@@ -161,7 +168,10 @@ profile() { # NAME TOLERANCE
     rm -f "$report"
     tool_step ncu "profile: $1" 120 ncu --set full --clock-control none --kernel-name regex:^draw --launch-skip 1 --launch-count 1 \
         --export "$report" "$PYTHON" benchmarks/gpu_steps.py launch --tolerance "$2" "${dry[@]}"
-    [[ ! -f $report ]] || step "report: $1" 30 ncu --import "$report" --page details
+    [[ -f $report ]] || return
+    step "report: $1" 30 ncu --import "$report" --page details
+    ncu --import "$report" --page source --csv --print-source cuda,sass >"$out/$1.csv" 2>>"$log"
+    step "stalls: $1" 30 "$PYTHON" benchmarks/gpu_stalls.py "$out/$1.csv"
 }
 
 part_rest() {
@@ -203,10 +213,11 @@ unpack
 commit=$(cat "$kit/commit" 2>/dev/null || echo unknown)
 PATH=$PATH:/usr/local/cuda/bin
 export PYTHONPATH=$WORK/site:$PWD PYTHONUNBUFFERED=1 PYTEST_DISABLE_PLUGIN_AUTOLOAD=1
-export SPLATRL_CACHE=$WORK/cache SPLATRL_SCENES=$kit/scenes
+export SPLATRL_CACHE=$WORK/cache SPLATRL_SCENES=$kit/scenes TORCH_EXTENSIONS_DIR=$WORK/extensions
 gpu=$("$PYTHON" -c 'import torch as t; print(t.cuda.get_device_name() if t.cuda.is_available() else "")' 2>>"$log")
 arch=$("$PYTHON" -c 'import torch as t; print("sm_%d%d" % t.cuda.get_device_capability() if t.cuda.is_available() else "sm_90")' 2>>"$log")
 say "${gpu:-no GPU: nothing that needs one is run${dry:+, but emulated}}; $commit"
+compile_gsplat
 step versions 60 "$PYTHON" benchmarks/gpu_kernels.py --count --arch "$arch"
 for part in "${parts[@]}"; do
     "part_$part"

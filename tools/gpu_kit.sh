@@ -13,12 +13,13 @@
 set -euo pipefail
 
 # Beside PyTorch and what it needs, NumPy, SciPy, Matplotlib, Pillow and tqdm are taken to be there. PyAV is left out: it
-# is large, and only videos need it.
+# is large, and only videos need it. gsplat is compared with where nvcc is there to compile it.
 PACKAGES=(
     torchrl tensordict hoptorch lazy-importer pyvers orjson importlib_metadata zipp cloudpickle packaging
     gymnasium farama-notifications hydra-core omegaconf antlr4-python3-runtime pyyaml plyfile python-fcl
     cuda-core cuda-bindings cuda-pathfinder
     pytest pluggy iniconfig pygments hypothesis sortedcontainers
+    gsplat jaxtyping wadler-lindig rich markdown-it-py mdurl ninja
 )
 PARTS=(project packages kernels kitchen check)
 
