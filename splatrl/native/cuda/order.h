@@ -45,19 +45,37 @@ SPLAT_INLINE uint32_t sum_up(Shared& shared, uint32_t* counts) {
     return all;
 }
 
+// Call use(key) for all keys, a few of a thread at a time: a thread waits for memory once for all of them.
+template <class Use>
+SPLAT_INLINE void for_each_key(const Key* keys, uint32_t count, const Use& use) {
+    constexpr int AT_ONCE = 4;
+    for (uint32_t first = thread(); first < count; first += AT_ONCE * THREADS) {
+        Key some[AT_ONCE];
+#pragma unroll
+        for (int i = 0; i < AT_ONCE; ++i) {
+            const uint32_t at = first + i * THREADS;
+            some[i] = at < count ? keys[at] : NO_KEY;
+        }
+#pragma unroll
+        for (int i = 0; i < AT_ONCE; ++i) {
+            if (some[i] == NO_KEY) continue;
+            PASS(key);
+            use(some[i]);
+        }
+    }
+}
+
 // Count the keys of a range into counts [BUCKETS]. Returns the most that this thread found in a bucket before it added
 // its own.
 SPLAT_INLINE uint32_t count_keys(uint32_t* counts, const Key* keys, uint32_t count, const Cut& cut) {
     uint32_t most = 0;
     for (int i = thread(); i < BUCKETS; i += THREADS) counts[i] = 0;
     __syncthreads();
-    for (uint32_t i = thread(); i < count; i += THREADS) {
-        PASS(key);
-        const Key key = keys[i];
-        if (key < cut.low || key > cut.high) continue;
+    for_each_key(keys, count, [&](Key key) {
+        if (key < cut.low || key > cut.high) return;
         const uint32_t before = atomicAdd(&counts[cut.bucket(key)], 1u);
         most = before > most ? before : most;
-    }
+    });
     __syncthreads();
     return most;
 }
@@ -68,11 +86,7 @@ SPLAT_INLINE uint32_t deal_to_buckets(Shared& shared, const Key* from, Key* to, 
                                       uint32_t* ends) {
     const uint32_t most = count_keys(ends, from, count, cut);
     sum_up(shared, ends);
-    for (uint32_t i = thread(); i < count; i += THREADS) {
-        PASS(key);
-        const Key key = from[i];
-        to[atomicAdd(&ends[cut.bucket(key)], 1u)] = key;
-    }
+    for_each_key(from, count, [&](Key key) { to[atomicAdd(&ends[cut.bucket(key)], 1u)] = key; });
     __syncthreads();
     return most;
 }
@@ -193,13 +207,11 @@ SPLAT_INLINE uint32_t gather(const SceneArrays& scene, Shared& shared, const Key
                              Key until) {
     if (thread() == 0) shared.gathered = 0;
     __syncthreads();
-    for (uint32_t i = thread(); i < count; i += THREADS) {
-        PASS(key);
-        const Key key = keys[i];
-        if (key < from || key >= until) continue;
+    for_each_key(keys, count, [&](Key key) {
+        if (key < from || key >= until) return;
         shared.sorted[atomicAdd(&shared.gathered, 1u)] = key;
         if (!WITH_PARTS) prefetch_to_shared_cache(scene.shapes + 3 * size_t(index_of(key)));
-    }
+    });
     __syncthreads();
     return shared.gathered;
 }
