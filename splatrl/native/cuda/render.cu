@@ -1,7 +1,7 @@
 // Thousands of small images at once. A block draws a tile of 32×32 pixels from beginning to end and takes the next: it
 // descends the tree (candidates.h), sorts what may show by depth (order.h), and blends it slab by slab with the pixels
-// in shared memory (blend.h). Blocks are independent, and what threads find in any order is sorted by keys of which no two
-// are equal: a frame has the same bytes in every batch.
+// in shared memory (blend.h). Blocks are independent, and what threads find in any order is sorted by keys of which no
+// two are equal: a frame has the same bytes in every batch.
 //
 // ANTIALIASED_IMAGES, LEVELS_OF_DETAIL (1 or 0), SH_DEGREE and MOST_PARTS (of a row; 0 draws the first model where it
 // stands) are macros, so that each combination is compiled separately.
