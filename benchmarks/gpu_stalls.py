@@ -11,6 +11,7 @@ import csv
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from linecache import getline
 from pathlib import Path
 
 from record import print_markdown
@@ -88,10 +89,10 @@ def main() -> None:
     lines = lines_of(options.page)
     samples, instructions = sum(line.samples for line in lines), sum(line.instructions for line in lines)
     print(f"all: {reasons(sum((line.stalls for line in lines), Counter()), samples, 8)}")
-    sources = {path.name: path.read_text().splitlines() for path in NATIVE.rglob("*") if path.suffix in (".h", ".cu")}
+    sources = {path.name: str(path) for path in NATIVE.rglob("*") if path.suffix in (".h", ".cu")}
     rows = []
     for line in sorted(lines, key=lambda line: -line.samples)[: options.lines]:
-        text = dict(enumerate(sources.get(line.file, []), 1)).get(line.number, "").strip()[:SHOWN]
+        text = getline(sources.get(line.file, ""), line.number).strip()[:SHOWN]
         shares = f"{line.samples / samples:.1%}", f"{line.instructions / instructions:.1%}"
         rows.append((f"{line.file}:{line.number}", *shares, reasons(line.stalls, samples, 2), text.replace("|", "\\|")))
     print_markdown(("line", "samples", "instructions", "waiting for", "source"), rows)

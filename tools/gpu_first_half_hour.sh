@@ -94,37 +94,27 @@ unpack() {
     [[ ! -f $kit/kernels.tar.gz ]] || tar -xzf "$kit/kernels.tar.gz" -C "$WORK/cache"
 }
 
-# Has gsplat compile itself, which takes minutes, beside everything else; the last section finds it compiled.
-compile_gsplat() {
-    [[ -n $gpu ]] && command -v nvcc >/dev/null || return
-    TORCH_CUDA_ARCH_LIST=${arch:3:-1}.${arch: -1} MAX_JOBS=8 setsid nice "$PYTHON" -c 'import gsplat.cuda._backend' \
-        >"$WORK/gsplat.log" 2>&1 </dev/null &
-}
-
-# GPU tests in some folders, each file a process, side by side: most of their time is not the GPU's.
+# GPU tests in some folders, each file a process, side by side: most of their time is not the GPU's. That of gsplat
+# compiles it, where nvcc is there, and the benchmark finds it compiled.
 tests_in() { # FOLDER...
-    local file files name
+    local file files name running=()
     mapfile -t files < <(grep -rlE 'mark\.gpu' "$@" --include='test_*.py' | LC_ALL=C sort)
-    if [[ -z $gpu && -z ${dry[*]} ]]; then
-        for file in "${files[@]}"; do ended "$file" "no GPU, not run"; done
-        return
-    fi
     for file in "${files[@]}"; do
-        name=${file//\//-}
+        name=$WORK/${file//\//-}
         (
-            log=$WORK/$name.log steps=$WORK/$name.steps
+            log=$name.log steps=$name.steps
             : >"$log"
             : >"$steps"
-            PYTHONSAFEPATH=1 step "$file" 150 "$PYTHON" -m pytest -o addopts= -p no:cacheprovider \
+            PYTHONSAFEPATH=1 gpu_step "$file" 150 "$PYTHON" -m pytest -o addopts= -p no:cacheprovider \
                 --import-mode=append -q -x -m gpu "$file" >/dev/null
         ) &
+        running+=($!)
     done
-    wait
+    wait "${running[@]}"
     for file in "${files[@]}"; do
-        name=${file//\//-}
-        cat "$WORK/$name.log" >>"$log"
-        tail -n "$SHOWN" "$WORK/$name.log"
-        cat "$WORK/$name.steps" >>"$steps"
+        name=$WORK/${file//\//-}
+        tee -a "$log" <"$name.log" | tail -n "$SHOWN"
+        cat "$name.steps" >>"$steps"
     done
 }
 
@@ -166,8 +156,9 @@ part_rendering() {
 profile() { # NAME TOLERANCE
     local report=$out/$1.ncu-rep
     rm -f "$report"
-    tool_step ncu "profile: $1" 120 ncu --set full --clock-control none --kernel-name regex:^draw --launch-skip 1 --launch-count 1 \
-        --export "$report" "$PYTHON" benchmarks/gpu_steps.py launch --tolerance "$2" "${dry[@]}"
+    tool_step ncu "profile: $1" 120 ncu --set full --clock-control none \
+        --kernel-name regex:^draw --launch-skip 1 --launch-count 1 --export "$report" \
+        "$PYTHON" benchmarks/gpu_steps.py launch --tolerance "$2" "${dry[@]}"
     [[ -f $report ]] || return
     step "report: $1" 30 ncu --import "$report" --page details
     ncu --import "$report" --page source --csv --print-source cuda,sass >"$out/$1.csv" 2>>"$log"
@@ -217,7 +208,6 @@ export SPLATRL_CACHE=$WORK/cache SPLATRL_SCENES=$kit/scenes TORCH_EXTENSIONS_DIR
 gpu=$("$PYTHON" -c 'import torch as t; print(t.cuda.get_device_name() if t.cuda.is_available() else "")' 2>>"$log")
 arch=$("$PYTHON" -c 'import torch as t; print("sm_%d%d" % t.cuda.get_device_capability() if t.cuda.is_available() else "sm_90")' 2>>"$log")
 say "${gpu:-no GPU: nothing that needs one is run${dry:+, but emulated}}; $commit"
-compile_gsplat
 step versions 60 "$PYTHON" benchmarks/gpu_kernels.py --count --arch "$arch"
 for part in "${parts[@]}"; do
     "part_$part"

@@ -1,6 +1,5 @@
 """benchmarks/capture.py times stages and judges a capture; film, structure from motion and fit are made up here."""
 
-import importlib
 import json
 import sys
 import time
@@ -26,10 +25,9 @@ QUALITY = Quality(30.0, 0.9, 31.0, 0.9, 5, 1.0, 100, 0, 0.05)
 
 
 @pytest.fixture
-def benchmark(monkeypatch: pytest.MonkeyPatch) -> Any:
+def capture(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     """The benchmark, whose capture finds every camera, and gives a metre as 1.02."""
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    module = importlib.import_module("capture")
+    module = benchmark("capture")
     scaled = np.diag([SIZE, SIZE, SIZE, 1.0])
 
     def reconstruct(video: Path, folder: Path, settings: Any, progress: Any, say: Any) -> tuple[Placed, list[str]]:
@@ -60,19 +58,19 @@ def benchmark(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_a_capture_is_timed_and_judged_against_its_truth(
-    tmp_path: Path, benchmark: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capture: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["capture.py", "--seconds", "0.2", "--size", "64", "48", "--yard", "3"])
-    video = benchmark.filmed(tmp_path / "walk.mp4", benchmark.parsed())
+    video = capture.filmed(tmp_path / "walk.mp4", capture.parsed())
     written = video.stat().st_mtime_ns
-    assert benchmark.filmed(video, benchmark.parsed()).stat().st_mtime_ns == written
+    assert capture.filmed(video, capture.parsed()).stat().st_mtime_ns == written
     np.savez(
         video.with_suffix(".npz"), camera_to_world=walk().camera_to_world, time=np.arange(40) / 10, K=K * 64 / WIDTH
     )
-    monkeypatch.setattr(benchmark, "write_json", lambda kind, machine, results: json.dumps(results[0].ate_metres))
+    monkeypatch.setattr(capture, "write_json", lambda kind, machine, results: json.dumps(results[0].ate_metres))
     words = ["capture.py", str(video), "--keep", str(tmp_path / "kept"), "--png", str(tmp_path / "a.png"), "--json"]
     monkeypatch.setattr(sys, "argv", words)
-    benchmark.main()
+    capture.main()
     said = capsys.readouterr().out
     assert "+2.00 % (by camera_height)" in said and "| up" in said
     rows = [line.split("|")[1].strip() for line in said.splitlines() if line.startswith("|")]

@@ -1,6 +1,5 @@
 """benchmarks/gpu.py runs from beginning to end, and loses nothing when a part of it fails."""
 
-import importlib
 import json
 import math
 import os
@@ -36,13 +35,6 @@ EVERYTHING = {
     "town",
     "target",
 }
-
-
-@pytest.fixture
-def benchmark(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Imports modules of benchmarks/."""
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    return importlib.import_module
 
 
 def test_a_dry_run_measures_everything_and_leaves_no_result(

@@ -1,6 +1,5 @@
 """benchmarks/gpu_against.py draws with the kernels of other checkouts."""
 
-import importlib
 import shutil
 import sys
 from pathlib import Path
@@ -13,16 +12,10 @@ from splatrl.native.cuda import compiler
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.fixture
-def against(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The benchmark's module."""
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    return importlib.import_module("gpu_against")
-
-
 def test_other_kernels_are_drawn_with_and_their_bytes_compared(
-    against: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    benchmark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    against = benchmark("gpu_against")
     darker = tmp_path / "darker"
     shutil.copytree(ROOT / "splatrl" / "native", darker / "splatrl" / "native")
     blend = darker / "splatrl" / "native" / "cuda" / "blend.h"
@@ -37,7 +30,7 @@ def test_other_kernels_are_drawn_with_and_their_bytes_compared(
     assert other[2].strip() == str(darker) and int(other[5].replace(",", "")) > 100
 
 
-def test_what_is_no_checkout_is_refused(against: Any, tmp_path: Path) -> None:
+def test_what_is_no_checkout_is_refused(benchmark: Any, tmp_path: Path) -> None:
     refused = pytest.raises(SystemExit, match=r"expected a checkout with splatrl/native/cuda/render.cu")
-    with refused, against.sources_of(tmp_path):
+    with refused, benchmark("gpu_against").sources_of(tmp_path):
         pass

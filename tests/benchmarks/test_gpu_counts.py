@@ -1,7 +1,6 @@
 """benchmarks/gpu_counts.py counts what it says, without a GPU."""
 
-import importlib
-from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -9,12 +8,9 @@ from splatrl.scenes import Scene
 from tests.emulator import PASSES
 from tests.tiny import tiny_gaussians
 
-ROOT = Path(__file__).parents[2]
 
-
-def test_every_loop_is_counted_and_summed_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    module, scenes = (importlib.import_module(name) for name in ("gpu_counts", "scenes"))
+def test_every_loop_is_counted_and_summed_up(benchmark: Any) -> None:
+    module, scenes = benchmark("gpu_counts"), benchmark("scenes")
     assert tuple(module.INSTRUCTIONS) == PASSES
     scene = Scene("tiny", tiny_gaussians(), ((-1.5, -2.0, 0.0), (1.5, 2.0, 1.2)))
     subject = scenes.Subject(scene, scenes.Room((-1.0, -1.5, 0.4), (1.0, 1.5, 0.6)))

@@ -1,39 +1,33 @@
 """benchmarks/gpu_stalls.py reads what the profiler writes."""
 
-import importlib
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
-PAGE = """"File Path","/somewhere/order.h"
+COLUMNS = '"Line No","Source","Address","Source","# Samples","Instructions Executed"'
+COLUMNS += ',"stall_barrier","stall_wait","stall_wait (Not Issued)"'
+PAGE = f"""\
+"File Path","/somewhere/order.h"
 "Function Name","draw_pixels"
-"Line No","Source","Address","Source","# Samples","Instructions Executed","stall_barrier","stall_wait","stall_wait (Not Issued)"
+{COLUMNS}
 "2","<Unable to open source file>","-","-","30","100","20","5","5"
 "","","0x10","      BAR.SYNC","30","100","20","5","5"
 "9999","<Unable to open source file>","-","-","10","300","-","10","10"
 "File Path","/somewhere/else.h"
 "Function Name","draw_pixels"
-"Line No","Source","Address","Source","# Samples","Instructions Executed","stall_barrier","stall_wait","stall_wait (Not Issued)"
+{COLUMNS}
 "7","<Unable to open source file>","-","-","60","0","60","0","0"
-"""  # noqa: E501
-
-
-@pytest.fixture
-def stalls(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The benchmark's module."""
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    return importlib.import_module("gpu_stalls")
+"""
 
 
 def test_lines_come_with_their_shares_and_what_warps_waited_for(
-    stalls: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    benchmark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "page.csv").write_text(PAGE)
     monkeypatch.setattr(sys, "argv", ["gpu_stalls.py", str(tmp_path / "page.csv"), "--lines", "2"])
-    stalls.main()
+    benchmark("gpu_stalls").main()
     first, *_, one, two, _ = capsys.readouterr().out.splitlines()
     assert first == "all: barrier 80.0%, wait 15.0%"
     assert [cell.strip() for cell in one.split("|")[1:5]] == ["else.h:7", "60.0%", "0.0%", "barrier 60.0%"]
@@ -41,7 +35,7 @@ def test_lines_come_with_their_shares_and_what_warps_waited_for(
     assert cells == ["order.h:2", "30.0%", "25.0%", "barrier 20.0%, wait 5.0%", "#pragma once"]
 
 
-def test_another_file_is_refused(stalls: Any, tmp_path: Path) -> None:
+def test_another_file_is_refused(benchmark: Any, tmp_path: Path) -> None:
     (tmp_path / "page.csv").write_text("one,two\n")
     with pytest.raises(SystemExit, match=r"page.csv: expected the output of ncu --page source"):
-        stalls.lines_of(tmp_path / "page.csv")
+        benchmark("gpu_stalls").lines_of(tmp_path / "page.csv")

@@ -1,6 +1,5 @@
 """benchmarks/mappers.py compares two maps of a film with the truth; film and maps are made up here."""
 
-import importlib
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,10 +21,9 @@ PLACES = np.stack([SECONDS, np.sin(SECONDS), 0 * SECONDS], 1)
 
 
 def test_a_row_says_how_many_images_a_map_has_how_even_it_is_and_how_far_off(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    benchmark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
-    benchmark = importlib.import_module("mappers")
+    mappers = benchmark("mappers")
     poses = torch.eye(4).double().repeat(COUNT, 1, 1)
     poses[:, :3, 3] = torch.from_numpy(PLACES)
     film = tmp_path / "yard 7" / "walk.mp4"
@@ -38,18 +36,18 @@ def test_a_row_says_how_many_images_a_map_has_how_even_it_is_and_how_far_off(
         "find_cameras": (np.arange(2), PLACES[:2]),
     }
     for name, found in maps.items():
-        monkeypatch.setattr(benchmark, name, lambda *_, found=found: found)
-    monkeypatch.setattr(benchmark, "pycolmap", SimpleNamespace(logging=SimpleNamespace()))  # its log stays as it is
-    monkeypatch.setattr(benchmark, "camera_places", lambda model, _: model)
-    monkeypatch.setattr(benchmark, "match_images", lambda *_: None)
-    monkeypatch.setattr(benchmark, "read_photos", lambda *_: None)
-    monkeypatch.setattr(benchmark, "job_of", lambda *_: job)
-    monkeypatch.setattr(benchmark, "filmed", lambda path, options: path)
-    monkeypatch.setattr(benchmark, "read_truth", lambda _: Truth(poses, torch.from_numpy(SECONDS), torch.eye(3)))
-    monkeypatch.setattr(benchmark, "measured_machine", lambda: None)
+        monkeypatch.setattr(mappers, name, lambda *_, found=found: found)
+    monkeypatch.setattr(mappers, "pycolmap", SimpleNamespace(logging=SimpleNamespace()))  # its log stays as it is
+    monkeypatch.setattr(mappers, "camera_places", lambda model, _: model)
+    monkeypatch.setattr(mappers, "match_images", lambda *_: None)
+    monkeypatch.setattr(mappers, "read_photos", lambda *_: None)
+    monkeypatch.setattr(mappers, "job_of", lambda *_: job)
+    monkeypatch.setattr(mappers, "filmed", lambda path, options: path)
+    monkeypatch.setattr(mappers, "read_truth", lambda _: Truth(poses, torch.from_numpy(SECONDS), torch.eye(3)))
+    monkeypatch.setattr(mappers, "measured_machine", lambda: None)
     monkeypatch.setattr(sys, "argv", ["mappers.py", "--yards", "7", "--keep", str(tmp_path)])
-    benchmark.main()
-    one, once, taken = benchmark.mapped("yard 7", film, tmp_path / "again", 0)
+    mappers.main()
+    one, once, taken = mappers.mapped("yard 7", film, tmp_path / "again", 0)
     assert (one.film, one.posed, one.images, once.posed, taken.posed) == ("yard 7", COUNT, COUNT, COUNT - 5, 2)
     assert one.jerks > 4.0 > once.jerks
     assert 0.9 * WRONG < one.worst_metres < WRONG and 0.9 * WRONG < one.ate_metres * COUNT**0.5 < WRONG

@@ -15,9 +15,12 @@ constexpr int QUARTER = WARP / 4;  // lanes that share a cell
 static_assert(CELL_WIDTH * CELL_HEIGHT == QUARTER, "a lane for each pixel of a cell");
 static_assert(THREADS / QUARTER * BANDS == CELLS, "a quarter has a cell in each band");
 
-// Blocks that share the registers of a multiprocessor: as many as its shared memory holds, on graphics cards 100 KB.
+// Blocks that share the registers of a multiprocessor: as many as its shared memory holds, on graphics cards 100 KB, on
+// those of sm_80 164.
 #if defined(__CUDA_ARCH__) && (__CUDA_ARCH__ == 860 || __CUDA_ARCH__ == 890 || __CUDA_ARCH__ >= 1200)
 constexpr int BLOCKS_AT_ONCE = 2;
+#elif defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 900
+constexpr int BLOCKS_AT_ONCE = 3;
 #else
 constexpr int BLOCKS_AT_ONCE = 4;
 #endif
