@@ -1,1 +1,1 @@
-"""The commands; each one only reads a config or arguments, calls the library and prints."""
+"""Command-line entry points; each only reads a config or arguments, calls the library and prints."""

@@ -1,4 +1,4 @@
-"""``splatrl-capture``: make a scene to train in of a phone video or a folder of photos."""
+"""``splatrl-capture``: turn a phone video or a folder of photos into a scene to train in."""
 
 import argparse
 import sys
@@ -17,11 +17,11 @@ from splatrl.envs.robot import Robot
 from splatrl.scenes.description import scene_folder
 
 SELDOM = 10.0
-"""Seconds between the lines of a bar that goes to a file."""
+"""Seconds between progress updates when the output is not a terminal, such as a log file."""
 
 
 def run(options: argparse.Namespace) -> None:
-    """Capture a scene, or write a page with a marker."""
+    """Capture a scene, or write a printable marker page."""
     side = MARKER_SIDE if options.marker_side is None else options.marker_side
     if options.marker is not None:
         write_marker_page(options.marker, side=side)
@@ -43,7 +43,10 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _beside(source: Path) -> Path:
-    """A folder here with the source's name, and never the source itself, where the pictures would join its photos."""
+    """Return a folder in the working directory named after the source, but never the source itself.
+
+    In the source folder the pictures that a capture writes would be mistaken for photos.
+    """
     named = Path(source.resolve().stem)
     return named.with_name(f"{named.name}-scene") if named.resolve() == source.resolve() else named
 
@@ -65,7 +68,7 @@ def _settings(options: argparse.Namespace, side: float, splat: str, device: str)
 
 
 class Bars:
-    """A progress bar for each thing that a stage does, with the time left."""
+    """Progress bars with the time left, one for each activity of a stage."""
 
     def __init__(self) -> None:
         self._bar: tqdm[object] | None = None
@@ -78,7 +81,7 @@ class Bars:
         self._close()
 
     def __call__(self, what: str, done: int, total: int) -> None:
-        """Show how far a stage is."""
+        """Show the progress of one activity of a stage."""
         if self._bar is None or what != self._what:
             self._close()
             often = 0.1 if sys.stderr.isatty() else SELDOM
@@ -88,7 +91,7 @@ class Bars:
         self._bar.update(done - self._bar.n)
 
     def say(self, line: str) -> None:
-        """Print a line above the bars."""
+        """Close the current bar and print a line."""
         self._close()
         print(line, flush=True)
 

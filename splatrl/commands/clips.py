@@ -1,4 +1,4 @@
-"""``splatrl-clips``: compare the actions of trained policies with the labels of clips, and record such clips."""
+"""``splatrl-clips``: score trained policies on labelled clips, draw their actions on a film, or record clips."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from splatrl.experiments.clip_scores import altered, film_run, record_clips, sco
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="clips")
 @in_one_line("splatrl-clips")
 def run(cfg: DictConfig) -> None:
-    """Draw on a film what the runs of ``cfg.run`` would do, record clips, or score the runs on clips."""
+    """Overlay a film with what the runs of ``cfg.run`` would do, record clips, or score the runs on clips."""
     check_config(cfg)
     runs = [str(one) for one in cfg.run] if isinstance(cfg.run, ListConfig) else [str(cfg.run)]
     if cfg.record is None and cfg.clips is None and cfg.film is None:

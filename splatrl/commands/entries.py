@@ -1,6 +1,6 @@
-"""What the scripts of the commands start: what was typed is checked, and ``--help`` answered, at once.
+"""Entry points of the console scripts: they check the command line and answer ``--help`` at once.
 
-A command itself imports the library, with PyTorch, TorchRL and matplotlib, which takes seconds.
+Only then is the command itself imported, with PyTorch, TorchRL and matplotlib, which takes seconds.
 """
 
 import sys
@@ -11,21 +11,21 @@ from importlib import import_module
 from splatrl.commands import parsers
 
 INTERRUPTED = 130
-"""Exit code of a command that Ctrl-C ended."""
+"""Exit code of a command interrupted by Ctrl-C."""
 PARSERS = {"capture": parsers.capture, "scene": parsers.scene, "gait": parsers.gait}
-"""Commands that take options; the others have a config."""
+"""Parsers of the commands that take options; all other commands have a config."""
 
 
 def start(name: str, arguments: Sequence[str] | None = None) -> None:
-    """Run a command, unless what was typed is wrong or asks for help.
+    """Run a command, unless its arguments are invalid or ask for help.
 
     Args:
-        name: of its module, and of its root config where it has one.
-        arguments: what was typed; None takes the command line.
+        name: name of the command's module, and of its root config if it has one.
+        arguments: the command's arguments; None takes them from the command line.
     """
     try:
         _start(name, sys.argv[1:] if arguments is None else arguments)
-    except KeyboardInterrupt:  # commands that can go on say so themselves
+    except KeyboardInterrupt:  # resumable commands catch it themselves and say so
         print(f"\nsplatrl-{name}: interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)
 
@@ -35,7 +35,7 @@ def _start(name: str, typed: Sequence[str]) -> None:
         options = PARSERS[name](typed)
         import_module(f"splatrl.commands.{name}").run(options)
         return
-    from splatrl.configuration import command_line  # which brings Hydra
+    from splatrl.configuration import command_line  # imports Hydra
 
     sys.argv[1:] = command_line(name, typed)
     import_module(f"splatrl.commands.{name}").run()

@@ -1,4 +1,4 @@
-"""``splatrl-evaluate``: evaluate a finished or interrupted run from every pose of its start set."""
+"""``splatrl-evaluate``: evaluate a finished or interrupted run over its start set."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -23,16 +23,16 @@ from splatrl.training import Actor
 def evaluate_run(
     cfg: DictConfig, folder: Path, world: World | Worlds | None = None, results: Path | None = None
 ) -> dict[str, Any]:
-    """Evaluate a run folder with a config, and print the results.
+    """Evaluate the run in a folder with a given config, and print the results.
 
     Args:
-        cfg: config of the run, with the settings of the evaluation.
+        cfg: config of the run, including the evaluation settings.
         folder: the run folder.
-        world: world built from ``cfg``, if there is one already.
-        results: folder of numbers and pictures; None is the run folder.
+        world: the world built from ``cfg``, if it exists already.
+        results: folder for numbers and pictures; None is the run folder.
 
     Raises:
-        OSError: that names ``results``, where nothing can be written.
+        OSError: if ``results`` cannot be written to; the message names it.
     """
     results = results or folder
     require_room(results)
@@ -69,7 +69,7 @@ def run(cfg: DictConfig) -> None:
 
 @contextmanager
 def _made(folder: Path | None) -> Iterator[None]:
-    """Make a folder of results, which is gone again where nothing came of it."""
+    """Create a results folder for the block, and remove it afterwards if it is still empty."""
     if folder is None:
         yield
         return
@@ -77,13 +77,13 @@ def _made(folder: Path | None) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(OSError):  # what is not empty stays
+        with suppress(OSError):  # rmdir fails on folders with content, which stay
             for path in (folder, folder.parent):
                 path.rmdir()
 
 
 def _name(words: Sequence[str]) -> str:
-    """A folder's name for a place: that of its scene or file, and what else was typed."""
+    """Derive a folder name for a place from its overrides: its scene or file, and whatever else was typed."""
     values = [word.partition("=")[2].strip("'\"") for word in words]
     known = [
         Path(value).resolve().stem if Path(value).expanduser().exists() else word.removeprefix("scene=")

@@ -1,4 +1,4 @@
-"""``splatrl-experiment``: run all trainings of an experiment of the paper, and report the results."""
+"""``splatrl-experiment``: run all trainings of an experiment, and report the results."""
 
 import shlex
 import signal
@@ -28,7 +28,7 @@ TRAIN = (sys.executable, "-m", "splatrl.commands.train")
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="experiment")
 @in_one_line("splatrl-experiment")
 def run(cfg: DictConfig) -> None:
-    """Train and report the experiment ``cfg.name``, or all of them."""
+    """Train and report the experiment ``cfg.name``, or all experiments."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         experiment(cfg)
@@ -39,14 +39,14 @@ def run(cfg: DictConfig) -> None:
 
 
 def experiment(cfg: DictConfig) -> None:
-    """Train, score and report what a config asks for.
+    """Train, score and report the experiments that a config asks for.
 
     Args:
-        cfg: the config of ``conf/experiment.yaml``.
+        cfg: the config composed from ``conf/experiment.yaml``.
 
     Raises:
         ValueError: for an invalid name, scene or setting.
-        SystemExit: if trainings failed, naming them, once all others are done.
+        SystemExit: if trainings failed, once all others are done; the message names them.
     """
     _check(cfg)
     names, folder = _names(cfg), Path(cfg.folder)
@@ -76,7 +76,7 @@ def experiment(cfg: DictConfig) -> None:
 
 
 def _check(cfg: DictConfig) -> None:
-    """Refuse settings that trainings would fail on one by one."""
+    """Refuse settings on which every training would fail in turn."""
     for key in ("jobs", "frames"):
         if cfg[key] is not None:
             require_number(key, cfg[key], 1, whole=True)
@@ -97,7 +97,7 @@ def _names(cfg: DictConfig) -> list[str]:
 
 
 def _prepare(cfg: DictConfig, names: Sequence[str], nodes: Mapping[str, Any]) -> None:
-    """Make what the trainings of some experiments need, where that is not there yet."""
+    """Run the preparation step of each experiment that has one, such as making a scene that does not exist yet."""
     given = {str(scene): _overrides(cfg, str(scene)) for scene in cfg.scene_overrides}
     for name in names:
         if nodes[name]["prepare"] and not cfg.report_only:
@@ -106,7 +106,7 @@ def _prepare(cfg: DictConfig, names: Sequence[str], nodes: Mapping[str, Any]) ->
 
 
 def _overrides(cfg: DictConfig, scene: str) -> list[str] | None:
-    """The overrides of a scene; None where its file is not given."""
+    """Return the overrides of a scene; None if they need the path of a file that was not given."""
     try:
         return [str(override) for override in cfg.scene_overrides[scene]]
     except InterpolationToMissingValueError:
@@ -114,15 +114,15 @@ def _overrides(cfg: DictConfig, scene: str) -> list[str] | None:
 
 
 def _scene_name(scene: str) -> str:
-    """The name of a scene, which may be given by a path: that of its folder or file."""
+    """Return a scene's name; one given as a path is named after its folder or file."""
     return Path(scene).expanduser().resolve().stem if "/" in scene or Path(scene).suffix else scene
 
 
 def _scenes(cfg: DictConfig) -> dict[str, list[str]]:
-    """Overrides of the scenes in which to train: those whose files are given or there.
+    """Collect the overrides of the scenes in which to train; scenes whose files are missing are left out.
 
     Raises:
-        ValueError: for a scene that is neither known nor there, or whose file is not given.
+        ValueError: for a requested scene that is unknown and does not exist as a path, or whose file is missing.
     """
     known = [str(scene) for scene in cfg.scene_overrides]
     result: dict[str, list[str]] = {}
@@ -148,7 +148,7 @@ def _scenes(cfg: DictConfig) -> dict[str, list[str]]:
 
 
 def _absent(overrides: Sequence[str]) -> str | None:
-    """What makes the folder of a scene that is not there yet; None where it is there, or where there is no folder."""
+    """Return the argument that makes a scene's missing folder; None if the folder exists or the scene has none."""
     paths = [override.removeprefix("scene=") for override in overrides if override.startswith("scene=")]
     return "name=loop" if any("/" in path and not Path(path).exists() for path in paths) else None
 

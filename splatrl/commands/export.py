@@ -1,4 +1,4 @@
-"""``splatrl-export``: write the policy of a run as an ONNX file, with a script that runs it without splatrl."""
+"""``splatrl-export``: export the policy of a run as an ONNX file, with a script that runs it without splatrl."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Errors and warnings for the people who type a command, in one line each; errors of ours keep their traceback."""
+"""One-line errors and warnings for faults that the user can fix; our own bugs keep their traceback."""
 
 import functools
 import os
@@ -16,22 +16,22 @@ from omegaconf.errors import OmegaConfBaseException
 
 USERS = (ValueError, OSError, ImportError, HydraException, OmegaConfBaseException)
 FULL = "HYDRA_FULL_ERROR"
-"""Set in the environment, it shows where an error came from."""
+"""Environment variable that, when set, shows the full traceback of an error."""
 
 UNKNOWN = re.compile(r"(\w+)(?:\.__init__)?\(\) got an unexpected keyword argument '(\w+)'")
-"""What Python says of an argument that a constructor does not take."""
+"""Python's message about an argument that a constructor does not take."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
 def in_one_line(command: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorate what a command does, so that it ends with one line for what the user can mend, and warns in one line.
+    """Decorate a command so that errors which the user can fix end it with one line, and warnings take one line too.
 
-    In a sweep the other jobs still run, and Hydra prints the line at the end.
+    In a sweep the remaining jobs still run, and Hydra prints the line at the end.
 
     Args:
-        command: its name, which begins the line.
+        command: the command's name, with which each line begins.
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
@@ -45,7 +45,7 @@ def in_one_line(command: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
                     raise
                 text = f"{command}: {line(error)}"
             if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
-                raise CompactHydraException(text)  # without the error, which would keep scenes alive to the end
+                raise CompactHydraException(text)  # unchained: a cause would keep its scenes alive
             sys.exit(text)
 
         return guarded
@@ -55,13 +55,13 @@ def in_one_line(command: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 @contextmanager
 def _warnings_in_one_line(command: str) -> Iterator[None]:
-    """Warn without the place in the code, which says nothing to who typed the command."""
+    """Show warnings without their source location, which means nothing to whoever typed the command."""
     usual = warnings.formatwarning
 
     def told(
         message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
     ) -> str:
-        if category is not UserWarning:  # not one of ours
+        if category is not UserWarning:  # our own warnings are plain UserWarnings
             return usual(message, category, filename, lineno, line)
         return f"{command}: {' '.join(str(message).split())}\n"
 
@@ -73,10 +73,10 @@ def _warnings_in_one_line(command: str) -> Iterator[None]:
 
 
 def line(error: BaseException) -> str:
-    """What an error says, in one line, with the key of the config that it comes from.
+    """Format an error as one line that begins with the config key from which it comes, if there is one.
 
     Args:
-        error: one of ``USERS``; Hydra's wrapping of what a constructor raised is taken off.
+        error: one of ``USERS``; Hydra's wrapper around an exception from a constructor is removed.
     """
     key = ""
     if isinstance(error, InstantiationException):

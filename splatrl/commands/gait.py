@@ -1,4 +1,4 @@
-"""``splatrl-gait``: write the policy of a run of ``task=strides`` as a gait, by which ``task=walk`` walks."""
+"""``splatrl-gait``: write the policy of a ``task=strides`` run as a gait, with which ``task=walk`` walks."""
 
 import argparse
 
@@ -10,7 +10,7 @@ from splatrl.runs import load_policy
 
 @in_one_line("splatrl-gait")
 def run(options: argparse.Namespace) -> None:
-    """Write the gait of a run folder."""
+    """Write the policy of a run folder as a gait."""
     output = options.out or options.run / "gait.npz"
     gait_of(load_policy(options.run, options.checkpoint, "cpu").model).save(output)
     print(output)

@@ -1,4 +1,4 @@
-"""Options of several words, some of which may begin with a minus, as argparse alone cannot take them."""
+"""Options that take several words, some beginning with a minus sign, which argparse alone cannot parse."""
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
@@ -6,20 +6,20 @@ from typing import NoReturn
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that says in one line what is wrong."""
+    """An argument parser that reports errors in one line."""
 
     def error(self, message: str) -> NoReturn:
-        """End with what is wrong, and where the options are listed."""
+        """Exit with one line that says what is wrong and how to list the options."""
         self.exit(2, f"{self.prog}: {message.removeprefix('argument ')}; {self.prog} --help lists the options\n")
 
 
 def is_word(word: str) -> bool:
-    """Whether an argument is no option."""
+    """Return whether an argument is a word rather than an option."""
     return not word.startswith("--")
 
 
 def is_numbers(word: str) -> bool:
-    """Whether an argument is a number, or several with blanks or commas between."""
+    """Return whether an argument is one number, or several separated by blanks or commas."""
     try:
         return len([float(part) for part in split(word)]) > 0
     except ValueError:
@@ -27,12 +27,12 @@ def is_numbers(word: str) -> bool:
 
 
 def joined(arguments: Sequence[str], words: Mapping[str, int], fits: Callable[[str], bool] = is_word) -> list[str]:
-    """The arguments, with options such as ``--axes x -z y`` joined into ``--axes=x -z y``.
+    """Join each option that takes several words into one argument: ``--axes x -z y`` becomes ``--axes=x -z y``.
 
     Args:
-        arguments: of a command line.
-        words: the most words that each such option takes.
-        fits: whether an argument may be one of them.
+        arguments: arguments of a command line.
+        words: for each such option, the maximum number of words it takes.
+        fits: decides whether an argument may be one of an option's words.
     """
     result, rest = [], list(arguments)
     while rest:
@@ -47,5 +47,5 @@ def joined(arguments: Sequence[str], words: Mapping[str, int], fits: Callable[[s
 
 
 def split(text: str) -> list[str]:
-    """The words of a text with blanks or commas between them."""
+    """Split a text into words at blanks and commas."""
     return text.replace(",", " ").split()

@@ -1,4 +1,4 @@
-"""The options of the commands without a config, apart from what they do, which takes seconds to import."""
+"""Option parsers of the commands without a config, kept apart from the commands, which take seconds to import."""
 
 import argparse
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from splatrl.capture.scale import Distance
 
 WORDS = {"--axes": 3, "--translation": 3, "--matrix": 16, "--distance": 7}
-"""Options that take several words, some of which may begin with a minus, and their number of words."""
+"""Options that take several words, some of which may begin with a minus sign, and how many words each takes."""
 GAIT = """
 splatrl-gait outputs/2026-01-31/12-00-00 --out gait.npz
 splatrl-train task=walk task.motion.gait=gait.npz
@@ -19,7 +19,7 @@ splatrl-train task=walk task.motion.gait=gait.npz
 
 
 def capture(arguments: Sequence[str]) -> argparse.Namespace:
-    """The options of ``splatrl-capture``; those that are not typed and have a usual value are None."""
+    """Parse the options of ``splatrl-capture``; None stands for an option that was not typed and has a default."""
     result = Parser(
         prog="splatrl-capture", description="Make a scene to train in of a phone video or a folder of photos."
     )
@@ -76,14 +76,14 @@ def capture(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def _distance(text: str) -> "Distance":
-    """What ``--distance`` says: IMAGE X Y X Y M, or IMAGE X Y IMAGE X Y M.
+    """Parse the value of ``--distance``: IMAGE X Y X Y M, or IMAGE X Y IMAGE X Y M.
 
     Raises:
         argparse.ArgumentTypeError: for anything else.
     """
     try:
         values = [float(word) for word in split(text)]
-        if len(values) == 6:  # both in one image
+        if len(values) == 6:  # both points are in one image
             values.insert(3, values[0])
         if len(values) != 7 or values[0] % 1 != 0 or values[3] % 1 != 0:
             raise ValueError(f"expected IMAGE X Y X Y M or IMAGE X Y IMAGE X Y M, got {text!r}")
@@ -96,7 +96,7 @@ def _distance(text: str) -> "Distance":
 
 
 def scene(arguments: Sequence[str]) -> argparse.Namespace:
-    """The options of ``splatrl-scene``."""
+    """Parse the options of ``splatrl-scene``."""
     result = Parser(
         prog="splatrl-scene",
         description="Inspect a captured scene, guess its orientation, and write a scene.yaml to edit.",
@@ -139,7 +139,7 @@ def scene(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def gait(arguments: Sequence[str]) -> argparse.Namespace:
-    """The options of ``splatrl-gait``."""
+    """Parse the options of ``splatrl-gait``."""
     result = argparse.ArgumentParser(
         "splatrl-gait",
         description="Write the policy of a run of task=strides as a gait, a small file of weights.",

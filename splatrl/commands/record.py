@@ -28,7 +28,7 @@ BY = ("planner", "keys")
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="record")
 @in_one_line("splatrl-record")
 def run(cfg: DictConfig) -> None:
-    """Record demonstrations into the folder ``cfg.out``, with the config with which they are replayed."""
+    """Record demonstrations into the folder ``cfg.out``, together with the config needed to replay them."""
     check_config(cfg)
     if cfg.by not in BY:
         raise ValueError(f"by: expected {' or '.join(BY)}, got {cfg.by}")
@@ -41,9 +41,9 @@ def run(cfg: DictConfig) -> None:
         if path.exists():
             raise ValueError(f"{key}: expected a new folder, but {path} is there")
         path.parent.mkdir(parents=True, exist_ok=True)
-        require_room(path.parent)  # said before anybody has shown anything
+        require_room(path.parent)  # fail now rather than after a person has driven all episodes
     torch.set_num_threads(cfg.threads)
-    cfg.device = "cpu"  # so that a replay gives the same bytes anywhere
+    cfg.device = "cpu"  # so that a replay gives the same bytes on any machine
     world = build_one_world(cfg)
     if cfg.lerobot is not None:
         check_lerobot(world.robot.image_width, world.robot.image_height)
@@ -61,21 +61,24 @@ def run(cfg: DictConfig) -> None:
 
 
 def untaken(path: Path) -> Path:
-    """A path, or with a number behind it where another recording took the name in the meantime."""
+    """Return a path, with a number appended if another recording has taken the name in the meantime."""
     others = (path.with_name(f"{path.name}-{number}") for number in itertools.count(2))
     return next(one for one in itertools.chain([path], others) if not one.exists())
 
 
 def planned(cfg: DictConfig, world: World) -> Demonstrations:
-    """Let the planner walk."""
+    """Record episodes in which the planner chooses the actions."""
     with tqdm(unit="frame", desc="record", dynamic_ncols=True) as bar:
         return planner_episodes(world, cfg.episodes, cfg.seed, bar.update)
 
 
 def driven(cfg: DictConfig, world: World) -> Demonstrations:
-    """Let a person drive in the browser until there are enough episodes, or they end it there or by an interrupt."""
+    """Record episodes that a person drives in the browser.
+
+    Recording ends when there are enough episodes, or when the person ends it in the browser or by Ctrl-C.
+    """
     require_number("episodes", cfg.episodes, 1, 10**6, whole=True)
-    keys_of(world.task.motion)  # refuses what keys cannot drive before a page is opened
+    keys_of(world.task.motion)  # refuses motions that keys cannot drive, before a page is opened
     page = Page(world.scene, cfg.host, cfg.port)
     print(f"{page.address}: drive to the goal {cfg.episodes} times; Ctrl-C writes what there is", flush=True)
     try:
@@ -84,7 +87,7 @@ def driven(cfg: DictConfig, world: World) -> Demonstrations:
         with suppress(KeyboardInterrupt):
             while not driving.finished.wait(1.0):
                 pass
-        driving.finished.set()  # so that no episode is added any more
+        driving.finished.set()  # so that no further episode is added
         return takes.demonstrations()
     finally:
         page.close()

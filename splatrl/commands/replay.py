@@ -1,4 +1,4 @@
-"""``splatrl-replay``: take the actions of demonstrations again, and see whether the same comes out."""
+"""``splatrl-replay``: repeat the actions of demonstrations, and check that the results are the same."""
 
 import sys
 from pathlib import Path
@@ -18,7 +18,7 @@ from splatrl.datasets import read_demonstrations, replay
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="replay")
 @in_one_line("splatrl-replay")
 def run(cfg: DictConfig) -> None:
-    """Replay the folder ``cfg.demos``; ends with an error where anything but views differs."""
+    """Replay the folder ``cfg.demos``; exit with an error if anything other than the views differs."""
     check_config(cfg)
     folder = Path(cfg.demos).expanduser()
     demonstrations = read_demonstrations(folder)

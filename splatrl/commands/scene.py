@@ -47,16 +47,16 @@ from splatrl.scenes.survey import survey
 from splatrl.scenes.upright import GIVEN, UNKNOWN, Guess, Upright, guess_upright
 
 REACH = 0.3
-"""Metres that a robot with physics reaches beyond its place and above its camera, at most, where boxes are drawn."""
+"""Maximum reach, in metres, of a robot with physics beyond its position and above its camera, for drawing boxes."""
 FILL = 0.2
-"""Metres: openings that count as closed, as in training."""
+"""Width of the openings that count as closed, metres, as in training."""
 STILL_TO_TYPE = {"robot_height": "robot.height=0.4", "goal": "'landmarks.goal=[x,y,yaw]'"}
-"""What a person has to say where nothing was found to propose."""
+"""Overrides that the user must type for keys for which no proposal was found."""
 FRAME_OPTIONS = ("up", "axes", "scale", "translation", "matrix", "nerfstudio", "distance")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Look at a scene, and end with one line for what the user can mend."""
+    """Inspect a scene; errors that the user can fix end the command with one line."""
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_: print(f"note        {message}", file=sys.stderr)
         try:
@@ -120,10 +120,10 @@ def look(options: argparse.Namespace) -> None:
 def propose(
     scene: Scene, occupancy: Occupancy, floor: float, options: argparse.Namespace, out: Path, antialiased: bool
 ) -> tuple[Bounds, dict[str, Any]]:
-    """Find where robots could walk and what they could look for, and draw what each goal sees.
+    """Find where robots could walk and which goals they could look for, and draw the view from each goal.
 
     Returns:
-        Bounds of where robots can be, and what a ``scene.yaml`` says beside them.
+        Bounds of where robots can be, and the other keys and values proposed for ``scene.yaml``.
     """
     area = walkable_area(scene, occupancy, floor, options.height)
     if area is None:
@@ -147,14 +147,14 @@ def propose(
 
 
 def beside_description(path: Path, out: Path, gaussians: Gaussians) -> str:
-    """Name of the splat file in the scene's folder, where it is put unless it is there."""
+    """Return the name of the splat file in the scene's folder, after copying it there if necessary."""
     if out.resolve() == path.parent.resolve():
         return path.name
     name = path.name
     if path.suffix in (".ply", ".spz", ".splat", ".sog"):
         with replacing(out / name) as stream, path.open("rb") as source:
             shutil.copyfileobj(source, stream)
-    else:  # of several files
+    else:  # formats with several files are rewritten as one
         name = SPLAT
         write_gaussians(out / name, gaussians)
     print(f"wrote       {out / name}")
@@ -162,7 +162,7 @@ def beside_description(path: Path, out: Path, gaussians: Gaussians) -> str:
 
 
 def look_again(options: argparse.Namespace, folder: Path, out: Path, small: bool) -> None:
-    """Look at a folder with ``scene.yaml``."""
+    """Inspect a folder that already has a ``scene.yaml``."""
     if any(getattr(options, name) is not None for name in FRAME_OPTIONS):
         raise ValueError(
             f"{folder}: expected no frame options for a folder; edit its scene.yaml, or name the splat file"
@@ -194,7 +194,7 @@ def write_blocks_of(
 
 
 def check_no_scene(folder: Path, force: bool) -> None:
-    """Refuse to write blocks beside a ``scene.yaml``, which would be read in their place, or over other blocks."""
+    """Refuse to write blocks beside a ``scene.yaml``, which would be read instead of them, or over existing blocks."""
     if (folder / SCENE_FILE).exists():
         raise FileExistsError(
             f"--split: expected a folder without {SCENE_FILE}, which would be read in place of the blocks, "
@@ -205,7 +205,7 @@ def check_no_scene(folder: Path, force: bool) -> None:
 
 
 def write_small(folder: Path, scene: Scene, proposals: dict[str, Any], force: bool) -> None:
-    """Write a scene's folder with a small splat, in the world frame."""
+    """Write a scene's folder with a small splat file, whose Gaussians are in the world frame."""
     splat = folder / SMALL_SPLAT
     write_gaussians(splat, scene.gaussians, proposals.get("antialiased", True))
     print(f"wrote       {splat}, {splat.stat().st_size / 1e6:.1f} MB")
@@ -216,7 +216,7 @@ def write_small(folder: Path, scene: Scene, proposals: dict[str, Any], force: bo
 def print_guess(
     gaussians: Gaussians, up: list[float] | None, roughly: bool = False, scale: float | None = None
 ) -> Upright:
-    """Print what is in a scene and its guessed orientation; arguments as for ``guess_upright``, and a known scale."""
+    """Print a scene's content and guessed orientation; takes the arguments of ``guess_upright`` and a known scale."""
     print(survey(gaussians))
     upright = guess_upright(gaussians, up, roughly)
     if scale is not None:
@@ -226,11 +226,11 @@ def print_guess(
 
 
 def print_stated(gaussians: Gaussians, metric: bool) -> None:
-    """Print what is in a scene whose frame a ``scene.yaml`` states: up is z and its floor is z = 0.
+    """Print the content of a scene whose frame is stated by a ``scene.yaml``: z is up and the floor is at z = 0.
 
     Args:
-        gaussians: in the world frame.
-        metric: whether a unit is said to be a metre.
+        gaussians: the scene's Gaussians, world frame.
+        metric: False if ``scene.yaml`` says that nothing determined the scale.
     """
     print(survey(gaussians))
     guessed = guess_upright(gaussians, [0.0, 0.0, 1.0])
@@ -246,7 +246,7 @@ def print_stated(gaussians: Gaussians, metric: bool) -> None:
 
 
 def direction(text: str) -> list[float]:
-    """The direction that ``--up`` names: [3]."""
+    """Parse the value of ``--up`` into a direction: [3], file axes."""
     try:
         words = split(text)
         axis, sign = AXES[words[0]] if len(words) == 1 else (0, 0.0)
@@ -259,7 +259,10 @@ def direction(text: str) -> list[float]:
 
 
 def beside(path: Path, stated: StatedFrame, turned: bool = False) -> StatedFrame:
-    """What is stated about a file's frame, with what nerfstudio left beside the file: only its scale if ``turned``."""
+    """Add to a stated frame the transform that nerfstudio left beside the file, or only its scale.
+
+    Only the scale is taken if ``turned``, where ``--up`` states the orientation, or if nerfstudio's frame is not z up.
+    """
     transform = transform_beside(path)
     if transform is None:
         return stated
@@ -271,7 +274,7 @@ def beside(path: Path, stated: StatedFrame, turned: bool = False) -> StatedFrame
 
 
 def draw(scene: Scene, floor: float, options: argparse.Namespace, out: Path, antialiased: bool | None) -> Occupancy:
-    """Print what is solid and draw the pictures; antialiased where nothing says how."""
+    """Print what is solid and draw the pictures, antialiased unless ``antialiased`` is False."""
     occupancy = survey_occupancy(scene, options.resolution)
     print(occupancy.report())
     for picture in draw_scene(scene, occupancy, floor, options.height, out, antialiased is not False):
@@ -287,7 +290,7 @@ def show_terrain(
     out: Path,
     antialiased: bool,
 ) -> None:
-    """Print the ground and the boxes that a robot with physics would meet, and draw them."""
+    """Print and draw the ground and the boxes with which a robot with physics would collide."""
     (left, front), (right, back) = walk
     bottom, top = scene.bounds[0][2], scene.bounds[1][2]
     around = (left - REACH, front - REACH, bottom), (right + REACH, back + REACH, max(top, bottom + 2 * height))
@@ -305,7 +308,7 @@ def show_terrain(
 
 
 def stated_frame(options: argparse.Namespace) -> StatedFrame:
-    """What the options say about the file's frame."""
+    """Collect what the options state about the file's frame."""
     given = [name for name in ("axes", "matrix", "nerfstudio", "up") if getattr(options, name) is not None]
     if len(given) > 1:
         raise ValueError(f"expected one of --axes, --matrix, --nerfstudio and --up, got --{' and --'.join(given)}")

@@ -1,4 +1,4 @@
-"""``splatrl-train``: train a policy, evaluate it, and leave pictures in the run folder."""
+"""``splatrl-train``: train a policy, evaluate it, and write pictures to the run folder."""
 
 import gc
 import sys
@@ -40,7 +40,7 @@ from splatrl.viewer.training import TrainingView
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="train")
 @in_one_line("splatrl-train")
 def run(cfg: DictConfig) -> float:
-    """Train and evaluate what a config describes, or resume a run folder; returns the success rate, for sweepers."""
+    """Train and evaluate the policy that a config describes, or resume a run; return the success rate, for sweepers."""
     job = HydraConfig.get()
     if job.mode == RunMode.MULTIRUN:
         cfg = job_config(cfg, job.overrides.task)
@@ -63,14 +63,14 @@ def run(cfg: DictConfig) -> float:
 
 
 def train(cfg: DictConfig, folder: Path) -> float:
-    """Train in a folder and evaluate; returns the success rate.
+    """Train in a run folder, evaluate, and return the success rate.
 
     Args:
-        cfg: the config, whose ``resume`` says whether to go on with the folder's run.
+        cfg: the config; its ``resume`` says whether to continue the run in the folder.
         folder: the run folder.
 
     Raises:
-        ValueError: for a run that began with other settings.
+        ValueError: for a resumed run that began with other settings.
     """
     resume = cfg.resume
     if resume:
@@ -86,7 +86,8 @@ def train(cfg: DictConfig, folder: Path) -> float:
         trainer.resume((lambda then: None) if cfg.resume_changed else partial(check_made_with, trainer.made_with))
         save_config(cfg, folder)
     gc.collect()
-    gc.freeze()  # modules and the world live as long as the process: going through them again takes a tenth of the time
+    # Modules and the world live as long as the process; rescanning them would take a tenth of the training time.
+    gc.freeze()
     try:
         with watched(cfg, world, trainer):
             trainer.fit()
@@ -101,13 +102,13 @@ def train(cfg: DictConfig, folder: Path) -> float:
 
 
 def evaluated(summary: Mapping[str, object]) -> dict[str, float]:
-    """The rates of an evaluation, under names of their own."""
+    """Prefix the rates of an evaluation with ``evaluation_``, so that a tracker keeps them apart from training's."""
     return {f"evaluation_{key}": value for key, value in summary.items() if isinstance(value, float)}
 
 
 @contextmanager
 def watched(cfg: DictConfig, world: World | Worlds, trainer: Trainer) -> Iterator[None]:
-    """A block in which the training is shown in a browser, if ``cfg.view`` says so."""
+    """Show the training in a browser during the block, if ``cfg.view`` is set."""
     if not cfg.view:
         yield
         return

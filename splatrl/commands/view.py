@@ -1,4 +1,4 @@
-"""``splatrl-view``: look at a scene or a run in the browser, move its goal and bounds, and drive a robot in it."""
+"""``splatrl-view``: view a scene or a run in the browser, move its goal and bounds, and drive a robot in it."""
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -34,13 +34,13 @@ from splatrl.viewer.placing import Placing
 from splatrl.viewer.rollout import Rollout
 
 OF_A_RUN = ("run", "evaluation.checkpoint", "host", "port", "device", "allow_targets")
-"""Keys that may be typed with a run, which has its own settings."""
+"""The only keys that may be typed together with ``run``, since a run brings its own settings."""
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="view")
 @in_one_line("splatrl-view")
 def run(cfg: DictConfig) -> None:
-    """Serve the page until it is interrupted."""
+    """Serve the page until Ctrl-C."""
     if cfg.run is None:
         check_constructors(cfg)
         own, trained = cfg, None
@@ -56,7 +56,7 @@ def run(cfg: DictConfig) -> None:
     with ExitStack() as ending:
         ending.callback(page.close)
         try:
-            ending.callback(furnish(page, own, trained))  # a thread in PyTorch as the interpreter ends would abort it
+            ending.callback(furnish(page, own, trained))  # a thread still in PyTorch would abort the interpreter's exit
             print("all of the page is there", flush=True)
             _wait()
         except KeyboardInterrupt:
@@ -64,7 +64,7 @@ def run(cfg: DictConfig) -> None:
 
 
 def _config_of_run(cfg: DictConfig, typed: Sequence[str]) -> tuple[DictConfig, Callable[[World], TrainedPolicy]]:
-    """The config of the run folder ``cfg.run``, and what loads its policy into a world."""
+    """Return the config of the run folder ``cfg.run``, and a function that loads its policy into a world."""
     keys = [word.partition("=")[0] for word in typed]
     others = [word for word, key in zip(typed, keys, strict=True) if key not in OF_A_RUN]
     if others:
@@ -80,12 +80,15 @@ def _config_of_run(cfg: DictConfig, typed: Sequence[str]) -> tuple[DictConfig, C
 def furnish(
     page: Page, cfg: DictConfig, trained: Callable[[World], TrainedPolicy] | None = None
 ) -> Callable[[], object]:
-    """Add to a page what its config allows for; returns what stops it.
+    """Fill a page with everything its config allows: policy, driving and placing.
 
     Args:
-        page: with the scene.
+        page: the page, which shows the scene already.
         cfg: config of a training or a run.
-        trained: loads a policy into the world; None shows none.
+        trained: loads a policy into the world; None shows no policy.
+
+    Returns:
+        A function that stops whatever still runs.
     """
     scene, gui = page.scene, page.server.gui
     folder = _folder(cfg)
@@ -119,7 +122,7 @@ def furnish(
 
 
 def place_values(cfg: DictConfig, scene: Scene) -> dict[str, Any]:
-    """What can be dragged: ``goal``, ``object``, ``walk`` and ``bounds``, as a ``scene.yaml`` says them."""
+    """Return the values that can be dragged, ``goal``, ``object``, ``walk`` and ``bounds``, as in a ``scene.yaml``."""
     corners = [OmegaConf.select(cfg, key) for key in CORNERS]
     values: dict[str, Any] = {"bounds": [list(corner) for corner in scene.bounds]}
     values["walk"] = None if None in corners else [[float(value) for value in corner] for corner in corners]
@@ -130,14 +133,14 @@ def place_values(cfg: DictConfig, scene: Scene) -> dict[str, Any]:
 
 
 def _folder(cfg: DictConfig) -> Path | None:
-    """The scene's folder with a ``scene.yaml``; None for files and generated scenes."""
+    """Return the scene's folder if it has a ``scene.yaml``; None for single files and generated scenes."""
     path = cfg.scene.get("path")
     folder = None if path is None else Path(path).expanduser()
     return folder if folder is not None and (folder / SCENE_FILE).is_file() else None
 
 
 def _check(cfg: DictConfig, scene: Scene, stated: Mapping[str, Any]) -> None:
-    """Refuse a ``scene.yaml`` in which the config's task would not fit."""
+    """Raise ``ValueError`` if the config's task does not fit the values stated for a ``scene.yaml``."""
     changed = cfg.copy()
     for key in ("goal", "object"):
         OmegaConf.update(changed, TARGETS[key][0], stated.get(key, OmegaConf.select(cfg, TARGETS[key][0])))
@@ -148,7 +151,7 @@ def _check(cfg: DictConfig, scene: Scene, stated: Mapping[str, Any]) -> None:
 
 
 def _wait() -> None:
-    """Wait for an interrupt."""
+    """Block until Ctrl-C."""
     forever = threading.Event()
     while not forever.wait(1.0):
         pass

@@ -1,4 +1,4 @@
-"""Evaluation: episodes from every start, figures and video."""
+"""Evaluation of policies: episodes over the start set, figures and videos."""
 
 from splatrl.evaluation.report import summarise
 from splatrl.evaluation.rollouts import Episodes, run_episodes

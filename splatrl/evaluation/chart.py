@@ -1,4 +1,4 @@
-"""The map in a video: it is drawn once, and the robot is drawn on it for every frame."""
+"""The map panel of a video: its background is drawn once, and the robot is drawn on it for every frame."""
 
 import functools
 import math
@@ -17,9 +17,9 @@ from splatrl.evaluation.recording import Recording
 from splatrl.evaluation.topdown import MapView
 
 FINE = 2
-"""Factor by which the map is drawn larger and then reduced, which smooths its lines."""
+"""Supersampling factor: the map is drawn this much larger and then reduced, which smooths its lines."""
 APART = 7
-"""Pixels between the dots of a trail, at least."""
+"""Minimum distance between the dots of a trail, pixels."""
 COLORS = {
     Outcome.RUNNING: BLUE,
     Outcome.GOAL: REACHED,
@@ -32,7 +32,7 @@ COLORS = {
 
 @functools.cache
 def font(size: int) -> ImageFont.FreeTypeFont:
-    """The font that comes with matplotlib, so that every machine has it."""
+    """Load the font that ships with matplotlib, so that every machine has it."""
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)
 
 
@@ -40,9 +40,9 @@ class Chart:
     """The map of one scene and task.
 
     Args:
-        view: what the map is drawn over.
+        view: background and marks of the map.
         body: the robot's body.
-        box: largest width and height, pixels.
+        box: maximum width and height, pixels.
 
     Attributes:
         size: width and height, pixels.
@@ -53,7 +53,7 @@ class Chart:
         height, width = ground.image.shape[:2]
         zoom = min(box[0] / width, box[1] / height)
         self.size = (round(zoom * width), round(zoom * height))
-        self.scale = FINE * self.size[0] / width * ground.pixels_per_metre  # pixels per metre
+        self.scale = FINE * self.size[0] / width * ground.pixels_per_metre  # supersampled pixels per metre
         self.corner = np.array([ground.extent[0], ground.extent[3]])
         self.body = _outline(body)
         image = 0.3 * 255 + 0.7 * np.asarray(ground.image, dtype=np.float64)
@@ -65,7 +65,7 @@ class Chart:
         self._ruler(ImageDraw.Draw(self.static))
 
     def draw(self, recording: Recording, step: int) -> Image.Image:
-        """Draw the map after some steps of an episode."""
+        """Draw the map as it stands after ``step`` steps of an episode."""
         image = self.static.copy()
         pen = ImageDraw.Draw(image)
         styles = mark_styles(chain(self.marks, recording.named_marks))
@@ -89,17 +89,17 @@ class Chart:
         return image.reduce(FINE)
 
     def _pixels(self, positions: NDArray[np.float64]) -> list[tuple[float, float]]:
-        """Convert world x and y to fine pixels: [N, 2]."""
+        """Convert world x and y, [N, 2] metres, to supersampled pixels."""
         columns, rows = ((positions - self.corner) * (self.scale, -self.scale)).T
         return list(zip(columns.tolist(), rows.tolist(), strict=True))
 
     def _place(self, shape: NDArray[np.float64], planar: NDArray[np.float64]) -> list[tuple[float, float]]:
-        """Put a shape at a pose: [K, 2] metres in the body frame -> fine pixels."""
+        """Place a shape at a pose: [K, 2] metres in the body frame -> supersampled pixels."""
         cos, sin = math.cos(planar[2]), math.sin(planar[2])
         return self._pixels(shape @ np.array([[cos, sin], [-sin, cos]]) + planar[:2])
 
     def _mark(self, pen: ImageDraw.ImageDraw, mark: Mark, color: str, corners: int) -> None:
-        """Draw a dot or a shape with corners, with an arrow if the mark has a direction."""
+        """Draw a mark as a dot or polygon, with an arrow if it has a direction."""
         pose = np.asarray(mark.planar.cpu(), dtype=np.float64)
         if not math.isnan(pose[2]):
             length = 26 / self.scale * FINE  # metres
@@ -113,7 +113,7 @@ class Chart:
         _shape(pen, center, radius, color, corners)
 
     def _legend(self, pen: ImageDraw.ImageDraw, styles: dict[str, tuple[str, int]]) -> None:
-        """Name what marks of several looks are, in the lower right corner."""
+        """Draw a legend of the marks in the lower right corner."""
         words = font(14 * FINE)
         left = FINE * (self.size[0] - 12) - max(pen.textlength(name, words) for name in styles)
         for row, (name, (color, corners)) in enumerate(reversed(styles.items())):
@@ -122,7 +122,7 @@ class Chart:
             pen.text((left, y), name, INK, words, "lm", stroke_width=2 * FINE, stroke_fill="white")
 
     def _ruler(self, pen: ImageDraw.ImageDraw) -> None:
-        """Draw a scale bar of a round number of metres."""
+        """Draw a scale bar whose length is a round number of metres."""
         width, height = FINE * self.size[0], FINE * self.size[1]
         metres = 10.0 ** math.floor(math.log10(0.4 * width / self.scale))
         metres *= max(factor for factor in (1, 2, 5) if factor * metres * self.scale <= 0.4 * width)
@@ -135,7 +135,7 @@ class Chart:
 
 
 def _shape(pen: ImageDraw.ImageDraw, center: tuple[float, float], radius: float, color: str, corners: int) -> None:
-    """Draw a dot, or with corners a regular polygon of about its area, one corner up, at fine pixels."""
+    """Draw a dot, or a regular polygon of about its area with one corner up; positions are supersampled pixels."""
     if not corners:
         pen.circle(center, radius * FINE, fill=color, outline=INK, width=FINE)
         return
@@ -145,7 +145,7 @@ def _shape(pen: ImageDraw.ImageDraw, center: tuple[float, float], radius: float,
 
 
 def _apart(positions: NDArray[np.float64], least: float) -> NDArray[np.float64]:
-    """Those of a way's positions that are at least as far from the one before that is taken: [N, 2] -> [M, 2]."""
+    """Thin out a path, keeping positions at least ``least`` from the last one kept: [N, 2] -> [M, 2]."""
     taken = [positions[0]]
     for position in positions[1:]:
         if np.linalg.norm(position - taken[-1]) >= least:
@@ -154,7 +154,7 @@ def _apart(positions: NDArray[np.float64], least: float) -> NDArray[np.float64]:
 
 
 def _outline(body: Body) -> NDArray[np.float64]:
-    """The outline of a body seen from above: [K, 2] metres, body frame."""
+    """Return the outline of a body seen from above: [K, 2] metres, body frame."""
     if isinstance(body, Box):
         return 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * body.size[:2]
     radius = body.radius if isinstance(body, Sphere) else body.cap_radius

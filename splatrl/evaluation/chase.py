@@ -1,4 +1,4 @@
-"""A camera that follows a robot, for videos of those that have bodies to be seen."""
+"""A chase camera that follows a robot, for videos of robots with visible bodies."""
 
 import math
 
@@ -11,15 +11,15 @@ from splatrl.collision.base import Checker
 from splatrl.geometry import axis_rotations, rigid
 
 AWAY = 5.0
-"""Distance of the camera from the robot, radii of its body."""
+"""Distance of the camera from the robot, in radii of its body."""
 NEAREST = 0.35
-"""Share of that distance to which walls behind the robot may push the camera."""
+"""Smallest fraction of that distance to which walls may push the camera towards the robot."""
 ROOMY = 0.7
-"""Share of that distance for which there must be room all along, or else another side is tried."""
+"""Fraction of that distance that must stay free throughout the episode; otherwise another side is tried."""
 SIDES_DEG, ELEVATIONS_DEG = (0.0, 40.0, -40.0, 80.0, -80.0, 180.0), (25.0, 45.0, 65.0)
-"""Where the camera may be: angles off straight behind the robot, and above it; the first that has room is taken."""
+"""Candidate camera directions: azimuths from straight behind the robot, and elevations; the first with room wins."""
 SMOOTH = 6
-"""Steps before and after one over whose poses the camera's way is averaged."""
+"""Half-width, in steps, of the window over which the camera's path is averaged."""
 FOV_DEG = 60.0
 
 
@@ -31,15 +31,17 @@ def chase_cameras(
     size: tuple[int, int],
     device: torch.device | str = "cpu",
 ) -> Cameras:
-    """Cameras that follow a robot smoothly through an episode, always from the same side, in front of what is solid.
+    """Place cameras that follow a robot smoothly through an episode, always from the same side.
+
+    The cameras close in where walls would block the view.
 
     Args:
-        planar: [T, 3] float64 x and y in metres and yaw in radians of the robot.
-        place: [T, 3] float32 its centre, world, metres.
-        radius: of its body, metres.
-        checker: knows what is solid.
+        planar: [T, 3] float64, the robot's x and y in metres and yaw in radians.
+        place: [T, 3] float32, the robot's centre, world frame, metres.
+        radius: radius of the robot's body, metres.
+        checker: casts rays against what is solid.
         size: width and height of the images, pixels.
-        device: on which the checker works.
+        device: device of the checker.
 
     Returns:
         T cameras, on the CPU.
@@ -66,6 +68,6 @@ def _behind(side_deg: float, up_deg: float) -> tuple[float, float, float]:
 
 
 def _averaged(values: Tensor, reach: int) -> Tensor:
-    """Means over as many rows before and after each: [T, D] -> [T, D]."""
+    """Return the moving average over ``reach`` rows before and after each row: [T, D] -> [T, D]."""
     padded = pad(values.T[None], (reach, reach), "replicate")
     return avg_pool1d(padded, 2 * reach + 1, 1)[0].T

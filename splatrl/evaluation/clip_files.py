@@ -1,9 +1,9 @@
-"""Labelled clips on disk, filmed or recorded; they are read as untrusted data and written atomically.
+"""Labelled clips on disk, filmed or simulated; they are read as untrusted data and written atomically.
 
-A folder of clips holds, for each clip, a sub-folder of photos (PNG, JPEG or WebP, in the order of their numbers)
-with ``actions.csv``, or a video (``name.mp4`` or ``name.mov``) with ``name.csv`` beside it. The CSV has the columns
-``frame,action``: frames count from 0, and actions are names, joined by ``|`` where any of several is right. Frames
-that are not listed are shown to the policy but not scored.
+For each clip, a folder of clips holds either a sub-folder of photos (PNG, JPEG or WebP, in the order of their
+numbers) with ``actions.csv``, or a video (``name.mp4`` or ``name.mov``) with ``name.csv`` beside it. The CSV has the
+columns ``frame,action``: frames count from 0, and actions are names, joined by ``|`` where any of several is correct.
+Frames that are not listed are shown to the policy but not scored.
 """
 
 import csv
@@ -36,14 +36,14 @@ MAX_CSV_BYTES = 4 * 2**20
 
 @dataclass(frozen=True)
 class Clip:
-    """Frames in order, with labels for some of them.
+    """A sequence of frames, some of which are labelled.
 
     Attributes:
         name: name of its folder or file.
-        source: the folder of images or the video.
-        table: the CSV.
-        labels: the indices of the right actions, by frame number.
-        lines: the line of the CSV that holds the label, by frame number.
+        source: the folder of images, or the video file.
+        table: the CSV file with the labels.
+        labels: indices of the correct actions, by frame number.
+        lines: line of the CSV that holds each label, by frame number.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Clip:
 
 
 def film_images(source: Path) -> Iterator[Image.Image]:
-    """Yield the frames of a video, or the photos of a folder, in order, RGB and upright.
+    """Iterate over the frames of a video, or the photos of a folder, in order, RGB and upright.
 
     Raises:
         ValueError: for a frame that cannot be read or is too large.
@@ -78,17 +78,17 @@ def film_images(source: Path) -> Iterator[Image.Image]:
 
 
 def read_clips(folder: Path, action_names: Sequence[str]) -> list[Clip]:
-    """Find the clips of a folder and read their labels; frames are read when they are needed.
+    """Find the clips in a folder and read their labels; frames are read only when they are needed.
 
     Args:
         folder: folder of clips.
-        action_names: names of the task's actions, in their order.
+        action_names: names of the task's actions, by index.
 
     Returns:
         The clips, ordered by name.
 
     Raises:
-        ValueError: if there is no clip, a clip has no labels or images, or a label is invalid.
+        ValueError: if there are no clips, a clip has no labels or images, or a label is invalid.
     """
     if not folder.is_dir():
         raise ValueError(f"{folder}: expected a folder of clips, found none")
@@ -110,17 +110,17 @@ def read_clips(folder: Path, action_names: Sequence[str]) -> list[Clip]:
 
 
 def read_labels(path: Path, action_names: Sequence[str]) -> tuple[dict[int, frozenset[int]], dict[int, int]]:
-    """Read a table of frames and actions.
+    """Read the labels of a clip from its CSV file.
 
     Args:
-        path: the CSV.
-        action_names: names of the task's actions, in their order.
+        path: the CSV file.
+        action_names: names of the task's actions, by index.
 
     Returns:
-        Labels and lines, as in ``Clip``.
+        ``labels`` and ``lines``, as in ``Clip``.
 
     Raises:
-        ValueError: for anything invalid, naming file and line.
+        ValueError: for any invalid content; the message names file and line.
     """
     if not path.is_file():
         raise ValueError(f"{path}: expected a table with the columns frame,action, found none")
@@ -173,7 +173,7 @@ def _video(path: Path) -> Iterator[Image.Image]:
     with open_video(path) as container:
         aspect = pixel_aspect(container)
         for frame in container.decode(container.streams.video[0]):
-            require_small(path, *square_size(frame.width, frame.height, aspect))  # it may change within a stream
+            require_small(path, *square_size(frame.width, frame.height, aspect))  # the size may change within a stream
             yield square_pixels(frame.to_image(), aspect).rotate(frame.rotation, expand=True)
 
 
@@ -183,11 +183,11 @@ def write_clip(folder: Path, images: Tensor, allowed: Tensor, action_names: Sequ
     Args:
         folder: the clip's folder, whose parent exists.
         images: [T, H, W, 3] uint8.
-        allowed: [T, A] bool, the actions that are right; frames without any get no label.
+        allowed: [T, A] bool, the correct actions; frames without any get no label.
         action_names: names of the A actions.
 
     Raises:
-        ValueError: if something of that name exists.
+        ValueError: if a file or folder of that name exists.
     """
     assert len(images) == len(allowed), (images.shape, allowed.shape)
     table = io.StringIO(newline="")

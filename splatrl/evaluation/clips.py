@@ -1,4 +1,7 @@
-"""How often a policy would act in a clip as a person or a planner would have: Experiment IV of the paper."""
+"""Scores policies by how often they act in a clip as its labels say: Experiment IV of the paper.
+
+Labels come from a person or a planner.
+"""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -27,13 +30,13 @@ HEADLINE = (
 
 @dataclass(frozen=True)
 class ClipResult:
-    """How a policy did on the labelled frames of a clip.
+    """Score of a policy on the labelled frames of a clip.
 
     Attributes:
         name: name of the clip.
         frames: number of labelled frames.
-        matches: number of those in which the most probable action is one of the label's.
-        mass: mean over labelled frames of the probability that the policy gives to the label's actions together.
+        matches: number of labelled frames whose most probable action is one of the label's.
+        mass: total probability that the policy gives to the label's actions, averaged over labelled frames.
     """
 
     name: str
@@ -43,12 +46,12 @@ class ClipResult:
 
     @property
     def rate(self) -> float:
-        """Share of labelled frames that match."""
+        """Fraction of labelled frames that match."""
         return self.matches / self.frames
 
 
 def total(results: Sequence[ClipResult]) -> ClipResult:
-    """Combine all clips into one result, in which every labelled frame counts the same."""
+    """Combine the results of all clips into one, in which every labelled frame has equal weight."""
     frames = sum(one.frames for one in results)
     mass = sum(one.frames * one.mass for one in results) / frames
     return ClipResult("total", frames, sum(one.matches for one in results), mass)
@@ -64,21 +67,23 @@ def match(
 ) -> list[ClipResult]:
     """Show clips to a policy frame by frame, and compare its most probable action with the labels.
 
-    A frame is cropped about its centre to the shape of the policy's image and shrunk by averaging areas. A policy that
-    sees several frames also sees the preceding ones, oldest first, with the clip's first frame repeated at its start. A
-    recurrent state is reset for each clip and carried through it. The policy's generator is left as it was.
+    Each frame is cropped about its centre to the aspect ratio of the policy's image and downscaled by area averaging.
+    A policy with stacked frames also sees the preceding ones, oldest first, padded at the start of a clip with its
+    first frame. A recurrent state is reset for each clip and carried through it. PyTorch's global generator is left
+    as it was.
 
     Args:
         policy: reads ``pixels`` and whatever else its ``in_keys`` name, writes ``logits``.
-        action_names: names of the task's actions, in their order.
+        action_names: names of the task's actions, by index.
         clips: clips that were read with the same names.
-        image_shape: (H, W, C) of ``pixels``, where C is 3 for each stacked frame.
-        start: [1] everything but ``pixels`` that the policy reads at the start of an episode, such as a recurrent state
-            of zeros; None if it reads nothing else.
-        progress: called with the number of frames that were just shown.
+        image_shape: (H, W, C) of ``pixels``, where C is 3 per stacked frame.
+        start: batch of [1] with everything but ``pixels`` that the policy reads at the start of an episode, such as a
+            recurrent state of zeros; None if it reads nothing else.
+        progress: called with the number of frames just shown.
 
     Raises:
-        ValueError: for a clip that cannot be read, or a policy that reads keys that it is not given.
+        ValueError: for a clip that cannot be read, a policy with another number of actions, or one that reads keys that
+            are not given.
     """
     results = []
     for clip in clips:
@@ -101,20 +106,21 @@ def predictions(
     image_shape: Sequence[int],
     start: TensorDictBase | None = None,
 ) -> Iterator[tuple[Image.Image, Tensor, Tensor]]:
-    """What a policy makes of images that are shown to it one after the other, as ``match`` shows them.
+    """Show images to a policy one after another, as ``match`` does, and yield its action probabilities.
 
     Args:
-        policy: as for ``match``, and so the others.
-        action_names: of A actions.
-        images: RGB, of any size.
-        image_shape: (H, W, C).
-        start: [1].
+        policy: as for ``match``.
+        action_names: names of the A actions.
+        images: RGB images of any size.
+        image_shape: (H, W, C), as for ``match``.
+        start: batch of [1], as for ``match``.
 
     Yields:
-        An image, what the policy sees of it, [H, W, 3] uint8, and the probabilities that it gives to the actions, [A].
+        The image, its cropped and resized version that the policy sees, [H, W, 3] uint8, and the probabilities of the
+        actions, [A].
 
     Raises:
-        ValueError: for a policy of another number of actions, or one that reads keys that it is not given.
+        ValueError: for a policy with another number of actions, or one that reads keys that are not given.
     """
     begun = TensorDict({}, [1]) if start is None else start
     extra = [key for key in policy.in_keys if key != "pixels"]
@@ -137,19 +143,19 @@ def predictions(
             )
         yield image, frame, probabilities
         after = out.get("next", TensorDict({}, [1]))
-        for key in begun.keys():  # noqa: SIM118, iterating over a TensorDict goes along its batch
+        for key in begun.keys():  # noqa: SIM118, iterating over a TensorDict runs along its batch
             carried[key] = after.get(key, begun[key])
         if "is_init" in carried.keys():  # noqa: SIM118
             carried["is_init"] = torch.zeros_like(carried["is_init"])
 
 
 def fitted(image: Image.Image, height: int, width: int) -> Tensor:
-    """Crop an image about its centre to the shape height : width, and shrink it to that size by averaging areas.
+    """Crop an image about its centre to the target's aspect ratio, and resize it by area averaging.
 
     Args:
-        image: RGB, of any size.
-        height: pixels.
-        width: pixels.
+        image: RGB image of any size.
+        height: height of the result, pixels.
+        width: width of the result, pixels.
 
     Returns:
         [height, width, 3] uint8.
@@ -157,7 +163,7 @@ def fitted(image: Image.Image, height: int, width: int) -> Tensor:
     scale = min(image.width / width, image.height / height)
     across, down = _shares(image.width, width, scale), _shares(image.height, height, scale)
     pixels, lines = np.asarray(image), []
-    for shares in down:  # one line of the result at a time, so that a large image is never held in floats
+    for shares in down:  # one row of the result at a time, so that a large image is never held as floats
         first, last = np.flatnonzero(shares)[[0, -1]]
         lines.append(np.tensordot(shares[first : last + 1], pixels[first : last + 1], 1))
     means = np.einsum("ow,hwc->hoc", across, np.stack(lines))
@@ -165,10 +171,13 @@ def fitted(image: Image.Image, height: int, width: int) -> Tensor:
 
 
 def _shares(length: int, count: int, scale: float) -> NDArray[np.float64]:
-    """The share of each of ``length`` pixels in each of ``count`` cells, which are ``scale`` pixels wide and centred.
+    """Return the weight of each of ``length`` pixels in the mean over each of ``count`` cells.
+
+    The cells are ``scale`` pixels wide, in a row centred on the pixels; a pixel's weight is proportional to its overlap
+    with the cell.
 
     Returns:
-        [count, length], with rows of sum 1.
+        [count, length] weights, whose rows sum to 1.
     """
     edges = 0.5 * length + scale * (np.arange(count + 1) - 0.5 * count)
     pixels = np.arange(length)
@@ -179,12 +188,12 @@ def _shares(length: int, count: int, scale: float) -> NDArray[np.float64]:
 
 
 def table(results: Mapping[str, Sequence[ClipResult]]) -> str:
-    """Match rates as a Markdown table, one row per clip and one for all, one column per run.
+    """Format match rates as a Markdown table, with one row per clip, one for the total, and one column per run.
 
     The mean probability of the label's actions is in brackets.
 
     Args:
-        results: results of each run on the same clips.
+        results: results on the same clips, by run.
     """
     runs = list(results)
     rows = [["clip", "frames", *runs], ["---", "---:", *["---:"] * len(runs)]]
@@ -196,10 +205,10 @@ def table(results: Mapping[str, Sequence[ClipResult]]) -> str:
 
 
 def write_report(results: Mapping[str, Sequence[ClipResult]], folder: Path) -> str:
-    """Write ``clips.md`` and ``clips.json``; returns the content of the former.
+    """Write ``clips.md`` and ``clips.json``; return the content of the former.
 
     Args:
-        results: results of each run on the same clips.
+        results: results on the same clips, by run.
         folder: folder to write to.
     """
     page = f"{HEADLINE}\n\n{table(results)}"

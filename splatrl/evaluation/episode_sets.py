@@ -1,4 +1,4 @@
-"""Sets of navigation episodes in files with Habitat's field names: who starts where, and where to."""
+"""Navigation episodes in files with Habitat's field names: starts, goals and scenes."""
 
 import gzip
 import json
@@ -17,23 +17,23 @@ from splatrl.files import refusing, replacing
 
 EPISODES = "episodes.json.gz"
 MOST_BYTES = 2**27
-"""Of a file's unpacked text: some hundred thousand episodes."""
+"""Maximum size of a file, packed or unpacked, bytes: several hundred thousand episodes."""
 INFLATION, SLACK = 100, 2**20
-"""Bytes that a byte of a file may unpack to, and those that any file may: real ones stay below 20."""
+"""Maximum gzip expansion ratio, which stays below 20 in real files, and bytes that any file may unpack to besides."""
 MOST_EPISODES = 200_000
 FARTHEST = 1e6
-"""Metres of a position, at most."""
+"""Largest magnitude of a number, such as a coordinate in metres, that a file may hold."""
 EXPECTED = "Habitat's episodes: a list 'episodes', each with scene_id, start_position, start_rotation and goals"
 
 
 def to_habitat(places: Tensor) -> Tensor:
-    """Positions [N, 3] of the world (z up, yaw 0 along +x) in Habitat's frame (y up, looking along −z)."""
+    """Convert positions [N, 3] from the world (z up, yaw 0 along +x) to Habitat's frame (y up, looking along −z)."""
     x, y, z = places.unbind(1)
     return torch.stack([-y, z, -x], 1)
 
 
 def from_habitat(places: Tensor) -> Tensor:
-    """Undo ``to_habitat``."""
+    """Invert ``to_habitat``."""
     x, y, z = places.unbind(1)
     return torch.stack([-z, -x, y], 1)
 
@@ -48,16 +48,16 @@ def write_episodes(
 ) -> None:
     """Write episodes as ``episodes.json.gz``.
 
-    Positions and rotations (x, y, z, w) are in Habitat's frame. The yaw of a goal, which image goals have, is
-    ``info.goal_yaw`` in the world's frame, radians.
+    Positions and rotations (x, y, z, w) are in Habitat's frame. The yaw of a goal, which image goals need, is stored as
+    ``info.goal_yaw``, radians, world frame.
 
     Args:
         path: file to write.
         state: [N, 3] starts, x and y in metres and yaw in radians.
-        memory: ``goal`` [N, 3] likewise, and ``start_distance`` [N, 1], metres of the shortest way.
-        scenes: [N] names.
+        memory: ``goal`` [N, 3], likewise, and ``start_distance`` [N, 1], the geodesic distance to it, metres.
+        scenes: name of the scene of each of the N episodes.
         heights: [N] float32, z of each start and its goal, metres.
-        radius: within which a stop is a success, metres.
+        radius: distance from the goal within which a stop is a success, metres.
     """
     z = heights.double().unsqueeze(1)
     goal = memory["goal"].double()
@@ -75,24 +75,24 @@ def write_episodes(
         for number in range(len(state))
     ]
     text = json.dumps({"episodes": episodes})
-    with replacing(path) as stream, gzip.GzipFile("", "wb", 9, stream, mtime=0) as packed:  # the same bytes each time
+    with replacing(path) as stream, gzip.GzipFile("", "wb", 9, stream, mtime=0) as packed:  # reproducible bytes
         packed.write(text.encode())
 
 
 def read_episodes(path: Path, scenes: Sequence[str]) -> tuple[Tensor, Tensor, Tensor]:
-    """Read episodes, which may come from a stranger: they are data.
+    """Read a file of episodes, which may come from a stranger and is treated as untrusted data.
 
     Args:
-        path: a file that ``write_episodes`` wrote, or one for Habitat.
-        scenes: names of the scenes there are.
+        path: a file written by ``write_episodes`` or made for Habitat.
+        scenes: names of the available scenes.
 
     Returns:
-        Starts [N, 3] float32, x and y in metres and yaw in radians; goals likewise, their yaw 0 where nothing is said
-        of it; and the scene of each, [N] int64.
+        Starts [N, 3] float32, x and y in metres and yaw in radians; goals likewise, with yaw 0 if the file gives none;
+        and the index of each episode's scene, [N] int64.
 
     Raises:
-        FileNotFoundError: where there is no such file.
-        ValueError: for a file that is damaged, too large, of another kind, or about scenes that are not there.
+        FileNotFoundError: if there is no such file.
+        ValueError: for a file that is damaged, too large, of another kind, or names scenes that are not available.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected a file of episodes, found none")
@@ -108,7 +108,7 @@ def read_episodes(path: Path, scenes: Sequence[str]) -> tuple[Tensor, Tensor, Te
 
 
 def _unpacked(path: Path) -> bytes:
-    """The text of a file, at most ``MOST_BYTES``."""
+    """Decompress a file, refusing more than ``MOST_BYTES`` or too high an expansion ratio."""
     if path.stat().st_size > MOST_BYTES:
         raise ValueError(f"{path}: expected at most {MOST_BYTES:,} bytes, got {path.stat().st_size:,}")
     packed, text = path.read_bytes(), zlib.decompressobj(wbits=31)
@@ -124,7 +124,7 @@ def _unpacked(path: Path) -> bytes:
 
 
 def _episode(where: str, row: Any, scenes: Sequence[str]) -> tuple[list[float], list[float], int]:
-    """Start, goal and scene of an episode."""
+    """Parse an episode into start, goal and scene index."""
     if not isinstance(row, dict):
         raise ValueError(f"{where}: expected keys and values")
     scene = row.get("scene_id")
@@ -149,11 +149,11 @@ def _numbers(key: str, values: Any, count: int) -> list[float]:
     plain = isinstance(values, list) and len(values) == count
     if not plain or not all(isinstance(one, int | float) and not isinstance(one, bool) for one in values):
         raise ValueError(f"{key}: expected {count} numbers")
-    if not all(abs(one) <= FARTHEST for one in values):  # NaN is not
+    if not all(abs(one) <= FARTHEST for one in values):  # NaN fails this too
         raise ValueError(f"{key}: expected finite numbers of at most {FARTHEST:g}")
     return [float(one) for one in values]
 
 
 def places_of(goal: Tensor) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """The positions of goals [N, 3] as ``Geodesics.with_goals`` takes them: [N, 2]."""
+    """Return the positions of goals [N, 3] in the form that ``Geodesics.with_goals`` takes: [N, 2]."""
     return goal[:, :2].double().numpy()

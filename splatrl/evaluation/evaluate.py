@@ -1,4 +1,4 @@
-"""Tests a finished training from its whole start set, and writes numbers and pictures into the run folder."""
+"""Evaluates a trained policy over its start set, and writes numbers and pictures into the run folder."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,21 +20,21 @@ from splatrl.values import tenths
 
 EPISODES_IN_VIDEO = 4
 SCENES_SHOWN = 4
-"""Of several scenes, so many have maps and a video of their own."""
+"""Maximum number of scenes that get maps and a video of their own; with more scenes, the first ones do."""
 FRAMES_IN_VIDEOS = 1200
-"""Of all these videos together, about: each is drawn large, and somebody waits."""
+"""Approximate total of frames in all these videos: each frame is rendered large, while the user waits."""
 
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """How a policy is tested.
+    """Settings of an evaluation.
 
     Attributes:
-        checkpoint: last or best.
-        starts: largest number of starts, evenly spaced over the start set.
-        repeats: sampled episodes from each start.
+        checkpoint: which checkpoint to test, last or best.
+        starts: maximum number of starts, evenly spaced over the start set.
+        repeats: number of sampled episodes from each start.
         batch_size: number of robots in parallel.
-        seed: seed of the sampling.
+        seed: seed of the action sampling.
         episodes: file of episodes for a navigation task; None draws them, and writes them into the run folder.
     """
 
@@ -55,19 +55,19 @@ def evaluate(
     seed: int,
     video: bool = True,
 ) -> tuple[dict[str, Any], list[Path]]:
-    """Test a policy, and write ``evaluation.json`` and the pictures.
+    """Evaluate a policy, and write ``evaluation.json`` and the pictures.
 
     Args:
         world: world in which the policy is tested.
         policy: reads an observation, writes ``action``.
-        checkpoint: the policy's checkpoint, which holds facts about the training.
+        checkpoint: content of the policy's checkpoint, including statistics of the training.
         folder: the run folder.
-        settings: how the policy is tested.
+        settings: settings of the evaluation.
         seed: seed of the training, for the report.
-        video: whether to record a video.
+        video: whether to record videos.
 
     Returns:
-        The content of ``evaluation.json``, and the pictures' files.
+        The content of ``evaluation.json``, and the files of the pictures and videos.
     """
     with refusing(folder / "checkpoints", "a checkpoint of a training"):
         trained = {
@@ -122,12 +122,12 @@ def evaluate(
 
 
 def summary_lines(summary: dict[str, Any]) -> list[str]:
-    """The results of an evaluation, in words."""
+    """Describe the results of an evaluation in two lines of text."""
     rates = [f"success {summary['success_rate']:.3f} (argmax {summary['success_rate_argmax']:.3f})"]
     by_steps = f"SPL by steps {summary['step_spl']:.3f}" if "step_spl" in summary else ""
     by_distance = f"SPL {summary['spl']:.3f}, soft SPL {summary['soft_spl']:.3f}" if "spl" in summary else ""
     rates.append(by_distance or by_steps or f"return {tenths(summary['mean_return'])}")
-    if summary["mean_goals"] > summary["success_rate"]:  # in tasks that go on after a goal
+    if summary["mean_goals"] > summary["success_rate"]:  # in tasks that continue after a goal
         rates.append(f"{summary['mean_goals']:.2f} goals an episode")
     if "spl" in summary:
         rates.append(f"{summary['collisions']:.1f} collisions an episode, {summary['distance_to_goal']:.2f} m left")

@@ -1,4 +1,4 @@
-"""The figures of a finished training: how it learned, and from which starts it succeeds."""
+"""Figures of a finished training: its learning curve, and from which starts it succeeds."""
 
 import itertools
 import math
@@ -25,27 +25,27 @@ from splatrl.files import replacing
 REACHED, PARTLY, MISSED = "#009e73", "#e69f00", "#d55e00"  # distinguishable with any colour vision
 GOAL, TEST, BLUE, PURPLE, INK = "#e0409f", "#f0e442", "#0072b2", "#8a5a99", "#222222"
 MARKS = ((GOAL, 0), (TEST, 4), ("#56b4e9", 3))
-"""Colour and number of corners of the marks of each name, in the order in which names come; 0 is a dot."""
+"""Colour and number of corners (0 is a dot) of marks, assigned to their names in order of first appearance."""
 DPI = 160
 MAP_SIZE = 5.8
 """Longer side of a map, inches."""
 OVERVIEW = 0.4
-"""Size of the picture of the whole place beside a map, in sides of the map."""
+"""Size of the overview of the whole place beside a map, as a fraction of the map's sides."""
 MOST_ARROWS = 20
-"""Positions along the longer side of a map whose arrows can be told apart."""
+"""Maximum number of positions along the longer side of a map whose arrows can still be told apart."""
 FOOT = 1.1
-"""Space below a map for its axis and legend, inches."""
+"""Space below a map for its axis labels and legend, inches."""
 ARROW = np.array([[0.2, 0.22], [0.68, 0.42], [0.68, 1.0], [1.0, 0.0], [0.68, -1.0], [0.68, -0.42], [0.2, -0.22]])
-"""An arrow along +x that is thin at its tail, [7, 2]: x in lengths, y in half widths of the head."""
+"""Outline of an arrow along +x that is thin at its tail, [7, 2]: x in arrow lengths, y in half widths of the head."""
 
 
 def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
-    """Draw success, curriculum level and return over the frames of a training.
+    """Plot success, curriculum level and return over the frames of a training.
 
     Args:
         history: one row per iteration with ``frames`` and any of ``success``, ``test_success``, ``level`` (from 0),
             ``return`` and ``episodes``; missing values and NaN leave a gap.
-        path: the picture's file, whose suffix is the format.
+        path: file of the figure; its suffix sets the format.
     """
     figure = Figure(figsize=(7.2, 5.4), dpi=DPI, layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -53,7 +53,7 @@ def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
     tests = column(history, "test_success")
     levels = above.twinx()
     level = column(history, "level") + 1
-    begun, held = np.append(0.0, frames), np.append(level[:1], level)  # a row's level is that of the frames before it
+    begun, held = np.append(0.0, frames), np.append(level[:1], level)  # a row's level applies to the frames before it
     levels.fill_between(begun[: len(held)], 0, held, step="pre", color=PURPLE, alpha=0.12, linewidth=0)
     levels.step(begun[: len(held)], held, where="pre", color=PURPLE, linewidth=1.2)
     levels.set_ylim(0, max([1.0, *level[~np.isnan(level)]]) * 1.05)
@@ -84,12 +84,12 @@ def learning_curve(history: Sequence[Mapping[str, float]], path: Path) -> None:
 
 
 def scene_bars(names: Sequence[str], success: Sequence[float], path: Path) -> None:
-    """Draw the success rate in each of several scenes, the best first.
+    """Plot the success rate in each of several scenes as bars, the best scene first.
 
     Args:
-        names: of the scenes.
-        success: rates in [0, 1], one for each.
-        path: the picture's file, whose suffix is the format.
+        names: names of the scenes.
+        success: success rates in [0, 1], one per scene.
+        path: file of the figure; its suffix sets the format.
     """
     order = np.argsort(-np.asarray(success), kind="stable")
     figure = Figure(figsize=(7.2, 0.9 + 0.19 * len(names)), dpi=DPI, layout="constrained")
@@ -97,7 +97,7 @@ def scene_bars(names: Sequence[str], success: Sequence[float], path: Path) -> No
     axes.barh(np.arange(len(names)), rates, 0.72, color=BLUE)
     for row, rate in enumerate(rates):
         label = axes.text(rate + 0.008, row, f"{rate:.0%}", va="center", fontsize=8, color=INK)
-        label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1})  # over the line of the average
+        label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1})  # covers the line of the average
     axes.axvline(float(np.mean(rates)), color=INK, linewidth=1, linestyle="--", zorder=0)
     axes.set_title(f"goal reached in {len(names)} scenes, {np.mean(rates):.1%} on average", fontsize=11)
     axes.set_yticks(np.arange(len(names)), [names[i] for i in order], fontsize=8)
@@ -118,14 +118,14 @@ def start_map(
 ) -> None:
     """Draw every start pose as an arrow, coloured by whether the goal was reached from it.
 
-    The headings at one position form a rosette around it. Where positions lie too close for arrows that can be seen,
-    some of them are drawn, evenly spread.
+    The headings at one position form a rosette around it. Where positions are too close for legible arrows, only an
+    evenly spread subset is drawn.
 
     Args:
         planar: [N, 3] x and y in metres and yaw in radians of the starts; a pose can occur more than once.
         success: [N] bool.
-        view: what the map is drawn over.
-        path: the picture's file, whose suffix is the format.
+        view: background and marks of the map.
+        path: file of the figure; its suffix sets the format.
         blocked: [M, 2] x and y of positions at which the body does not fit in any heading, metres.
     """
     poses, rate = _mean_by_row(planar, success)
@@ -162,15 +162,15 @@ def start_map(
 
 
 def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path) -> None:
-    """Draw the success rate by start position, averaged over headings and repetitions, as coloured cells.
+    """Draw the success rate by start position as coloured cells, averaged over headings and repetitions.
 
-    Positions on a lattice get a cell each; other positions are pooled in 20 cells across the picture.
+    Positions on a lattice get one cell each; other positions are pooled into 20 cells along the picture's longer side.
 
     Args:
         planar: [N, 3] x and y in metres and yaw in radians of the starts.
         success: [N] bool.
-        view: what the map is drawn over.
-        path: the picture's file, whose suffix is the format.
+        view: background and marks of the map.
+        path: file of the figure; its suffix sets the format.
     """
     positions = np.asarray(planar, dtype=np.float64)[:, :2]
     cell, corner = _spacing(positions, view.ground), positions.min(0)
@@ -192,7 +192,7 @@ def success_map(planar: Tensor, success: Tensor, view: MapView, path: Path) -> N
 
 
 def mark_styles(marks: Iterable[Mark]) -> dict[str, tuple[str, int]]:
-    """How marks of each name look: colour and number of corners."""
+    """Assign a look to the marks of each name: colour and number of corners."""
     names = dict.fromkeys(mark.name for mark in marks)
     return dict(zip(names, itertools.cycle(MARKS)))
 
@@ -204,7 +204,7 @@ def column(history: Sequence[Mapping[str, float]], key: str) -> NDArray[np.float
 def _curve(
     axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], weights: NDArray[np.float64], color: str
 ) -> None:
-    """Draw the raw values faintly, and their weighted running mean over a twelfth of the rows, few of them as dots."""
+    """Plot raw values faintly, and their weighted running mean over 1/12 of the rows; few rows are marked by dots."""
     known = ~np.isnan(y)
     x, y, weights = x[known], y[known], weights[known]
     axes.plot(x, y, ".-", color=color, linewidth=0.8, markersize=4, alpha=0.35)
@@ -214,14 +214,14 @@ def _curve(
 
 
 def _mean_by_row(rows: Tensor | NDArray[np.float64], values: Tensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The distinct rows, and the mean value of each."""
+    """Return the distinct rows, and the mean value of each."""
     distinct, row = np.unique(np.asarray(rows, dtype=np.float64).round(6), axis=0, return_inverse=True)
     row = row.reshape(-1)
     return distinct, np.bincount(row, np.asarray(values, dtype=np.float64)) / np.bincount(row)
 
 
 def _spacing(positions: NDArray[np.float64], ground: TopDown) -> float:
-    """Distance between neighbouring positions of a lattice, or a size that reads well if there is no lattice."""
+    """Return the distance between neighbouring lattice positions, or a legible size if there is no lattice."""
     side = _side(ground)
     gaps = np.concatenate([np.diff(np.unique(positions[:, axis].round(6))) for axis in (0, 1)])
     spacing = gaps.min() if len(gaps) else side
@@ -229,15 +229,15 @@ def _spacing(positions: NDArray[np.float64], ground: TopDown) -> float:
 
 
 def _side(ground: TopDown) -> float:
-    """Longer side of the picture, metres."""
+    """Return the longer side of the picture, metres."""
     left, right, bottom, top = ground.extent
     return max(right - left, top - bottom)
 
 
 def _thinned(positions: NDArray[np.float64], cell: float) -> NDArray[np.bool_]:
-    """Which of some poses to draw: those at the position nearest the middle of each square cell; [N, 2] -> [N] bool."""
+    """Choose which poses to draw: in each square cell, those at the position nearest its middle; [N, 2] -> [N] bool."""
     distinct, row = np.unique(positions.round(6), axis=0, return_inverse=True)
-    scaled = (distinct - distinct.min(0)) / cell + 1e-6  # neighbours on a lattice of such cells are in different ones
+    scaled = (distinct - distinct.min(0)) / cell + 1e-6  # so that lattice neighbours get different cells
     square, away = np.floor(scaled), np.abs(scaled - np.floor(scaled) - 0.5).max(1)
     order = np.lexsort((away, square[:, 1], square[:, 0]))
     first = np.append(True, (np.diff(square[order], axis=0) != 0).any(1))
@@ -247,14 +247,14 @@ def _thinned(positions: NDArray[np.float64], cell: float) -> NDArray[np.bool_]:
 
 
 def _arrows(planar: NDArray[np.float64], length: float, half_width: float) -> NDArray[np.float64]:
-    """Outlines of arrows that start at poses: [N, 3] -> [N, 7, 2]."""
+    """Return the outlines of arrows that start at poses: [N, 3] -> [N, 7, 2]."""
     cos, sin = np.cos(planar[:, 2]), np.sin(planar[:, 2])
-    turn = np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], -2)  # row vectors
+    turn = np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], -2)  # for row vectors
     return planar[:, None, :2] + (ARROW * (length, half_width)) @ turn
 
 
 def _map(view: MapView, colourful: bool) -> tuple[Figure, Axes]:
-    """Make axes in metres over a picture of the ground, which is pale enough to draw on."""
+    """Make axes in metres over a picture of the ground, faded so that drawings stand out."""
     ground, solid = view.ground, view.solid
     left, right, bottom, top = ground.extent
     inches = MAP_SIZE / max(right - left, top - bottom)
@@ -268,7 +268,7 @@ def _map(view: MapView, colourful: bool) -> tuple[Figure, Axes]:
     image = image if colourful else image @ np.array([0.299, 0.587, 0.114])[:, None] * np.ones(3)
     axes.imshow(0.5 + 0.5 * image, extent=ground.extent, interpolation="antialiased")
     if solid is not None and solid.any():
-        mask = np.pad(np.asarray(solid, dtype=np.float64), 1)  # so that the outline closes at the picture's edge
+        mask = np.pad(np.asarray(solid, dtype=np.float64), 1)  # padded so that outlines close at the picture's edge
         pixel = (right - left) / solid.shape[1]
         x = left + (np.arange(-1, solid.shape[1] + 1) + 0.5) * pixel
         y = top - (np.arange(-1, solid.shape[0] + 1) + 0.5) * pixel
@@ -281,7 +281,7 @@ def _map(view: MapView, colourful: bool) -> tuple[Figure, Axes]:
 
 
 def _overview(axes: Axes, overview: TopDown, ground: TopDown, place: float) -> None:
-    """Draw the whole place beside a map, from so many widths of it, with the map's window in it."""
+    """Draw an overview beside a map, ``place`` map widths from its left edge, with the map's window outlined in it."""
     left, right, bottom, top = overview.extent
     inset = axes.inset_axes((place, 1 - OVERVIEW, OVERVIEW, OVERVIEW))
     inset.imshow(np.asarray(overview.image), extent=overview.extent, interpolation="antialiased")
@@ -293,7 +293,7 @@ def _overview(axes: Axes, overview: TopDown, ground: TopDown, place: float) -> N
 
 
 def _marks(axes: Axes, marks: Sequence[Mark], length: float) -> list[Patch | Line2D]:
-    """Draw each mark in the look of its name, with an arrow where it has a direction; returns the legend's entries."""
+    """Draw each mark in the look of its name, with an arrow if it has a direction; return the legend's entries."""
     looks: dict[str, dict[str, Any]] = {
         name: {"color": color, "marker": (corners, 0, 0) if corners else "o", "markeredgecolor": INK, "markersize": 6}
         for name, (color, corners) in mark_styles(marks).items()

@@ -1,4 +1,4 @@
-"""What a policy would do in a film that nobody labelled: its frames with the policy's view and actions beside them."""
+"""Shows what a policy would do in an unlabelled film: its frames beside the policy's view and action probabilities."""
 
 import csv
 import io
@@ -20,9 +20,9 @@ from splatrl.files import replacing
 from splatrl.images import open_video
 
 HEIGHT = 360
-"""Pixels of a film's frame on the page, and of the panel beside it."""
+"""Height of the film's frame on the page and of the panel beside it, pixels."""
 PANEL = 220
-"""Pixels: width of the panel with the policy's view and its actions."""
+"""Width of the panel with the policy's view and its actions, pixels."""
 VIEW, BAR = 140, 26
 PHOTOS_A_SECOND = 10
 FASTEST = 120
@@ -37,22 +37,22 @@ def draw_film(
     start: TensorDictBase | None = None,
     progress: Callable[[int], object] = lambda frames: None,
 ) -> list[Path]:
-    """Show a film to a policy, and write what it makes of each frame as a video and as a table.
+    """Show a film to a policy, and write its actions in each frame as a video and as a table.
 
     Args:
         policy: reads ``pixels`` and whatever else its ``in_keys`` name, writes ``logits``.
-        action_names: names of the task's actions, in their order.
+        action_names: names of the task's actions, by index.
         film: a video, or a folder of photos in the order of the numbers in their names.
         image_shape: (H, W, C) of ``pixels``.
-        output: path of both files without suffix; its folder exists.
-        start: [1] what else the policy reads at the start of an episode.
-        progress: called with the number of frames that were just shown.
+        output: path of both files without their suffix; its folder exists.
+        start: batch of [1] with whatever else the policy reads at the start of an episode.
+        progress: called with the number of frames just shown.
 
     Returns:
-        The video (mp4) and the table (CSV: ``frame,action`` and the probability of each action), written whole.
+        The video (mp4) and the table (CSV: ``frame,action`` and the probability of each action), written atomically.
 
     Raises:
-        ValueError: for a film that cannot be read or has no frame, or a policy of other actions.
+        ValueError: for a film that cannot be read or has no frames, or a policy with other actions.
     """
     if not film.exists():
         raise ValueError(f"{film}: expected a video or a folder of photos, found none")
@@ -81,7 +81,7 @@ def draw_film(
 
 
 def _speed(film: Path) -> int:
-    """Frames per second, at least 1."""
+    """Return the frame rate of a film, between 1 and ``FASTEST`` frames per second."""
     if film.is_dir():
         return PHOTOS_A_SECOND
     with open_video(film) as container:
@@ -90,7 +90,7 @@ def _speed(film: Path) -> int:
 
 
 def _page(image: Image.Image, view: Tensor, chances: Sequence[float], names: Sequence[str]) -> Image.Image:
-    """A frame, and beside it what the policy saw and how probable each action is, the most probable one bright."""
+    """Draw a frame beside the policy's view and the action probabilities, the most probable action highlighted."""
     wide = 2 * round(HEIGHT * image.width / image.height / 2)
     page = Image.new("RGB", (wide + PANEL, HEIGHT), "#202020")
     page.paste(image.resize((wide, HEIGHT)), (0, 0))

@@ -1,4 +1,4 @@
-"""A walk filmed with a phone: a video with blur, noise and a drifting exposure, and the truth beside it."""
+"""Simulated phone film of a walk: a video with blur, noise and drifting exposure, and its ground truth."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -19,24 +19,24 @@ from splatrl.files import replacing
 from splatrl.renderers.base import Renderer
 
 DRIFT = 17.0
-"""Seconds in which the exposure goes once up and down."""
+"""Period of the exposure drift, seconds."""
 PLATE = 64
-"""Pixels by which the pattern of the noise is larger than an image: each frame takes another part of it."""
+"""Pixels by which the noise pattern is larger than a frame in each direction: each frame crops it at random."""
 
 
 @dataclass(frozen=True)
 class Phone:
-    """What films.
+    """Camera of a simulated phone.
 
     Attributes:
-        width: of the video, pixels; even.
-        height: of the video, pixels; even.
+        width: width of the video, pixels; even.
+        height: height of the video, pixels; even.
         fps: frames per second.
         fov_deg: horizontal field of view, degrees.
-        shutter: seconds for which it is open.
-        glimpses: how many views while the shutter is open make up a frame; 1 draws no motion blur.
+        shutter: time for which the shutter is open, seconds.
+        glimpses: number of views within the shutter time that are averaged into a frame; 1 gives no motion blur.
         drift: largest change of the exposure in either direction, stops.
-        noise: standard deviation in each value, grey levels.
+        noise: standard deviation of the noise in each channel value, grey levels.
     """
 
     width: int = 1920
@@ -70,21 +70,21 @@ def phone_video(
     seed: int = 0,
     progress: Callable[[int, int], object] = lambda done, total: None,
 ) -> Path:
-    """Film a walk as H.264, with the truth in a .npz beside it.
+    """Film a walk as H.264, and write the ground truth to a .npz beside it.
 
-    The truth holds ``camera_to_world`` [N, 4, 4] in the middle of each exposure, ``K`` [3, 3] in pixels and ``time``
-    [N] in seconds, all float64.
+    The ground truth holds ``camera_to_world`` [N, 4, 4] in the middle of each exposure, ``K`` [3, 3] in pixels and
+    ``time`` [N] in seconds, all float64.
 
     Args:
-        renderer: of the scene.
-        walk: [N, 6] as ``phone_walk`` returns it.
-        phone: what films.
-        path: of the video, .mp4.
-        seed: of the noise and the exposure.
-        progress: told how many frames are filmed, of how many.
+        renderer: renderer of the scene.
+        walk: [N, 6] as returned by ``phone_walk``.
+        phone: the phone's camera.
+        path: path of the video, ending in .mp4.
+        seed: seed of the noise and the exposure.
+        progress: called with the number of frames filmed and their total.
 
     Returns:
-        The file of the truth.
+        Path of the ground truth.
     """
     truth = path.with_suffix(".npz")
     encode(_frames(renderer, walk, phone, seed, progress), path, phone.fps)
@@ -118,6 +118,6 @@ def _frames(
 
 
 def _exposed(gain: float) -> NDArray[np.int16]:
-    """What an exposure makes of every value of a pixel: [256]."""
+    """Tabulate how an exposure gain, applied to linear light, maps each of the 256 channel values: [256]."""
     values = 255.0 * ((np.arange(256) / 255.0) ** GAMMA * gain) ** (1 / GAMMA)
     return np.clip(values.round(), 0, 255).astype(np.int16)

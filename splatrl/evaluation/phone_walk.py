@@ -1,4 +1,4 @@
-"""A walk that somebody with a phone takes through a place: past every free spot, looking everywhere on the way."""
+"""Simulated walk of a person with a phone through a place: past every free spot, looking around on the way."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -16,40 +16,40 @@ from splatrl.evaluation.walks import Hand, sway
 Floats = NDArray[np.float64]
 
 GRID = 0.1
-"""Metres between the places that a walk may pass."""
+"""Spacing of the lattice of places that a walk may pass, metres."""
 ROOM = GRID / math.sqrt(2)
-"""Metres that must be free around places beyond the body, so that the straight way between neighbours is free."""
+"""Clearance, beyond the body's radius, that keeps the straight line between diagonal neighbours free, metres."""
 FINE = 0.01
-"""Metres between the points of a smoothed path."""
+"""Spacing of the points of a smoothed path, metres."""
 BEYOND = 2.0
-"""Metres around what is solid in which distances are known; they are no larger beyond."""
+"""Margin around the occupancy grid in which distances are computed, metres; farther out they stop increasing."""
 SMOOTH = (0.2, 0.1, 0.05, 0.0)
-"""Metres: widths of the smoothing; the first that leaves the path free is taken."""
+"""Standard deviations of the path smoothing, metres; the first that leaves the path free is used."""
 GLANCE, SWERVE, AWAY = 0.5, math.radians(7.5), 24
-"""Seconds between decisions where to look, by how much another decision differs, and how often one way."""
+"""Seconds between view decisions, radians between possible deviations, and number of deviations to each side."""
 NEARNESS = 4.0
-"""How much it counts that only near things are seen, against looking the other way than planned."""
+"""Weight of the cost of seeing only near things, relative to that of deviating from the planned direction."""
 STRIDES = 12
 SLOWEST, FASTEST = 4.0, 0.4
-"""Seconds: periods of the sway of a hand."""
+"""Longest and shortest period of the hand's sway, seconds."""
 
 
 @dataclass(frozen=True)
 class Stroll:
-    """How somebody walks and looks.
+    """How a person walks and looks around.
 
     Attributes:
-        lower: corner [x, y] of the area to walk in, metres.
-        upper: its other corner.
-        height: of the camera, metres.
-        rise: how far it is raised above that and lowered below it, metres.
-        radius: metres to the sides that stay free at all these heights, but for the sway of the hand.
-        speed: at most, metres per second.
-        turn: seconds in which the view goes once around.
-        far: metres; it looks rather at things that are no nearer.
-        pitch_deg: how far the camera looks down on average, degrees; below 0 it looks up.
-        nod_deg: how far it looks up and down from there, degrees.
-        nod: seconds in which it does so once, and about half of what raising and lowering takes.
+        lower: lower corner [x, y] of the area to walk in, metres.
+        upper: upper corner [x, y], metres.
+        height: mean height of the camera, world frame, metres.
+        rise: how far the camera is raised above and lowered below that, metres.
+        radius: horizontal clearance kept at all these heights, apart from the sway of the hand, metres.
+        speed: maximum walking speed, metres per second.
+        turn: seconds per full turn of the view.
+        far: the view prefers directions in which nothing is nearer than this, metres.
+        pitch_deg: mean downward pitch of the camera, degrees; negative looks up.
+        nod_deg: amplitude of the pitch around that, degrees.
+        nod: period of the pitch, seconds; about half the period of raising and lowering.
         hand: how the hand sways; its periods and frames are not used.
     """
 
@@ -75,24 +75,24 @@ class Stroll:
 
 
 def phone_walk(occupancy: Occupancy, stroll: Stroll, frames: int, fps: float, seed: int = 0) -> Tensor:
-    """Walk through the largest connected free part of an area, and come back to where the walk began.
+    """Walk through the largest connected free part of an area, and return to the start.
 
-    The way passes spots as close to each other as time and speed allow. Meanwhile the view goes around slowly, up and
-    down, so everything is seen from several places, while moving ahead, sideways or back.
+    The path passes spots that are as dense as time and speed allow. Meanwhile the view turns slowly and nods, so that
+    everything is seen from several places while the camera moves forwards, sideways or backwards.
 
     Args:
         occupancy: what is solid.
-        stroll: how somebody walks.
-        frames: of the walk.
+        stroll: how the person walks.
+        frames: number of frames of the walk.
         fps: frames per second.
-        seed: of the sway and of the first direction.
+        seed: seed of the sway and of the initial direction.
 
     Returns:
-        [frames, 6] float64: x, y and z in metres, then yaw of the view about z, pitch downwards and roll about the
-        view, radians. ``phone_video`` films it; the same arguments give the same bytes.
+        [frames, 6] float64: x, y and z in metres, then yaw about z, downward pitch and roll about the line of sight,
+        radians. ``phone_video`` films it; the same arguments give the same bytes.
 
     Raises:
-        ValueError: for less than two frames, or where nothing is free.
+        ValueError: for fewer than two frames, or an area with too little free space.
     """
     if frames < 2 or not fps > 0:
         raise ValueError(f"frames, fps: expected at least 2 frames and a speed above 0, got {frames} and {fps}")
@@ -120,7 +120,7 @@ def phone_walk(occupancy: Occupancy, stroll: Stroll, frames: int, fps: float, se
 
 
 def camera_poses(walk: Tensor) -> Tensor:
-    """The poses of the cameras of a walk: [N, 6] as ``phone_walk`` returns it -> camera_to_world [N, 4, 4]."""
+    """Convert a walk, [N, 6] as returned by ``phone_walk``, to camera poses: camera_to_world [N, 4, 4]."""
     yaw, pitch, roll = walk[:, 3:].unbind(1)
     flat, zero = pitch.cos(), torch.zeros_like(yaw)
     forward = torch.stack([yaw.cos() * flat, yaw.sin() * flat, -pitch.sin()], 1)
@@ -134,12 +134,12 @@ def camera_poses(walk: Tensor) -> Tensor:
 
 
 class Sides:
-    """How far to the sides the nearest solid thing is, for whatever reaches from one height to another.
+    """Horizontal distances to the nearest solid thing within a range of heights.
 
     Args:
         occupancy: what is solid.
-        low: metres.
-        high: metres, not below ``low``.
+        low: bottom of the range, world frame, metres.
+        high: top of the range, metres; at least ``low``.
     """
 
     def __init__(self, occupancy: Occupancy, low: float, high: float) -> None:
@@ -154,23 +154,23 @@ class Sides:
         self._edge, self._corner = edge, np.array(origin[:2]) * edge
 
     def reach(self, places: Floats, yaw: Floats, far: float) -> Floats:
-        """Metres to the nearest solid thing in some directions, ``far`` at most: [N, 2], [N, M] -> [N, M]."""
+        """Cast rays from places to the nearest solid thing, ``far`` metres at most: [N, 2], [N, M] yaw -> [N, M]."""
         way = np.stack([np.cos(yaw), np.sin(yaw)], -1)
         gone = np.zeros(yaw.shape)
-        for _ in range(STRIDES):  # as far as is free all around, again and again
+        for _ in range(STRIDES):  # sphere tracing: advance by the clearance
             here = (places[:, None] + gone[..., None] * way).reshape(-1, 2)
             gone = np.minimum(gone + np.maximum(self.clearance(here), 0.0).reshape(yaw.shape), far)
         return gone
 
     def clearance(self, places: Floats) -> Floats:
-        """Metres from places [N, 2] to the nearest solid voxel, at least; [N]."""
+        """Return a lower bound on the distance from places [N, 2] to the nearest solid voxel: [N] metres."""
         cells = (places - self._corner) / self._edge - 0.5 + self._margin
         apart = ndimage.map_coordinates(self._apart, cells.T, order=1, mode="nearest")
         return np.asarray(apart - 0.5 * math.sqrt(2) * self._edge)
 
 
 def free_places(sides: Sides, stroll: Stroll) -> Floats:
-    """Places [F, 2] of a lattice, connected, around which the radius and ``ROOM`` more are free."""
+    """Return the largest connected set of lattice places with a clearance of the radius and ``ROOM``: [F, 2]."""
     counts = [int((high - low) / GRID + 1e-6) + 1 for low, high in zip(stroll.lower, stroll.upper, strict=True)]
     axes = [low + GRID * np.arange(count) for low, count in zip(stroll.lower, counts, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
@@ -184,7 +184,7 @@ def free_places(sides: Sides, stroll: Stroll) -> Floats:
 
 
 def smoothed(sides: Sides, radius: float, way: Floats) -> Floats:
-    """A closed way without corners, free to ``radius`` metres, at points ``FINE`` apart: [P, 2] -> [Q, 2]."""
+    """Smooth a closed path, keeping ``radius`` metres clear, and sample it ``FINE`` apart: [P, 2] -> [Q, 2]."""
     reach = np.concatenate([[0.0], np.linalg.norm(np.diff(way, axis=0), axis=1).cumsum()])
     count = max(4, round(float(reach[-1]) / FINE))
     points = np.stack([np.interp(np.linspace(0, reach[-1], count), reach, way[:, axis]) for axis in (0, 1)], 1)
@@ -196,16 +196,16 @@ def smoothed(sides: Sides, radius: float, way: Floats) -> Floats:
 
 
 def views(sides: Sides, stroll: Stroll, places: Floats, seconds: Floats, first: float) -> Floats:
-    """Where somebody looks along a way: around slowly, but rather at what is farther than ``stroll.far``.
+    """Choose the view direction along a path: a slow, steady turn that avoids things nearer than ``stroll.far``.
 
-    Nobody films a wall from so near that nothing else is in the picture, and nothing could be made of it. The shortest
-    way through all deviations from an even turn (Viterbi) weighs the two.
+    Nobody films a wall from so close that it fills the picture, and such images are of no use for reconstruction. The
+    cheapest sequence of deviations from a steady turn (Viterbi) balances the two goals.
 
     Args:
-        sides: how far things are.
-        stroll: how somebody looks.
-        places: [N, 2] of the way.
-        seconds: [N] when it is there.
+        sides: horizontal distances to solid things.
+        stroll: how the person looks around.
+        places: [N, 2] positions along the path, metres.
+        seconds: [N] times at these positions.
         first: yaw of the view at the start, radians.
 
     Returns:

@@ -1,4 +1,4 @@
-"""All pictures of a finished training, drawn into its run folder."""
+"""Draws all pictures of a finished training into its run folder."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -22,11 +22,11 @@ from splatrl.motions import Motion, PhysicsMotion
 from splatrl.scenes.gaussians import Gaussians
 
 FASTEST = 60
-"""Images per second of a video, at most."""
+"""Maximum frame rate of a video, frames per second."""
 PACE = 6
-"""Steps per second of a video of robots whose steps take no time."""
+"""Steps per second in a video of robots without physics, whose steps have no duration."""
 HEADROOM = 0.4
-"""How far above the robot's body the maps cut the scene open, metres."""
+"""Height above the robot's body at which maps cut the scene open, metres."""
 
 
 class Pictures:
@@ -36,7 +36,7 @@ class Pictures:
         gaussians: the scene's Gaussians.
         occupancy: what is solid.
         plan: free poses and shortest paths.
-        env: any env of the task; its state is not changed.
+        env: any env of the task; its state is left unchanged.
         folder: the run folder.
     """
 
@@ -73,16 +73,16 @@ class Pictures:
         frames: int,
         chosen: Chosen | None = None,
     ) -> Path:
-        """Record a rollout of each robot of ``env``, from starts spread over distances to the goal, nearest first.
+        """Record one rollout per robot of ``env``, from starts spread over distances to the goal, nearest first.
 
-        Where these are more frames than a video may have, it shows fewer of them, still spread over distances.
+        If the rollouts have more frames than the video may, it shows fewer of them, still spread over distances.
 
         Args:
-            env: robots.
-            policy: acts.
-            seed: of the sampling.
-            frames: of the video, about, at most; one episode is always shown to its end.
-            chosen: a start for each robot, with what the task remembers there, where tasks choose episodes.
+            env: env whose robots are recorded.
+            policy: policy that acts.
+            seed: seed of the action sampling.
+            frames: approximate maximum number of frames; at least one episode is shown to its end.
+            chosen: a start for each robot with the task's memory there, for tasks that choose their own episodes.
         """
         path = self.folder / "rollouts.mp4"
         rows = self.plan.start_rows
@@ -107,16 +107,16 @@ class Pictures:
         return path
 
     def _outside(self, env: EnvBase, recording: Recording) -> Cameras:
-        """Cameras that follow the robot of a recording, whose body is in the picture."""
+        """Return cameras that follow the robot of a recording and show its body."""
         place, radius = recording.body_to_world[:, :3, 3], env.robot.body.radius
         return chase_cameras(recording.planar, place, radius, env.checker, (PANEL, PANEL), env.device)
 
     def _planar(self, states: Tensor) -> Tensor:
-        """Positions and headings of states, wherever the env is: [N, D] -> [N, 3], on the CPU."""
+        """Return positions and headings of states: [N, D] -> [N, 3], on the CPU whatever the env's device."""
         return self.env.task.motion.planar(states.to(self.env.device)).cpu()
 
     def _blocked(self) -> Tensor:
-        """Positions at which the body does not fit in any heading: [M, 2] metres."""
+        """Find the positions at which the body does not fit in any heading: [M, 2] metres."""
         places = self._planar(self.plan.states)[:, :2]
         distinct, row = places.unique(dim=0, return_inverse=True)
         fits = torch.zeros(len(distinct)).index_add(0, row, self.plan.free.float())
@@ -124,21 +124,22 @@ class Pictures:
 
 
 def shown(steps: Sequence[int], frames: int) -> list[int]:
-    """Which of some episodes a video shows: as many as it has frames for were all as long as the longest, evenly
-    spread, so that those that end early are not preferred.
+    """Choose which episodes a video shows: as many as would fit if all were as long as the longest, evenly spread.
+
+    Choosing them without regard to their own lengths avoids a bias towards episodes that end early.
 
     Args:
-        steps: of each episode.
-        frames: of the video, about, at most, unless one episode alone has more.
+        steps: number of steps of each episode.
+        frames: approximate maximum number of frames of the video; a single episode may exceed it.
     """
     return _spread(len(steps), min(max(1, frames // max(steps)), len(steps))).tolist()
 
 
 def _spread(length: int, count: int) -> Tensor:
-    """Rows that are evenly spread over some and end with the last: [count] int64."""
+    """Return ``count`` rows that are evenly spread over ``length`` and end with the last: [count] int64."""
     return (torch.arange(1, count + 1) * length // count - 1).clamp_min(0)
 
 
 def steps_a_second(motion: Motion) -> int:
-    """How fast a video shows robots: as fast as they are where physics moves them, else at a pace to follow."""
+    """Return the playback speed, steps per second: real time with physics, otherwise a pace that is easy to follow."""
     return min(max(1, round(1.0 / motion.time_step)), FASTEST) if isinstance(motion, PhysicsMotion) else PACE

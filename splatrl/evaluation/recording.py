@@ -1,4 +1,4 @@
-"""Recordings of episodes step by step, for viewing."""
+"""Step-by-step recordings of episodes, for videos."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -22,15 +22,15 @@ class Recording:
     Attributes:
         planar: [T + 1, 3] x and y in metres and yaw in radians.
         body_to_world: [T + 1, 4, 4] poses, metres.
-        pixels: [T + 1, H, W, 3] uint8, what the policy saw; the last view of a stack.
+        pixels: [T + 1, H, W, 3] uint8, the policy's view; of stacked frames only the latest.
         action: [T, ...] actions.
         episode_return: [T + 1] float32, return so far.
         outcome: how the episode ended.
-        memory: what the task remembered as each view was drawn, before it judged that step, [T + 1, ...] by key.
-        parts: what the task placed in the picture, with T + 1 rows; None is the scene alone.
-        marks: what the task shows on a map, for each of the T + 1 states; empty for a task that remembers nothing.
-        goals: [T + 1] int64, goals reached so far, where episodes have several; None where they have one.
-        goal_image: [H, W, 3] uint8, what an image goal shows; None without one.
+        memory: the task's memory when each view was drawn, before it judged that step, [T + 1, ...] by key.
+        parts: models that the task placed in the picture, with T + 1 rows; None is the scene alone.
+        marks: the task's marks on a map in each of the T + 1 states; empty for a task without memory.
+        goals: [T + 1] int64, goals reached so far, if episodes can have several; otherwise None.
+        goal_image: [H, W, 3] uint8, the image of an image goal; None without one.
     """
 
     planar: Tensor
@@ -47,7 +47,7 @@ class Recording:
 
     @cached_property
     def named_marks(self) -> list[Mark]:
-        """A mark of each name, in the order in which the names come."""
+        """One mark for each name, in order of first appearance."""
         return list({mark.name: mark for marks in self.marks for mark in marks}.values())
 
 
@@ -59,18 +59,18 @@ def record_episodes(
     seed: int = 0,
     memory: Memory | None = None,
 ) -> list[Recording]:
-    """Record one episode from each start, side by side; PyTorch's global generator is left as it was.
+    """Record one episode from each start, in one batch; PyTorch's global generator is left as it was.
 
     Args:
         env: env with as many robots as there are starts.
         policy: reads ``pixels``, writes ``action``.
         starts: [N, D] states.
         sampled: whether to sample from the policy's distribution or take its mode.
-        seed: seed of the sampling.
-        memory: what the task remembers where each begins, [N, ...] by key, such as goals; None draws it.
+        seed: seed of the action sampling.
+        memory: the task's memory at each start, [N, ...] by key, such as goals; None draws it.
 
     Raises:
-        ValueError: for an env of any other size.
+        ValueError: for an env with another number of robots.
     """
     if env.numel() != len(starts):
         raise ValueError(f"env: expected as many robots as starts, {len(starts)}, got {env.numel()}")
@@ -79,7 +79,7 @@ def record_episodes(
         given = TensorDict({"state": starts, **(memory or {})}, batch_size=env.batch_size, device=env.device)
         now = env.reset(given, set_state=True)
         running = torch.ones(len(starts), dtype=torch.bool)
-        while running.any():  # robots that have finished go on unrecorded
+        while running.any():  # finished robots continue but are not recorded
             step = env.step(policy(now))
             steps.append(step.cpu())
             running &= ~steps[-1]["next", "done"].squeeze(1)

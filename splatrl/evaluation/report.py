@@ -1,4 +1,4 @@
-"""The results of a finished training, as numbers in ``evaluation.json``."""
+"""Numerical results of an evaluation, for ``evaluation.json``."""
 
 import json
 from collections.abc import Sequence
@@ -13,18 +13,18 @@ from splatrl.files import replacing
 
 
 def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> dict[str, float]:
-    """Summarise two sets of episodes over a start set.
+    """Summarise the episodes of an evaluation, with sampled and with most likely actions.
 
     Args:
-        sampled: episodes with actions sampled from the policy, repetitions of a start in a row; the headline.
+        sampled: episodes with actions sampled from the policy, repetitions of a start in a row; the headline results.
         argmax: episodes with the policy's most likely actions, one from each start.
-        shortest: [N] int64, steps of the shortest path from each start; None if there are none, or if episodes do not
-            end at a goal.
+        shortest: [N] int64, length of the shortest path from each start, steps; None if there are no such paths, or if
+            episodes do not end at a goal.
 
     Returns:
-        Rates in [0, 1], mean numbers of goals, mean returns and mean lengths; of navigation tasks the measures of
-        ``Episodes.navigation``; if there are shortest paths in steps, also ``step_spl`` and their mean length. Keys of
-        the second set end in ``_argmax``.
+        Rates in [0, 1], mean numbers of goals, mean returns and mean lengths; for navigation tasks also the measures
+        of ``Episodes.navigation``; with shortest paths also ``step_spl`` and their mean length. Keys for ``argmax``
+        end in ``_argmax``.
     """
     summary: dict[str, float] = {}
     for suffix, episodes in (("", sampled), ("_argmax", argmax)):
@@ -48,12 +48,12 @@ def summarise(sampled: Episodes, argmax: Episodes, shortest: Tensor | None) -> d
 
 
 def by_scene(names: Sequence[str], sampled: Episodes, argmax: Episodes) -> list[dict[str, Any]]:
-    """Success in each of several scenes, in their order.
+    """Summarise success in each of several scenes, in their order.
 
     Args:
-        names: of the scenes.
-        sampled: episodes in them with sampled actions.
-        argmax: those with the most likely actions.
+        names: names of the scenes.
+        sampled: episodes in all scenes with sampled actions.
+        argmax: episodes in all scenes with the most likely actions.
     """
     return [
         {

@@ -1,4 +1,4 @@
-"""Episodes from given starts, and their statistics."""
+"""Runs episodes from given starts, and computes their statistics."""
 
 import copy
 from collections.abc import Callable, Iterator, Mapping
@@ -20,9 +20,9 @@ from splatrl.envs.world import World, Worlds
 from splatrl.evaluation.episode_sets import places_of, read_episodes, write_episodes
 
 MEASURES = ("distance_to_goal", "start_distance", "path_length", "collisions")
-"""Observations of navigation tasks from which its measures are made."""
+"""Observations of navigation tasks from which their measures are computed."""
 EPISODES_SEED = 3000
-"""Of the starts and goals of tests."""
+"""Seed of the starts and goals drawn for tests; each scene adds its index."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class Episodes:
         outcome: [N] int64, each an ``Outcome``.
         length: [N] int64, steps.
         episode_return: [N] float32.
-        goals: [N] int64, reached in the episode.
-        success: [N] bool, whether they were enough for the task.
-        scene: [N] int64, the scene of each; None in an env of one.
-        measures: of navigation, by name, [N] each: ``distance_to_goal``, ``start_distance``, ``path_length``, metres,
-            and ``collisions``; empty for other tasks.
+        goals: [N] int64, number of goals reached.
+        success: [N] bool, whether that number was enough for the task.
+        scene: [N] int64, index of the scene; None in an env with one scene.
+        measures: navigation measures by name, [N] each: ``distance_to_goal``, ``start_distance`` and ``path_length`` in
+            metres, and ``collisions``; empty for other tasks.
     """
 
     start: Tensor
@@ -51,7 +51,7 @@ class Episodes:
     measures: Mapping[str, Tensor] = field(default_factory=dict)
 
     def of(self, scene: int) -> "Episodes":
-        """Those of one scene."""
+        """Return the episodes of one scene."""
         if self.scene is None:
             return self
         mine = self.scene == scene
@@ -59,16 +59,17 @@ class Episodes:
         return replace(self, **columns, measures={key: value[mine] for key, value in self.measures.items()})
 
     def rate(self, outcome: Outcome) -> float:
-        """Share of the episodes that ended with an outcome."""
+        """Return the fraction of episodes that ended with an outcome."""
         return (self.outcome == outcome).double().mean().item()
 
     def navigation(self) -> dict[str, float]:
-        """The measures of navigation by Habitat's names, means over the episodes; nothing for other tasks.
+        """Compute navigation measures under Habitat's names, averaged over the episodes; empty for other tasks.
 
-        ``success``, of those that stopped at their goal. ``spl``, success weighted by path length (Anderson et al.
-        2018, eq. 1): start distance / max(start distance, path length), 0 without success. ``soft_spl`` (Datta et al.
-        2020), the same with the share of the start distance by which the robot came nearer in place of success.
-        ``distance_to_goal`` where it ended and ``collisions``, as a number. Distances are those of the shortest way.
+        ``success``: the fraction of episodes in which the robot stopped at its goal. ``spl``: success weighted by path
+        length (Anderson et al. 2018, eq. 1), that is start distance / max(start distance, path length), or 0 without
+        success. ``soft_spl`` (Datta et al. 2020): the same with progress, the fraction of the start distance by which
+        the robot came nearer, in place of success. ``distance_to_goal``: distance at the end of the episode, metres.
+        ``collisions``: their number. Distances to goals are geodesic.
         """
         if not self.measures:
             return {}
@@ -80,29 +81,29 @@ class Episodes:
         return {key: values.mean().item() for key, values in means.items()}
 
     def step_spl(self, shortest: Tensor) -> float:
-        """Success weighted by path length (Anderson et al. 2018, eq. 1), with lengths in steps.
+        """Compute success weighted by path length (Anderson et al. 2018, eq. 1), with lengths in steps.
 
         Args:
-            shortest: [N] int64, steps of the shortest path from each start.
+            shortest: [N] int64, length of the shortest path from each start, steps.
         """
         ratio = shortest.double() / torch.maximum(shortest, self.length).double()
         return (self.success * ratio).mean().item()
 
 
 def spread(rows: Tensor, most: int) -> Tensor:
-    """An evenly spaced subset of the rows of a start set: [N] -> [min(N, most)]."""
+    """Return an evenly spaced subset of the rows of a start set: [N] -> [min(N, most)]."""
     count = min(most, len(rows))
     return rows[torch.linspace(0, len(rows) - 1, count, dtype=torch.float64).round().long()]
 
 
 class Chosen(NamedTuple):
-    """N starts of a world.
+    """N chosen starts in a world.
 
     Attributes:
-        state: [N, D].
-        scene: [N] int64, the scene of each; None in a world of one.
-        distance: [N] int64, steps of the shortest path from each; unused where episodes have goals of their own.
-        memory: what tasks with goals of their own remember where each begins, by key.
+        state: [N, D] states.
+        scene: [N] int64, index of the scene; None in a world with one scene.
+        distance: [N] int64, length of the shortest path from each, steps; unused if each episode has its own goal.
+        memory: the task's memory at each start, by key, for tasks whose episodes have goals of their own.
     """
 
     state: Tensor
@@ -111,17 +112,20 @@ class Chosen(NamedTuple):
     memory: Mapping[str, Tensor] = {}
 
     def repeated(self, times: int) -> "Chosen":
-        """Each of them some times in a row."""
+        """Repeat each start ``times`` times in a row."""
         scene = None if self.scene is None else self.scene.repeat_interleave(times, 0)
         memory = {key: value.repeat_interleave(times, 0) for key, value in self.memory.items()}
         return Chosen(self.state.repeat_interleave(times, 0), scene, self.distance.repeat_interleave(times, 0), memory)
 
 
 def given_episodes(world: World | Worlds, path: Path) -> tuple[World | Worlds, Chosen]:
-    """The episodes of a file, and the world with a task that knows the ways to their goals.
+    """Read episodes from a file, and give the world a task that knows the shortest paths to their goals.
+
+    Returns:
+        The world with that task, and the starts of the episodes with the task's memory at each.
 
     Raises:
-        ValueError: for a task without goals of its own for each episode, starts that are not free, or a file that
+        ValueError: for a task whose episodes have no goals of their own, starts that are not free, or a file that
             ``read_episodes`` or ``Geodesics.with_goals`` refuses.
     """
     task = world.task
@@ -149,13 +153,13 @@ def given_episodes(world: World | Worlds, path: Path) -> tuple[World | Worlds, C
 
 
 def save_episodes(path: Path, world: World | Worlds, chosen: Chosen, radius: float) -> None:
-    """Write the episodes of a navigation task for ``given_episodes``.
+    """Write the episodes of a navigation task in the format that ``given_episodes`` reads.
 
     Args:
         path: file to write.
-        world: in which they take place.
-        chosen: with what the task remembers where each begins.
-        radius: within which a stop is a success, metres.
+        world: world in which they take place.
+        chosen: starts of the episodes, with the task's memory at each.
+        radius: distance from the goal within which a stop is a success, metres.
     """
     numbers = [0] * len(chosen.state) if chosen.scene is None else chosen.scene.tolist()
     heights = torch.tensor([world.worlds[number].robot.height for number in numbers])
@@ -163,9 +167,10 @@ def save_episodes(path: Path, world: World | Worlds, chosen: Chosen, radius: flo
 
 
 def spread_starts(world: World | Worlds, most: int) -> Chosen:
-    """Starts evenly spaced over the start set, or over that of each scene, which has an equal share of them.
+    """Choose up to ``most`` starts, evenly spaced over the start set.
 
-    Where a task has goals of its own for each episode, starts and goals are drawn by a seed.
+    With several scenes, each gets an equal number, at least one, spaced over its own start set. If each episode of the
+    task has its own goal, starts and goals are drawn at random instead, with a fixed seed.
     """
     if world.task.chooses_episodes:
         return _drawn_episodes(world, most)
@@ -178,13 +183,13 @@ def spread_starts(world: World | Worlds, most: int) -> Chosen:
 
 
 def _drawn_episodes(world: World | Worlds, most: int) -> Chosen:
-    """Starts and goals for tests, as many in each scene."""
+    """Draw starts and goals for tests, equally many in each scene."""
     count = max(1, most // len(world.worlds))
     drawn: list[dict[str, Tensor]] = []
     for number, one in enumerate(world.worlds):
         task = cast(ChoosingTask, one.task)
         drawn.append(task.episodes(one.plan.starts.cpu(), count, EPISODES_SEED + number))
-        if len(world.worlds) > 1:  # rows of goals are those of all scenes together
+        if len(world.worlds) > 1:  # goals of all scenes are numbered consecutively
             assert isinstance(world.task, NavigationTask)
             drawn[-1]["goal_row"] = drawn[-1]["goal_row"] + world.task.geodesics.begins[number].cpu()
     episodes = {key: torch.cat([each[key] for each in drawn]) for key in drawn[0]}
@@ -194,11 +199,11 @@ def _drawn_episodes(world: World | Worlds, most: int) -> Chosen:
 
 
 def knowing(env: EnvBase, act: Callable[[Tensor, Memory], Tensor | None]) -> Callable[[TensorDictBase], TensorDictBase]:
-    """A policy that does what one does who knows state and memory, such as a task's teacher.
+    """Make a policy from a function of state and memory, such as a task's teacher.
 
     Args:
-        env: in which it acts.
-        act: states [B, ...] and what the task remembers -> actions [B, ...], as ``Task.teach``.
+        env: env in which the policy acts.
+        act: maps states [B, ...] and the task's memory to actions [B, ...], as ``Task.teach`` does.
     """
     keys, dtype = tuple(env.task.memory_spec), env.action_spec.dtype
 
@@ -212,9 +217,9 @@ def knowing(env: EnvBase, act: Callable[[Tensor, Memory], Tensor | None]) -> Cal
 
 @contextmanager
 def acting(sampled: bool, seed: int, device: torch.device | None = None) -> Iterator[None]:
-    """A block in which policies act, either by sampling from ``seed`` or by their mode.
+    """Let policies act within the block, either by sampling, with a seed, or by their mode.
 
-    It tracks no gradients and restores PyTorch's global generators, of the CPU and of this device, at its end.
+    No gradients are tracked, and PyTorch's global generators, of the CPU and of ``device``, are restored at the end.
     """
     devices = [device] if device is not None and device.type == "cuda" else []
     kind = ExplorationType.RANDOM if sampled else ExplorationType.DETERMINISTIC
@@ -235,18 +240,18 @@ def run_episodes(
 ) -> Episodes:
     """Run one episode from each start; PyTorch's global generator is left as it was.
 
-    A robot whose episode ends takes the next waiting start, so the batch stays full; when none waits, it stands still,
-    and the others go on without it.
+    A robot whose episode ends takes the next waiting start, so the batch stays full; when no start is waiting, it
+    idles while the others continue.
 
     Args:
         env: takes ``reset(set_state=True)``; these episodes do not advance its curriculum.
         policy: reads ``pixels``, writes ``action``.
         starts: [N, D] states.
         sampled: whether to sample from the policy's distribution or take its mode.
-        seed: seed of the sampling.
+        seed: seed of the action sampling.
         progress: called with the number of episodes that just ended.
-        scene: [N] int64, the scene of each start, for an env of several.
-        memory: what the task remembers where each begins, [N, ...] by key, such as goals; None draws it.
+        scene: [N] int64, index of each start's scene, for an env with several.
+        memory: the task's memory at each start, [N, ...] by key, such as goals; None draws it.
     """
     count, rows = len(starts), env.numel()
     kept = {
@@ -257,10 +262,10 @@ def run_episodes(
         "success": torch.bool,
     }
     specs = env.observation_spec
-    measured = [key for key in MEASURES if key in specs.keys()]  # noqa: SIM118, a spec is no dict
+    measured = [key for key in MEASURES if key in specs.keys()]  # noqa: SIM118, a spec is not a dict
     kept |= {key: specs[key].dtype for key in measured}
     columns = {key: torch.zeros(count, dtype=dtype) for key, dtype in kept.items()}
-    episode = torch.arange(rows)  # the episode of each robot; from count on the robot is idle
+    episode = torch.arange(rows)  # the episode of each robot; an index of count or more means idle
     waiting = rows
     with acting(sampled, seed, env.device):
         given = {"state": starts, **(memory or {})}
@@ -295,7 +300,7 @@ def run_episodes(
 
 
 def _begun(env: EnvBase, given: Mapping[str, Tensor], count: int) -> dict[str, Tensor]:
-    """What task and sensors remember where episodes begin, for those that begin anew: [N, ...] by key."""
+    """Draw the initial memory of task and sensors for all episodes, for keys missing in ``given``: [N, ...] by key."""
     base, rows = layers(env)[0], env.numel()
     keys = [key for key in getattr(base, "remembered", ()) if key not in given]
     found: dict[str, list[Tensor]] = {key: [] for key in keys}

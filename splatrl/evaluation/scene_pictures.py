@@ -1,4 +1,4 @@
-"""Pictures by which a person can judge a captured scene: what is free, what is solid, and a view from inside."""
+"""Pictures for judging a captured scene: what is free, what is solid, and a view from inside."""
 
 from pathlib import Path
 
@@ -15,20 +15,20 @@ from splatrl.scenes.scene import Scene
 EYE = 1.6
 """Height of a person's eye, metres."""
 FLAT = 0.15
-"""A scene that is lower than this share of its width is viewed from above."""
+"""A scene whose height is below this fraction of its width is viewed from above."""
 _SMALLEST_PIECE = 64
-"""A connected piece of fewer voxels is a floater, whatever the scene's units are."""
+"""Connected components with fewer voxels are floaters, whatever the scene's units."""
 
 
 def survey_occupancy(scene: Scene, resolution: float | None = None) -> Occupancy:
-    """Find what is solid in a scene whose units may still be wrong, without using the cache.
+    """Compute the occupancy of a scene whose units may still be wrong, without using the cache.
 
     Args:
         scene: the scene, in the world frame.
-        resolution: edge of a voxel, metres; None takes 0.05, clamped to a 256th to a 50th of the scene's diagonal.
+        resolution: edge of a voxel, metres; None takes 0.05, clamped to between 1/256 and 1/50 of the scene's diagonal.
 
     Raises:
-        ValueError: for a scene at a single point, or a grid that becomes too large.
+        ValueError: for a scene without extent, or a grid that becomes too large.
     """
     lower, upper = np.array(scene.bounds)
     diagonal = float(np.linalg.norm(upper - lower))
@@ -49,9 +49,9 @@ def draw_scene(
         scene: the scene, in the world frame.
         occupancy: what is solid in it.
         floor: height of the floor, metres.
-        height: height of the robot, metres; at most half the scene's height is used, since its units may be wrong.
-        folder: folder for the pictures, created if it does not exist.
-        antialiased: whether the view is to be drawn so; False is the classic 3DGS image.
+        height: height of the robot, metres; capped at half the scene's height, since its units may be wrong.
+        folder: folder for the pictures, created if necessary.
+        antialiased: whether to render the view antialiased; False gives the classic 3DGS image.
 
     Returns:
         The files: ``<name>-free.png``, ``<name>-occupancy.png`` and ``<name>-view.png``.
@@ -61,7 +61,7 @@ def draw_scene(
     body = min(height, 0.5 * room)
     eye = min(EYE, 0.65 * room)
     across = float(np.hypot(*(upper - lower)[:2]))
-    if room < FLAT * across:  # an aerial capture: a view from its own height would show only ground
+    if room < FLAT * across:  # an aerial capture: from eye height one would see only ground
         eye = 0.4 * across
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{scene.name}-{kind}.png" for kind in ("free", "occupancy", "view")]

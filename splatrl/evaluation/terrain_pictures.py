@@ -1,4 +1,4 @@
-"""A picture by which a person can judge what physics sees of a scene: its ground and its boxes, over the scene."""
+"""Picture for judging the terrain that physics derives from a scene: ground and boxes, drawn over the scene."""
 
 import math
 from collections.abc import Sequence
@@ -25,17 +25,17 @@ from splatrl.renderers import NativeRenderer
 from splatrl.scenes.gaussians import Gaussians
 
 AROUND = 0.5
-"""Metres of the scene around what bodies can reach that are shown."""
+"""Margin of the scene that is shown around robots' bounds and boxes, metres."""
 ABOVE = 0.6
-"""Metres above the boxes at which the scene is cut open."""
+"""Height above the tallest box at which the scene is cut open, metres."""
 SIDE = 720
-"""Pixels of the longer side of a view."""
+"""Longer side of a view, pixels."""
 LINES = 0.25
-"""Metres between the lines of the ground's grid."""
+"""Spacing of the lines of the ground's grid, metres."""
 PITCH, FOV = math.radians(42.0), math.radians(45.0)
-"""How far the oblique view looks down, and how wide it is."""
+"""Downward pitch and horizontal field of view of the oblique view, radians."""
 SKEW = math.radians(25.0)
-"""Between the side from which it looks and the one with the fewest boxes."""
+"""Angle between the oblique view's side and the side with the fewest boxes, radians."""
 COLORS = "plasma"
 EDGES = [(a, b) for a, b in product(range(8), repeat=2) if a < b and (a ^ b).bit_count() == 1]
 
@@ -48,18 +48,18 @@ def draw_terrain(
     path: Path,
     antialiased: bool = True,
 ) -> None:
-    """Draw ground and boxes over a scene, from above and at an angle, as PNG.
+    """Draw ground and boxes over a scene, from above and obliquely, as PNG.
 
-    Boxes are outlined in the colour of the height of their tops above the ground; the ground is a grid of 25 cm, and
-    dashed lines are the bounds.
+    Outlines of boxes are coloured by the height of their tops above the ground; the ground is drawn as a 25 cm grid,
+    and dashed lines mark the bounds.
 
     Args:
-        gaussians: the scene, world frame.
-        surveyed: what physics sees of it.
+        gaussians: the scene's Gaussians, world frame.
+        surveyed: ground and boxes that physics uses.
         lower: smallest x and y to which robots go, metres.
         upper: largest x and y, metres.
-        path: where to; ends in .png.
-        antialiased: whether the scene is to be drawn so.
+        path: file to write, ending in .png.
+        antialiased: whether to render the scene antialiased.
     """
     boxes = surveyed.terrain.boxes.numpy()
     floor = float(surveyed.ground.height(0.5 * (np.array(lower) + np.array(upper))))
@@ -104,7 +104,7 @@ def _oblique(
     colors: NDArray[np.float64],
     bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> None:
-    """The scene from a corner above, with the ground's grid and the edges of the boxes."""
+    """Draw an oblique view of the scene from above, with the ground's grid and the edges of the boxes."""
     middle = 0.5 * (low + high)
     target = np.append(middle, surveyed.ground.height(middle))
     width, height = SIDE, round(0.75 * SIDE)
@@ -129,14 +129,14 @@ def _oblique(
 
 
 def _open_side(boxes: NDArray[np.float64], middle: NDArray[np.float64]) -> float:
-    """The direction from the middle, radians, that is opposite to most boxes."""
+    """Return the direction from the middle that points away from most boxes, by volume, radians."""
     weight = boxes[:, 3:].prod(1)
     x, y = weight @ (middle - boxes[:, :2]) if len(boxes) else (0.0, -1.0)
     return math.atan2(y, x)
 
 
 def _grid(surveyed: Surveyed, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lines on the ground between bounds: [N, 2, 3]."""
+    """Return the grid lines on the ground within bounds: [N, 2, 3], metres."""
     lines = []
     for axis in range(2):
         for at in np.linspace(lower[axis], upper[axis], 1 + round((upper[axis] - lower[axis]) / LINES)):
@@ -147,7 +147,7 @@ def _grid(surveyed: Surveyed, lower: NDArray[np.float64], upper: NDArray[np.floa
 
 
 def _seen(lines: NDArray[np.float64], camera_to_world: Tensor, K: Tensor) -> list[NDArray[np.float64]]:
-    """Where a camera sees lines [N, 2, 3] that lie before it: pixels [2, 2] each."""
+    """Project lines [N, 2, 3], without those not wholly in front of the camera: [2, 2] pixels each."""
     pose = camera_to_world.double().numpy()
     local = (lines - pose[:3, 3]) @ pose[:3, :3]
     local = local[(local[..., 2] > 0.05).all(1)]

@@ -1,4 +1,4 @@
-"""The background of figures and videos: a scene seen from above, and what is solid in it."""
+"""Backgrounds of figures and videos: a scene seen from above, and what is solid in it."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -18,20 +18,20 @@ from splatrl.scenes.gaussians import Gaussians
 from splatrl.scenes.scene import robust_bounds
 
 Window = tuple[list[float], list[float]]
-"""Lower and upper corner, x and y in metres."""
+"""Lower and upper corner of a window, x and y in metres."""
 
 DISTANCE = 500.0
-"""Camera height in lengths of the window: a metre of height then shifts a point by at most 1.5 millimetres."""
+"""Camera height, in lengths of the window: a metre of height then shifts a point by at most 1.5 millimetres."""
 DEPTH = 10.0
-"""Anything more than this many metres below the cut is left out, such as the lower half of a sky dome, by default."""
+"""Default depth below the cut, in metres, beyond which things are left out, such as the lower half of a sky dome."""
 MARGIN = 0.4
-"""How far a map reaches beyond the outermost pose, metres, at least."""
+"""Minimum distance by which a map extends beyond the outermost pose, metres."""
 AROUND = 0.25
-"""The same in sides of the area of the poses, at most, where the place goes on."""
+"""Maximum of that distance where the place continues, as a fraction of the longer side of the poses' area."""
 WIDER = 1.5
-"""An overview is worth drawing if its longer side is as many times the map's."""
+"""An overview is worth drawing if its longer side is at least this many times the map's."""
 WIDEST = 12.0
-"""Longer side of an overview in sides of the map, at most: beyond them may be the country up to the horizon."""
+"""Maximum longer side of an overview, in sides of the map: open country may extend to the horizon beyond."""
 
 
 class TopDown(NamedTuple):
@@ -39,7 +39,7 @@ class TopDown(NamedTuple):
 
     Attributes:
         image: [H, W, 3] uint8, row 0 at the largest y.
-        extent: left, right, bottom and top edges of the image, metres, in the order of matplotlib's ``extent``.
+        extent: left, right, bottom and top edge of the image, metres, in the order of matplotlib's ``extent``.
     """
 
     image: Tensor
@@ -47,19 +47,19 @@ class TopDown(NamedTuple):
 
     @property
     def pixels_per_metre(self) -> float:
-        """Resolution of the picture, which is the same along x and y."""
+        """Resolution of the picture, the same along x and y."""
         return self.image.shape[1] / (self.extent[1] - self.extent[0])
 
 
 @dataclass(frozen=True)
 class MapView:
-    """What maps and charts are drawn over.
+    """Background and marks over which maps and charts are drawn.
 
     Attributes:
         ground: the scene seen from above.
-        solid: [H, W] bool for the ground's pixels, what is solid at the height of the body (``footprint``).
-        marks: what the task shows in every episode.
-        overview: the place around the ground, out to its walls; None where the ground shows nearly all of it.
+        solid: [H, W] bool mask of the ground's pixels that are solid at the height of the body (``footprint``).
+        marks: marks that the task shows in every episode.
+        overview: the whole place seen from above, out to its walls; None if the ground shows nearly all of it.
     """
 
     ground: TopDown
@@ -80,7 +80,7 @@ def top_down(
     """Render a window of a scene from straight above, in a nearly orthographic view.
 
     Only what lies below ``below`` is shown, so that ceilings, tree crowns and the sky do not hide the floor. Gaussians
-    that can only be sky are left out as well: those wider than the window, or farther from it than the window is wide.
+    that can only be sky are left out as well: those larger than the window, or farther from it than its longer side.
 
     Args:
         gaussians: the scene's Gaussians, world frame.
@@ -90,10 +90,10 @@ def top_down(
         size: longer side of the picture, pixels. The shorter side is rounded up to a whole number of pixels, and the
             window grows with it, about its centre.
         make_renderer: the renderer's class, or anything that turns Gaussians into a renderer.
-        depth: what lies more than this many metres below the cut is left out.
+        depth: depth below the cut beyond which things are left out, metres.
 
     Raises:
-        ValueError: for a window without area or with nothing in it.
+        ValueError: for a window that has no area or contains nothing.
     """
     (left, bottom), (right, top) = lower, upper
     side = max(right - left, top - bottom)
@@ -117,7 +117,7 @@ def top_down(
 def map_window(
     gaussians: Gaussians, lower: Sequence[float], upper: Sequence[float], below: float
 ) -> tuple[Window, Window | None]:
-    """The windows of a map around some poses and of an overview that reaches to the walls.
+    """Choose the window of a map around some poses, and that of an overview that extends to the walls.
 
     Args:
         gaussians: the scene's Gaussians, world frame.
@@ -126,7 +126,7 @@ def map_window(
         below: height of the cut, metres.
 
     Returns:
-        Lower and upper corner [x, y] of each; None where the map shows nearly all of the place.
+        Both windows; None for the overview if the map shows nearly all of the place.
     """
     height = gaussians.means[:, 2]
     inside = (height < below) & (height > below - DEPTH)
@@ -157,13 +157,13 @@ def _floor(
 
 
 def footprint(occupancy: Occupancy, low: float, high: float, ground: TopDown) -> Tensor:
-    """What is solid between two heights, as a mask over a top-down picture.
+    """Mask what is solid between two heights in a top-down picture.
 
     Args:
         occupancy: the scene's occupancy.
         low: lower of the two heights, metres.
         high: upper of the two heights, metres.
-        ground: the picture.
+        ground: the top-down picture.
 
     Returns:
         [H, W] bool, true where the pixel's centre lies over a solid voxel.
@@ -175,7 +175,7 @@ def footprint(occupancy: Occupancy, low: float, high: float, ground: TopDown) ->
     origin = np.array(occupancy.origin_key)
     bottom, ceiling = (round_(z / occupancy.resolution) for round_, z in ((math.floor, low), (math.ceil, high)))
     layers = occupancy.occupied[:, :, max(bottom - origin[2], 0) : max(ceiling - origin[2], 0)].any(2)
-    padded = np.pad(layers, 1)  # everything outside the grid is free, hence the empty padding
+    padded = np.pad(layers, 1)  # empty padding, since everything outside the grid is free
     column, row = (
         (np.floor(at / occupancy.resolution).astype(int) - key + 1).clip(0, count - 1)
         for at, key, count in zip((x, y), origin, padded.shape, strict=False)

@@ -1,4 +1,4 @@
-"""Short closed ways over a lattice, past as many of its places as a length allows."""
+"""Short closed tours over a lattice that pass as many of its places as their length allows."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -11,19 +11,19 @@ from scipy.sparse.csgraph import dijkstra
 Floats = NDArray[np.float64]
 
 WAYS = ((0, 1), (1, 0), (1, 1), (1, -1))
-"""From a place to those neighbours that come after it."""
+"""Offsets to half of a place's eight neighbours, so that each edge is listed once."""
 
 
 def round_trip(places: Floats, step: float, length: float) -> Floats:
-    """A closed way over a lattice of places, past as many spots as a length allows.
+    """Find a closed tour over a lattice of places that passes as many well-spread stops as its length allows.
 
     Args:
-        places: [F, 2] on a lattice, connected.
-        step: metres between neighbours.
-        length: metres.
+        places: [F, 2] connected places of a lattice, metres.
+        step: spacing of the lattice, metres.
+        length: maximum length of the tour, metres; a tour past only three stops may exceed it.
 
     Returns:
-        [P, 2] places one after the other, the last one the first.
+        [P, 2] places in order along the tour; the last equals the first.
     """
     graph, order = _graph(places, step), _spread_out(places)
     fewest, most = 3, len(order) + 1
@@ -39,9 +39,9 @@ def round_trip(places: Floats, step: float, length: float) -> Floats:
 
 
 def _graph(places: Floats, step: float) -> coo_matrix:
-    """Distances between neighbouring places of a lattice, straight and across."""
+    """Build the graph of distances between neighbouring places of a lattice, including diagonal ones."""
     keys = np.round((places - places.min(0)) / step).astype(int)
-    rows = np.full(keys.max(0) + 3, -1)  # a border of nothing
+    rows = np.full(keys.max(0) + 3, -1)  # with an empty border
     rows[tuple((keys + 1).T)] = np.arange(len(places))
     found: list[tuple[Sequence[int], Sequence[int], float]] = []
     for way in WAYS:
@@ -55,7 +55,7 @@ def _graph(places: Floats, step: float) -> coo_matrix:
 
 
 def _spread_out(places: Floats) -> list[int]:
-    """All places, each as far as may be from those before it."""
+    """Order all places by farthest-point sampling: each is as far as possible from those before it."""
     order = [0]
     apart = np.linalg.norm(places - places[0], axis=1)
     while len(order) < len(places):
@@ -65,7 +65,7 @@ def _spread_out(places: Floats) -> list[int]:
 
 
 def _tour(graph: coo_matrix, stops: Sequence[int]) -> list[int]:
-    """A short closed way along edges of a graph past some of its nodes: nearest neighbour, then 2-opt."""
+    """Find a short closed tour along edges of a graph past some of its nodes: nearest neighbour, then 2-opt."""
     distances, before = dijkstra(graph, directed=False, indices=list(stops), return_predecessors=True)
     apart = distances[:, stops]
     tour, left = [0], set(range(1, len(stops)))
@@ -80,7 +80,7 @@ def _tour(graph: coo_matrix, stops: Sequence[int]) -> list[int]:
 
 
 def _untangled(tour: NDArray[np.int_], apart: Floats) -> list[int]:
-    """2-opt: reverse stretches of a closed tour while that makes it shorter."""
+    """Improve a closed tour by 2-opt: reverse stretches of it as long as that makes it shorter."""
     improved = True
     while improved:
         improved = False
@@ -97,7 +97,7 @@ def _untangled(tour: NDArray[np.int_], apart: Floats) -> list[int]:
 
 
 def _steps(before: NDArray[np.int_], start: int, end: int) -> Iterator[int]:
-    """Nodes of a shortest way, without the first."""
+    """Yield the nodes of a shortest path from Dijkstra's predecessors, without the first."""
     way = []
     while end != start:
         way.append(end)

@@ -1,4 +1,4 @@
-"""Videos of episodes: what the robot sees, beside the robot itself if it has a body, and a map of where it is."""
+"""Videos of episodes: the robot's view, optionally the robot itself from outside, and a map of where it is."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -24,13 +24,13 @@ from splatrl.files import replacing
 from splatrl.values import tenths
 
 PANEL, WIDEST, GAP, STRIP = 384, 512, 8, 60
-"""Height of both panels, largest width of the map, space around them and height of the text, pixels."""
+"""Height of the panels, maximum width of the map, space around the panels and height of the caption, pixels."""
 HOLD = 0.7
-"""Time for which the last frame of an episode stays, seconds."""
+"""Extra time for which the last frame of an episode is held, seconds."""
 X264 = {"crf": "18", "preset": "veryfast", "x264-params": "mbtree=0"}
-"""Without its macroblock tree, with which x264 writes other bytes each time."""
+"""Encoder options; macroblock-tree rate control is off, since with it x264's output differs from run to run."""
 BATCH = 8
-"""Number of large views rendered at once, which bounds the memory."""
+"""Number of large views rendered at a time; bounds memory."""
 
 
 def rollout_video(
@@ -46,18 +46,19 @@ def rollout_video(
 ) -> None:
     """Write episodes to an mp4, one after another: the ego view beside a map with the robot and its trail.
 
-    The image of an image goal is in the corner of the ego view.
+    The image of an image goal is shown in a corner of the ego view.
 
     Args:
         recordings: the episodes.
         robot: body and camera.
-        view: what the map is drawn over.
+        view: background and marks of the map.
         path: the video file.
         drawing: draws the ego view large, with the policy's own pixels in its corner; None enlarges those pixels.
-        action_names: names of the actions, by index; empty where actions are continuous.
+        action_names: names of the actions, by index; empty for continuous actions.
         fps: steps per second of video.
-        outside: cameras that look at the robot of a recording, one a step, for a third panel; needs ``drawing``.
-        goals: number of goals of an episode, if it may have several.
+        outside: gives cameras that look at the robot of a recording, one per step, for a third panel; needs
+            ``drawing``.
+        goals: number of goals needed for success, if episodes can have several.
 
     Raises:
         ValueError: if there are no recordings.
@@ -71,7 +72,7 @@ def rollout_video(
 
 
 def _held(fps: int) -> int:
-    """For how many frames more the last of an episode stays."""
+    """Return for how many extra frames the last frame of an episode is held."""
     return round(HOLD * fps)
 
 
@@ -112,7 +113,7 @@ def _frames(
 
 
 def _views(recording: Recording, robot: Robot, drawing: Drawing | None) -> Iterator[Image.Image]:
-    """Yield the ego view at each step, PANEL pixels high."""
+    """Yield the ego view at each step, ``PANEL`` pixels high."""
     large = replace(robot, image_height=PANEL, image_width=round(PANEL * robot.image_width / robot.image_height))
     size, seen = (large.image_width, PANEL), recording.pixels.numpy()
     views = seen if drawing is None else _drawn(recording, drawing, large.cameras(recording.body_to_world))
@@ -126,7 +127,7 @@ def _views(recording: Recording, robot: Robot, drawing: Drawing | None) -> Itera
 
 
 def _inset(image: Image.Image, pixels: NDArray[np.uint8], left: int, name: str = "") -> None:
-    """Put a picture into a view, at a third of its size, a column and the foot of it, with a name above."""
+    """Paste a picture, a third of the view's size, at the view's bottom, ``left`` pixels from its edge, with a name."""
     small = Image.fromarray(pixels).resize((image.width // 3, PANEL // 3), Image.Resampling.NEAREST)
     top = PANEL - small.height - 6
     image.paste("white", (left - 2, top - 2, left + small.width + 2, PANEL - 4))
@@ -135,7 +136,7 @@ def _inset(image: Image.Image, pixels: NDArray[np.uint8], left: int, name: str =
 
 
 def _drawn(recording: Recording, drawing: Drawing, cameras: Cameras) -> Iterator[NDArray[np.uint8]]:
-    """Yield what cameras see, one a step: [H, W, 3]."""
+    """Yield the view of each camera, one per step: [H, W, 3] uint8."""
     for rows in torch.arange(len(cameras)).split(BATCH):
         memory = {key: value[rows] for key, value in recording.memory.items()}
         parts = None if recording.parts is None else recording.parts.rows(rows)
@@ -166,7 +167,7 @@ def _caption(page: Image.Image, facts: list[tuple[str, str]], outcome: Outcome) 
 
 
 def fitting(words: str, width: float) -> ImageFont.FreeTypeFont:
-    """The font of 18 pixels, or a smaller one in which words take no more than a width in pixels."""
+    """Return the largest font, from 18 down to 8 pixels, in which words fit a width in pixels."""
     size = 18
     while size > 8 and font(size).getlength(words) > width:
         size -= 1
@@ -176,18 +177,18 @@ def fitting(words: str, width: float) -> ImageFont.FreeTypeFont:
 def encode(
     frames: Iterable[Image.Image], path: Path, fps: int, options: Mapping[str, str] = MappingProxyType({})
 ) -> None:
-    """Write images of one size, of even sides, to an mp4: H.264, or MPEG-4 where PyAV lacks that.
+    """Encode images of one size with even sides as an mp4: H.264, or MPEG-4 if PyAV lacks that.
 
     Args:
         frames: at least one image.
         path: the video file.
-        fps: images per second.
-        options: more of the encoder's options.
+        fps: frames per second.
+        options: further encoder options.
     """
     import av
 
     x264 = "libx264" in av.codecs_available
-    # by its name, since FFmpeg then says itself what is wrong with a disk
+    # opened by name: FFmpeg then reports disk errors itself
     with replacing(path) as file, av.open(file.name, "w", format="mp4") as container:
         stream = container.add_stream("libx264" if x264 else "mpeg4", rate=fps)
         stream.pix_fmt = "yuv420p"

@@ -1,4 +1,4 @@
-"""The view of a person who stands in a scene."""
+"""Views of a scene as seen by a person standing in it."""
 
 import math
 
@@ -15,7 +15,7 @@ from splatrl.scenes.scene import Bounds
 
 FOV = math.radians(80.0)
 _STEPS = 24
-"""Number of candidate places along the longer side."""
+"""Number of candidate places along the longer side of the bounds."""
 
 
 def eye_view(
@@ -28,17 +28,17 @@ def eye_view(
     rows: int = 640,
     antialiased: bool = True,
 ) -> Tensor:
-    """Draw a scene from a free place at eye height, looking across its middle.
+    """Render a scene from a free place at eye height, looking across its middle.
 
     Args:
-        gaussians: the scene, world frame.
-        occupancy: what is solid; the place is clear of it.
+        gaussians: the scene's Gaussians, world frame.
+        occupancy: what is solid; the viewer stands clear of it.
         bounds: lower and upper corner of the region in which to stand, metres.
-        floor: height of the floor, world, metres; the view does not aim below it.
-        height: height of the eye, world, metres.
+        floor: height of the floor, world frame, metres; the target of a view from above the bounds.
+        height: height of the eye, world frame, metres.
         width: width of the image, pixels.
         rows: height of the image, pixels.
-        antialiased: whether it is to be drawn so; False is the classic 3DGS image.
+        antialiased: whether to render antialiased; False gives the classic 3DGS image.
 
     Returns:
         [rows, width, 3] uint8.
@@ -53,12 +53,12 @@ def eye_view(
 
 
 def standing_place(occupancy: Occupancy, bounds: Bounds, height: float) -> list[float]:
-    """The place [2] within bounds that is far from anything solid at a height, and far from the middle.
+    """Choose a place [x, y] within bounds that is far from anything solid at a height, and far from the middle.
 
     Args:
         occupancy: what is solid.
         bounds: lower and upper corner, metres.
-        height: height at which to look for solid things, world, metres.
+        height: height at which to look for solid things, world frame, metres.
     """
     lower, upper = np.array(bounds)
     side = float((upper - lower)[:2].max()) or 1.0
@@ -80,7 +80,7 @@ def standing_place(occupancy: Occupancy, bounds: Bounds, height: float) -> list[
 
 
 def open_corner(occupancy: Occupancy) -> int:
-    """The corner that hides the least of the rest from view, as quarter turns of ``draw_blocks``.
+    """Find the corner that hides the least of the rest from view, as ``quarter_turns`` of ``draw_blocks``.
 
     Args:
         occupancy: what is solid.

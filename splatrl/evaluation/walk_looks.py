@@ -1,4 +1,4 @@
-"""How a real camera changes an image: exposure, tint, blur and noise, drawn anew for every clip."""
+"""Simulated imperfections of a real camera: exposure, tint, blur and noise, drawn anew for every clip."""
 
 from dataclasses import dataclass
 
@@ -7,18 +7,18 @@ from scipy import ndimage
 from torch import Tensor
 
 GAMMA = 2.2
-"""Exponent between stored and linear light, accurate enough for a change of exposure."""
+"""Gamma exponent between stored values and linear light, accurate enough for a change of exposure."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """How much cameras vary; each clip draws its own camera uniformly.
+    """Ranges over which cameras vary; each clip draws its own camera uniformly.
 
     Attributes:
         exposure: largest change of exposure in either direction, stops.
-        tint: largest change of a colour channel in either direction, as a share.
-        blur: largest standard deviation of the blur, as a share of the image's height.
-        noise: largest standard deviation of the noise in each value, grey levels.
+        tint: largest change of a colour channel in either direction, as a fraction.
+        blur: largest standard deviation of the blur, as a fraction of the image's height.
+        noise: largest standard deviation of the noise in each channel value, grey levels.
     """
 
     exposure: float = 0.5
@@ -28,7 +28,7 @@ class Lens:
 
 
 def photographed(pixels: Tensor, lens: Lens, generator: torch.Generator) -> Tensor:
-    """The frames of one clip as a random camera would record them.
+    """Degrade the frames of one clip as if a random camera had recorded them.
 
     Args:
         pixels: [T, H, W, 3] uint8.

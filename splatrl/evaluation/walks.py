@@ -1,4 +1,4 @@
-"""Simulated walks with a camera in an unsteady hand, labelled by the planner: clips that need no phone."""
+"""Simulated walks with a hand-held camera, labelled by the planner: clips that need no phone."""
 
 import math
 from collections.abc import Callable
@@ -19,22 +19,22 @@ from splatrl.geometry import axis_rotations, rigid
 from splatrl.renderers.base import Renderer
 
 WAVES = 4
-"""Number of sinusoids in a hand's sway, which bounds it by √(2 · WAVES) = 2.8 standard deviations."""
+"""Number of sinusoids in a hand's sway; bounds it by √(2 · WAVES) = 2.8 standard deviations."""
 RANKS = (0.98, 0.35)
-"""Ranks of the longest and the shortest path that is walked, among the paths from all starts."""
+"""Quantiles of the longest and the shortest path to walk, among the path lengths from all starts."""
 PATIENCE = 3
-"""A walk is cut off after this many times the steps that its path should take."""
+"""Walks are cut off after this many times the number of steps of the longest shortest path."""
 CANDIDATES = 16
 MARGIN = 0.15
-"""Distance that a person keeps from things, metres."""
+"""Distance that a person keeps from solid things, metres."""
 GLANCES, GLANCE = 6, 12
-"""Number of views along a path that are checked for emptiness, and their side in pixels."""
+"""Number of views along a path that are checked for emptiness, and their side, pixels."""
 BATCH = 32
 
 
 @dataclass(frozen=True)
 class Hand:
-    """How a hand sways: the standard deviations and periods of a smooth stationary process.
+    """Sway of a hand: standard deviations and periods of a smooth stationary process.
 
     Attributes:
         place: standard deviation along x and along y, metres.
@@ -57,20 +57,20 @@ class Hand:
     frames: int = 3
 
     def sizes(self) -> Tensor:
-        """Standard deviations, in the order and units of ``camera_offset``: [6] float64."""
+        """Return the standard deviations, in the order and units of ``camera_offset``: [6] float64."""
         angles = [math.radians(value) for value in (self.pitch_deg, self.roll_deg, self.yaw_deg)]
         return torch.tensor([self.place, self.place, self.height, *angles], dtype=torch.float64)
 
 
 @dataclass(frozen=True)
 class Walk:
-    """T frames of a walk.
+    """The T frames of a walk.
 
     Attributes:
         cameras: T cameras.
         planar: [T, 3] float64, position and heading of each camera: x and y in metres, yaw in radians.
-        states: [T, D], the states nearest to these.
-        allowed: [T, A] bool, the actions that begin a shortest path from there.
+        states: [T, D], the state of the motion nearest to each of these.
+        allowed: [T, A] bool, the actions that begin a shortest path from that state.
     """
 
     cameras: Cameras
@@ -80,7 +80,7 @@ class Walk:
 
 
 def sway(hand: Hand, frames: int, generator: torch.Generator) -> Tensor:
-    """Offsets of the camera in each frame, as ``Robot.cameras`` takes them: [frames, 6] float32."""
+    """Draw the camera's offset in each frame, as taken by ``Robot.cameras``: [frames, 6] float32."""
     draw = torch.rand(2, 6, WAVES, generator=generator, dtype=torch.float64)
     periods = hand.fastest * (hand.slowest / hand.fastest) ** draw[0]
     time = torch.arange(frames, dtype=torch.float64).view(-1, 1, 1)
@@ -89,7 +89,7 @@ def sway(hand: Hand, frames: int, generator: torch.Generator) -> Tensor:
 
 
 def paths(plan: Plan, starts: Tensor, generator: torch.Generator) -> list[Tensor]:
-    """A random shortest path to the goal from each start, which repeats its last action wherever that is optimal.
+    """Draw a random shortest path to the goal from each start, repeating the last action wherever that is optimal.
 
     Args:
         plan: plan of a motion with discrete actions.
@@ -97,7 +97,7 @@ def paths(plan: Plan, starts: Tensor, generator: torch.Generator) -> list[Tensor
         generator: chooses among optimal actions.
 
     Returns:
-        B paths of [N, D] states, from the start to the goal; a path that would step back and forth ends there.
+        B paths of [N, D] states, from the start to the goal; a path ends early where it would step back and forth.
     """
     states, lengths = [starts], torch.ones(len(starts), dtype=torch.int64)
     last = torch.full((len(starts), 1), -1)
@@ -119,15 +119,15 @@ def paths(plan: Plan, starts: Tensor, generator: torch.Generator) -> list[Tensor
 
 
 def awkwardness(plan: Plan, states: Tensor) -> float:
-    """How unlike a path is to one that a person would walk with a camera in hand, 0 at best.
+    """Penalise a path for being unlike one that a person would walk with a camera in hand, 0 at best.
 
     Args:
         plan: plan from which the path comes.
         states: [N, D] states of the path.
 
     Returns:
-        The share of steps that go backwards, plus the share of states nearer to something than ``MARGIN``, plus 1 if
-        the path ends before the goal.
+        The fraction of steps that go backwards, plus the fraction of states nearer to something solid than ``MARGIN``,
+        plus 1 if the path ends before the goal.
     """
     poses = plan.motion.body_to_world(states)
     way, ahead = poses[:, :3, 3].diff(dim=0), poses[:-1, :3, 0]
@@ -138,7 +138,7 @@ def awkwardness(plan: Plan, states: Tensor) -> float:
 
 
 def emptiness(plan: Plan, states: Tensor, robot: Robot, renderer: Renderer) -> float:
-    """Share of the pixels in views along a path that show nothing, as where a capture ends."""
+    """Return the fraction of pixels, in views along a path, that show nothing, such as beyond the edge of a capture."""
     some = states[torch.linspace(0, len(states) - 1, GLANCES).round().long()]
     small = replace(robot, image_height=GLANCE, image_width=GLANCE)
     alpha = renderer.render(small.cameras(plan.motion.body_to_world(some).cpu())).alpha
@@ -146,7 +146,7 @@ def emptiness(plan: Plan, states: Tensor, robot: Robot, renderer: Renderer) -> f
 
 
 def eased(planar: Tensor, frames: int) -> Tensor:
-    """Interpolate poses, easing in and out of each: [N, 3] x, y and yaw -> [(N − 1) · frames + 1, 3]."""
+    """Interpolate poses, easing in and out at each: [N, 3] x, y and yaw -> [(N − 1) · frames + 1, 3]."""
     steps = planar.diff(dim=0)
     steps[:, 2] = (steps[:, 2] + math.pi) % math.tau - math.pi
     part = torch.arange(frames, dtype=planar.dtype) / frames
@@ -156,11 +156,11 @@ def eased(planar: Tensor, frames: int) -> Tensor:
 
 
 def walk(plan: Plan, robot: Robot, states: Tensor, hand: Hand, generator: torch.Generator) -> Walk:
-    """Walk a path with an unsteady camera, until the camera is at the goal.
+    """Walk a path with a swaying camera, until the camera is at the goal.
 
     Args:
-        plan: plan of a motion at one height, with discrete actions.
-        robot: gives the camera and its height.
+        plan: plan of a motion at a fixed height, with discrete actions.
+        robot: the robot whose camera is carried.
         states: [N, D] states of the path.
         hand: how the camera sways.
         generator: draws the sway.
@@ -180,7 +180,7 @@ def walk(plan: Plan, robot: Robot, states: Tensor, hand: Hand, generator: torch.
 
 
 def far_paths(plan: Plan, count: int, generator: torch.Generator, against: Callable[[Tensor], float]) -> list[Tensor]:
-    """Paths whose lengths are spread evenly over the ranks in ``RANKS``, the longest first.
+    """Choose paths whose lengths are spread evenly over the quantiles in ``RANKS``, the longest first.
 
     For each length, the path with the lowest penalty is taken among those from ``CANDIDATES`` random starts.
 
@@ -188,7 +188,7 @@ def far_paths(plan: Plan, count: int, generator: torch.Generator, against: Calla
         plan: plan of a motion with discrete actions.
         count: number of paths.
         generator: draws starts and chooses among paths.
-        against: penalty of a path, [N, D] states -> a number, 0 at best.
+        against: maps a path, [N, D] states, to its penalty, 0 at best.
 
     Returns:
         ``count`` paths of [N, D] states.
@@ -217,23 +217,23 @@ def record_walks(
     lens: Lens | None = None,
     progress: Callable[[int], object] = lambda clips: None,
 ) -> list[Path]:
-    """Write walks as clips (see ``clip_files``); the same arguments give the same bytes.
+    """Record walks and write them as clips (see ``clip_files``); the same arguments give the same bytes.
 
     Args:
-        folder: folder of the clips, created if it does not exist.
+        folder: folder of the clips, created if necessary.
         world: world in which walks are recorded.
         count: number of clips.
-        seed: seed of starts, paths, sway and looks.
-        height: height of the images, pixels; their aspect ratio is that of the robot's.
-        hand: how the camera sways.
-        lens: how much the cameras vary.
-        progress: called with the number of clips that were just written.
+        seed: seed of starts, paths, sway and camera looks.
+        height: height of the images, pixels; their aspect ratio is that of the robot's images.
+        hand: how the camera sways; None takes the default.
+        lens: how much the cameras vary; None takes the default.
+        progress: called with the number of clips just written.
 
     Returns:
         The clips' folders.
 
     Raises:
-        ValueError: for a motion whose poses or actions cannot be walked, or if a clip of that name exists.
+        ValueError: for a motion without a fixed height or action names, or if a clip of that name exists.
     """
     plan, robot = world.plan, world.robot
     if plan.motion.height is None or not plan.motion.action_names:
@@ -260,9 +260,9 @@ def record_walks(
 
 
 def seen(walked: Walk, world: World) -> Tensor:
-    """What the camera of a walk sees, with what the task places in the picture: [T, H, W, 3] uint8."""
+    """Render what the camera of a walk sees, including what the task places in the picture: [T, H, W, 3] uint8."""
     start = world.plan.starts[:1]
-    # Objects stand where they do in an episode from the first start.
+    # Objects stand where they would in an episode from the first start.
     begun = world.task.begin(start, Anywhere(lambda: start, torch.Generator()))
     images = []
     for rows in torch.arange(len(walked.cameras)).split(BATCH):

@@ -1,4 +1,4 @@
-"""Experiments: many trainings, run and reported together."""
+"""Experiments: sets of trainings that are run and reported together."""
 
 from splatrl.experiments.budget import budget, statement
 from splatrl.experiments.conduct import check_settings, report_all, score, train_all

@@ -1,4 +1,4 @@
-"""How much is still to be trained, and how long that will take."""
+"""Estimates of how much training is left, and how long it will take."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,18 +9,18 @@ from splatrl.experiments.folders import evaluation, frames_done, status
 
 @dataclass(frozen=True)
 class Budget:
-    """The trainings of one experiment.
+    """Progress and remaining cost of the trainings of one experiment.
 
     Attributes:
         name: name of the experiment.
         trainings: number of trainings.
         finished: number of finished trainings.
-        seeds: seeds that are trained.
-        frames: frames of all trainings.
+        seeds: seeds of the trainings.
+        frames: total frames of all trainings.
         frames_left: frames still to be trained.
         speed: frames per second of one training.
-        measured: number of finished trainings on which the speed is based; 0 if it comes from the experiment's YAML.
-        seconds_left: time left if trainings ran one after another, seconds.
+        measured: number of finished trainings used to measure the speed; 0 if it comes from the experiment's YAML.
+        seconds_left: time left if the trainings run one at a time, seconds.
     """
 
     name: str
@@ -43,13 +43,13 @@ class Budget:
 
 
 def budget(experiment: Experiment) -> Budget:
-    """Count what is trained and what is left, at the speed of the finished trainings, or else at the expected speed."""
+    """Count finished and remaining frames; time is estimated at the finished trainings' speed, or the expected one."""
     finished = [run for run in experiment.runs if status(run) == "finished"]
     left = [run for run in experiment.runs if run not in finished]
     figures = [evaluation(run) for run in finished]
     frames, seconds = (sum(values[key] for values in figures) for key in ("frames", "wall_seconds"))
     speed = frames / seconds if seconds else experiment.frames_per_second
-    frames_left = sum(max(run.frames - frames_done(run), 0) for run in left)  # shown frames fill no whole batch
+    frames_left = sum(max(run.frames - frames_done(run), 0) for run in left)  # demonstrations may overshoot run.frames
     return Budget(
         name=experiment.name,
         trainings=len(experiment.runs),
@@ -64,11 +64,11 @@ def budget(experiment: Experiment) -> Budget:
 
 
 def statement(budgets: Sequence[Budget], jobs: int) -> str:
-    """All budgets and their sum, one per line.
+    """Format all budgets and their total, one per line.
 
     Args:
         budgets: budgets of the experiments.
-        jobs: number of trainings at a time.
+        jobs: number of trainings that run at a time.
     """
     trainings, left = (sum(values) for values in zip(*((b.trainings, b.frames_left) for b in budgets), strict=True))
     minutes = sum(each.seconds_left for each in budgets) / jobs / 60

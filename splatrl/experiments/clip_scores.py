@@ -1,4 +1,4 @@
-"""Scores of trained policies on labelled clips, and the recording of clips in a world that training never saw."""
+"""Scoring of trained policies on labelled clips, and recording of clips in a world that training never saw."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -25,14 +25,14 @@ from splatrl.runs import load_policy
 
 
 def altered(cfg: DictConfig, seed: int) -> DictConfig:
-    """The config of a run, altered so that training never saw the scene like this.
+    """Alter the config of a run so that its scene looks as training never saw it.
 
-    A generated scene gets different leaves and grass, and its small objects are moved. Any scene is rendered as classic
-    3DGS, and with every Gaussian.
+    A generated scene gets different leaves and grass, and its small objects are moved. Every scene is rendered as
+    classic 3DGS, without antialiasing, and with all its Gaussians.
 
     Args:
         cfg: config of the run.
-        seed: counts from 0; each seed gives a different generated scene.
+        seed: seed of the alteration, from 0; each gives a different generated scene.
     """
     cfg = cfg.copy()
     for node, changes in (
@@ -66,14 +66,14 @@ def score_run(
     device: str | None = None,
     allow_targets: Sequence[str] = (),
 ) -> list[ClipResult]:
-    """Show clips to the policy of a run folder.
+    """Score the policy of a run folder on clips.
 
     Args:
         folder: the run folder.
         clips: folder of clips.
         checkpoint: last or best; None takes the run's own setting.
         device: device of the policy; None takes the run's own setting.
-        allow_targets: packages of your own that may define what the run's config builds.
+        allow_targets: your own packages from which the run's config may build objects.
 
     Raises:
         ValueError: for a task whose actions have no names.
@@ -92,7 +92,7 @@ def film_run(
     device: str | None = None,
     allow_targets: Sequence[str] = (),
 ) -> list[Path]:
-    """Draw on a film what the policy of a run folder would do; see ``draw_film`` and ``score_run``."""
+    """Overlay a film with what the policy of a run folder would do; see ``draw_film`` and ``score_run``."""
     policy, names, shape, known = _watching(folder, checkpoint, device, allow_targets)
     output.parent.mkdir(parents=True, exist_ok=True)
     with tqdm(unit="frame", desc=folder.name, dynamic_ncols=True) as bar:
@@ -102,7 +102,7 @@ def film_run(
 def _watching(
     folder: Path, checkpoint: str | None, device: str | None, allow_targets: Sequence[str]
 ) -> tuple[TensorDictModuleBase, Sequence[str], Sequence[int], TensorDictBase]:
-    """A run's policy, its actions' names, the shape of its image and what else it reads as an episode begins."""
+    """Load a run's policy, its action names, its image shape and its other inputs at the start of an episode."""
     cfg = run_config(folder, allow_targets)
     torch.set_num_threads(cfg.threads)
     trained = load_policy(folder, checkpoint, device, cfg)
@@ -114,10 +114,10 @@ def _watching(
 
 
 def score_experiment(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
-    """Score finished runs on recorded clips of their scenes, which are recorded first if there are none.
+    """Score finished runs on clips recorded in altered versions of their scenes; missing clips are recorded first.
 
     Args:
-        runs: trained in one or several scenes, with the same task.
+        runs: finished runs with the same task, in one or several scenes.
         folder: folder of the experiment; clips are in ``clips/<scene>``.
 
     Returns:

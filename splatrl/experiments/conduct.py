@@ -1,4 +1,4 @@
-"""Conducts experiments: training, scoring and reporting, resumable after an interruption."""
+"""Conducts experiments: trains, scores and reports, and resumes after an interruption."""
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -15,18 +15,22 @@ from splatrl.experiments.running import train
 from splatrl.made_with import differences
 
 Score = Callable[[Sequence[Run], Path], list[dict[str, Any]]]
-"""Maps finished runs and their experiment's folder to rows of ``run``, ``clip``, ``frames`` and ``matches``."""
+"""Scoring function: maps finished runs and their experiment's folder to rows for ``scores.json``.
+
+Rows have ``run`` and either ``clip``, ``frames`` and ``matches`` (see ``clip_scores``), or ``place`` and rates (see
+``transfer``).
+"""
 
 
 def check_settings(runs: Sequence[Run], fresh: bool) -> None:
-    """Refuse to mix settings: a folder that was trained with other settings is an error, or is deleted on request.
+    """Refuse to mix settings: a run folder trained with other settings is an error, or is deleted on request.
 
     Args:
         runs: runs that are to be trained or resumed.
         fresh: whether to delete folders with other settings.
 
     Raises:
-        ValueError: if settings differ, naming the folder, its settings and the requested ones.
+        ValueError: if settings differ; the message names the folder, its settings and the requested ones.
     """
     for run in runs:
         if status(run) == "new":
@@ -42,12 +46,12 @@ def check_settings(runs: Sequence[Run], fresh: bool) -> None:
 
 
 def train_all(experiments: Sequence[Experiment], jobs: int, cores: int, program: Sequence[str]) -> list[Run]:
-    """Train what is not finished, with all experiments in one queue, and record the machine.
+    """Train all unfinished runs, queueing all experiments together, and record the machine.
 
     Args:
         experiments: the experiments to train.
-        jobs: number of trainings at a time.
-        cores: of each training.
+        jobs: number of trainings that run at a time.
+        cores: number of cores per training.
         program: the command that trains; see ``running.command``.
 
     Returns:
@@ -62,11 +66,11 @@ def train_all(experiments: Sequence[Experiment], jobs: int, cores: int, program:
 
 
 def score(experiment: Experiment, scored_by: Score) -> bool:
-    """Score an experiment once, when all of its runs are finished; returns whether there are new scores.
+    """Score an experiment once all its runs are finished, unless that was done before; return whether scores are new.
 
     Args:
         experiment: the experiment to score.
-        scored_by: computes the scores.
+        scored_by: the function that computes the scores.
     """
     path = experiment.folder / SCORES
     if path.exists() or any(status(run) != "finished" for run in experiment.runs):
@@ -76,7 +80,7 @@ def score(experiment: Experiment, scored_by: Score) -> bool:
 
 
 def report_all(experiments: Sequence[Experiment], folder: Path, computer: str) -> list[Path]:
-    """Write a report of each experiment, and a joint one if there are several; returns the files.
+    """Write a report of each experiment, and a joint one if there are several; return the files.
 
     Args:
         experiments: the experiments to report.

@@ -1,4 +1,4 @@
-"""Learning curves of the arms in a comparison, over their seeds."""
+"""Learning curves of the arms of a comparison, aggregated over their seeds."""
 
 import math
 from collections.abc import Sequence
@@ -16,15 +16,15 @@ from splatrl.experiments.results import Entry
 
 COLORS = (BLUE, MISSED, REACHED, PARTLY, GOAL)
 MARKERS = "osD^v"
-"""Markers in addition to the colours, so that overlapping curves can be told apart."""
+"""Markers used besides colours, so that overlapping curves can be told apart."""
 
 
 def learning_curves(group: Sequence[Entry], path: Path) -> None:
-    """Draw success in tests and in training, and the curriculum level, over frames: mean and range of the seeds.
+    """Plot test success, training success and curriculum level against frames: mean and range over the seeds.
 
     Args:
         group: arms with finished runs.
-        path: the picture's file, whose suffix is the format.
+        path: file of the figure; its suffix sets the format.
     """
     staged = [entry.has_curriculum for entry in group]
     rows = 3 if any(staged) else 2
@@ -60,7 +60,7 @@ def learning_curves(group: Sequence[Entry], path: Path) -> None:
 
 
 def _band(axes: Axes, entry: Entry, key: str, color: str, marker: str = "") -> None:
-    """Draw the mean of the seeds as a line, and their range as a band."""
+    """Plot the mean over the seeds as a line, and their range as a band."""
     histories = [rows for rows in entry.histories if rows]
     if not histories:
         return
@@ -74,7 +74,10 @@ def _band(axes: Axes, entry: Entry, key: str, color: str, marker: str = "") -> N
 
 
 def _values(rows: Sequence[dict[str, float]], key: str) -> NDArray[np.float64]:
-    """A column as it is drawn: training success as a running mean over a twelfth of the rows, levels from 1."""
+    """Return a column as plotted: levels count from 1, training success is a running mean over 1/12 of the rows.
+
+    Each row of the running mean is weighted by its number of episodes.
+    """
     values = column(rows, key)
     if key == "level":
         return values + 1

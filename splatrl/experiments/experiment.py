@@ -1,4 +1,4 @@
-"""An experiment as data: a question, and the trainings that answer it."""
+"""Experiments as data: a question, and the trainings that answer it."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 Compose = Callable[[Sequence[str]], dict[str, Any]]
-"""Maps overrides to the whole config of a training."""
+"""Composes the complete config of a training from overrides."""
 
 
 @dataclass(frozen=True)
@@ -14,10 +14,10 @@ class Arm:
     """One of the alternatives that an experiment compares.
 
     Attributes:
-        label: its name in tables and figures.
+        label: the arm's name in tables and figures.
         overrides: overrides for ``splatrl-train``, including ``collector.total_frames``.
-        scenes: names of the scenes in which it is trained.
-        seeds: seeds, with one training each.
+        scenes: names of the scenes in which the arm is trained.
+        seeds: seeds of the trainings, one for each.
     """
 
     label: str
@@ -28,16 +28,16 @@ class Arm:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One training.
+    """One training of an experiment.
 
     Attributes:
         scene: name of the scene.
-        arm: key of the arm.
+        arm: key of the arm in the experiment's YAML.
         label: label of the arm.
         seed: seed of the training.
         folder: the run folder.
         overrides: overrides for ``splatrl-train``, including the seed but not the folder.
-        config: the config that these overrides compose.
+        config: the config composed from these overrides.
     """
 
     scene: str
@@ -50,18 +50,18 @@ class Run:
 
     @property
     def budget(self) -> int:
-        """Frames that the training is given."""
+        """Frames allotted to the training."""
         return int(self.config["collector"]["total_frames"])
 
     @property
     def frames(self) -> int:
-        """Frames that the training uses: whole batches within its budget."""
+        """Frames that the training uses: the whole batches that fit its budget."""
         batch = int(self.config["collector"]["frames_per_batch"])
         return self.budget // batch * batch
 
     @property
     def has_curriculum(self) -> bool:
-        """Whether the training begins with only part of the start set."""
+        """Whether the training begins with only a part of the start set."""
         return self.config["curriculum"].get("first") is not None
 
 
@@ -70,16 +70,16 @@ class Experiment:
     """A question and the trainings that answer it.
 
     Attributes:
-        name: its name on the command line and of its folder.
+        name: name of the experiment on the command line and of its folder.
         title: headline of the report.
         question: the question that the experiment answers.
-        paper: what the paper found.
-        frames_per_second: expected speed of a training.
-        overhead: expected time of a training besides its frames, seconds.
-        marks: numbers of frames at which the report gives the success in tests.
-        threshold: success in tests for which the report gives the frames needed.
+        paper: what the paper found about the question.
+        frames_per_second: expected speed of one training.
+        overhead: expected time per training on top of its frames, seconds.
+        marks: numbers of frames at which the report gives the test success.
+        threshold: test success for which the report gives the frames and minutes needed.
         folder: folder of the report and of the run folders.
-        runs: all trainings, ordered by seed so that early reports show every arm.
+        runs: all trainings, ordered by seed so that early reports cover every arm.
     """
 
     name: str
@@ -96,12 +96,12 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Selection:
-    """Which part of an experiment is trained, and for how long; None keeps what the experiment says.
+    """Selects a part of an experiment to train, and for how long; None keeps the experiment's own value.
 
     Attributes:
         seeds: seeds to train.
         frames: frames of each training.
-        scenes: scenes in which to train; those that no arm names are taken in place of an arm's own.
+        scenes: scenes in which to train; an arm skips scenes that only other arms name, and every arm takes the rest.
     """
 
     seeds: Sequence[int] | None = None
@@ -109,7 +109,7 @@ class Selection:
     scenes: Sequence[str] | None = None
 
     def of(self, arm: Arm, named: Collection[str]) -> list[str]:
-        """The scenes of an arm, if all arms together name these."""
+        """Return the scenes in which to train an arm; ``named`` are the scenes that any arm of the experiment names."""
         if self.scenes is None:
             return list(arm.scenes)
         return [scene for scene in self.scenes if scene in arm.scenes or scene not in named]
@@ -123,15 +123,15 @@ def planned(
     compose: Compose,
     selection: Selection | None = None,
 ) -> Experiment:
-    """Turn the node of an experiment into its trainings.
+    """Expand an experiment's YAML node into its trainings.
 
     Args:
         name: name of the experiment.
         node: content of its YAML; ``arms`` has one ``Arm`` per key.
-        scenes: overrides by scene name; arms skip scenes that are not in it.
-        folder: folder of all experiments.
-        compose: composes the config of a training.
-        selection: which part of the experiment is trained.
+        scenes: overrides by scene name; scenes that it lacks are skipped.
+        folder: parent folder of all experiments.
+        compose: composes the config of a training from its overrides.
+        selection: the part of the experiment to train; None trains all of it.
 
     Raises:
         ValueError: for a missing or unknown key in the node, or overrides that do not compose.

@@ -1,4 +1,4 @@
-"""What a run folder records: how far the training is, its settings and its results."""
+"""Contents of a run folder: training progress, settings and results."""
 
 import csv
 import json
@@ -10,11 +10,11 @@ from splatrl.experiments.experiment import Run
 
 Status = Literal["finished", "begun", "new"]
 VIDEO = "rollouts.mp4"
-"""The last file that a run writes; in several scenes the last of those that are shown has it."""
+"""The last file that a run writes; with several scenes, each scene shown has one, and the last scene's comes last."""
 
 
 def status(run: Run) -> Status:
-    """Whether a training is finished, can be resumed, or has not begun."""
+    """Return whether a training is finished, has begun and can be resumed, or is new."""
     if (run.folder / "evaluation.json").exists() and (not run.config["logger"]["video"] or _filmed(run)):
         return "finished"
     checkpoints = (run.folder / "checkpoints" / f"{name}.pt" for name in ("last", "previous"))
@@ -22,7 +22,7 @@ def status(run: Run) -> Status:
 
 
 def _filmed(run: Run) -> bool:
-    """Whether an evaluation has recorded its videos, one in each scene that it shows."""
+    """Return whether an evaluation has written all its videos, one for each scene that it shows."""
     scenes = evaluation(run).get("scenes", [])
     if not scenes:
         return (run.folder / VIDEO).exists()
@@ -30,13 +30,13 @@ def _filmed(run: Run) -> bool:
 
 
 def evaluation(run: Run) -> dict[str, Any]:
-    """The content of ``evaluation.json``."""
+    """Read a run's ``evaluation.json``."""
     result: dict[str, Any] = json.loads((run.folder / "evaluation.json").read_text())
     return result
 
 
 def history(run: Run) -> list[dict[str, float]]:
-    """The rows of ``progress.csv``, with NaN for empty cells; no rows if there is no file."""
+    """Read the rows of ``progress.csv``, with NaN for empty cells; a missing file gives no rows."""
     path = run.folder / "progress.csv"
     if not path.exists():
         return []
@@ -46,6 +46,6 @@ def history(run: Run) -> list[dict[str, float]]:
 
 
 def frames_done(run: Run) -> int:
-    """Number of frames that a training has completed, according to its ``progress.csv``."""
+    """Return how many frames a training has completed, according to its ``progress.csv``."""
     rows = history(run)
     return int(rows[-1]["frames"]) if rows else 0

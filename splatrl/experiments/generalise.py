@@ -1,4 +1,4 @@
-"""Policies tested in places that their training never saw."""
+"""Tests of policies in places that their training never saw."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -17,28 +17,28 @@ from splatrl.experiments.transfer import kept, score_in
 
 PLACES = "places.json"
 TESTED_IN = ("unseen_yards", "backyard", "kitchen")
-"""Names of scenes in ``conf/experiment.yaml``."""
+"""Scenes of ``conf/experiment.yaml`` in which policies are tested."""
 UNSEEN = 8
-"""Width and height of views at which nobody looks, pixels."""
+"""Width and height of images that no policy looks at, pixels."""
 
 
 def choose_places(folder: Path, scenes: Mapping[str, Sequence[str]]) -> None:
-    """Write the places in which policies will be tested into the experiment's folder.
+    """Write the list of test places into the experiment's folder.
 
     Args:
-        folder: of the experiment.
-        scenes: overrides of the scenes whose files are given, by name.
+        folder: folder of the experiment.
+        scenes: overrides, by name, of the scenes whose files are given.
     """
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / PLACES, {name: list(scenes[name]) for name in TESTED_IN if name in scenes})
 
 
 def score_in_places(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
-    """Test finished runs in each of the chosen places, see ``score_everywhere``, and who never learned as well.
+    """Test finished runs in each of the chosen places (see ``score_everywhere``), together with untrained baselines.
 
     Args:
-        runs: of one task.
-        folder: of the experiment, with the places.
+        runs: finished runs of one task.
+        folder: folder of the experiment, which holds the list of places.
     """
     chosen: dict[str, list[str]] = json.loads((folder / PLACES).read_text())
     same = [word for word in runs[0].overrides if not word.startswith("scene")]
@@ -47,14 +47,14 @@ def score_in_places(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
 
 
 def unlearned(name: str, place: DictConfig) -> list[dict[str, Any]]:
-    """What those reach who never learned: one goes straight at the goal, and the teacher knows the shortest way.
+    """Test two baselines that never learned: one heads straight for the goal, the other is the shortest-path teacher.
 
     Args:
-        name: of the place.
-        place: its config. Robots do not look, so that what they see is small.
+        name: name of the place.
+        place: config of the place; images are shrunk to ``UNSEEN``, since neither baseline looks at them.
 
     Returns:
-        Rows as ``score_in`` gives them, with a ``label`` in place of a run; none for a task that tells no goal.
+        Rows as from ``score_in``, with ``label`` in place of ``run``; none unless the task is a navigation task.
     """
     place = place.copy()
     place.robot.image_width = place.robot.image_height = UNSEEN

@@ -1,4 +1,4 @@
-"""A description of the machine and the versions on which an experiment was run, for its report."""
+"""Description of the machine and software versions on which an experiment ran, for its report."""
 
 import platform
 import subprocess
@@ -13,10 +13,10 @@ CPU_INFO = Path("/proc/cpuinfo")
 
 
 def machine(jobs: int) -> str:
-    """Describe processor, cores, versions and, in a checkout, the commit.
+    """Describe the processor, its cores, software versions and, in a Git checkout, the commit.
 
     Args:
-        jobs: number of trainings at a time.
+        jobs: number of trainings that run at a time.
     """
     cores = usable_cores()
     parts = [
@@ -37,7 +37,7 @@ def _processor() -> str:
 
 
 def _commit() -> str:
-    """The commit of the checkout that contains this file, and whether it has changes; empty outside a checkout."""
+    """Describe the commit of the checkout with this file, and whether it has changes; empty outside a checkout."""
     here = Path(__file__).parent
     try:
         commit = _git(here, "rev-parse", "--short=12", "HEAD")

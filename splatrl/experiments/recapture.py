@@ -1,7 +1,7 @@
-"""A scene captured again: a walk through it is filmed as with a phone, and the film becomes a scene of its own.
+"""Recaptures a scene: a simulated phone films a walk through it, and the film is captured as a new scene.
 
-The new scene is laid over the old one by the true poses of the camera, once, so that goal and starts mean the same
-places in both. The truth is used for nothing else.
+The new scene is aligned with the original by the true camera poses, once, so that goals and starts mean the same
+places in both. The ground truth is used for nothing else.
 """
 
 import shutil
@@ -44,27 +44,27 @@ FILM, CAPTURED, RECAPTURED = "walk.mp4", "captured", "recaptured"
 PHONE = Phone(960, 540)
 SECONDS = 60.0
 BESIDE = 0.8
-"""Metres around the robots' area in which the walk goes."""
+"""Margin around the robots' area within which the walk stays, metres."""
 ABOVE, RISE = 0.1, 0.2
-"""Metres by which the camera is above the robots' on average, and by which it is raised and lowered from there."""
+"""Mean height of the camera above the robots' camera, and how far it is raised and lowered from there, metres."""
 TURN = 12.0
-"""Seconds in which the view goes once around, so that what is solid is seen from all sides on a walk of a minute."""
+"""Seconds per full turn of the view, so that a one-minute walk sees solid things from all sides."""
 BORDER = 12
-"""Voxels around a scene's bounds of which it is also told that they are free."""
+"""Margin around a scene's bounds, in voxels, within which free voxels are recorded too."""
 TASK = "task=grid"
 SEEN, SHOWN = 256, 8
-"""Poses from which the two scenes are compared, and shown."""
+"""Number of poses from which the two scenes are compared, and number of these that are shown."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How alike two scenes are to a robot.
+    """Similarity of two scenes from a robot's perspective.
 
     Attributes:
-        psnr: of what robots see from starts that are free in both, dB, mean.
-        psnr_corrected: the same once colours have been fitted.
-        blocked: share of the original's starts that are none in the other scene.
-        opened: share of the other scene's starts that are none in the original.
+        psnr: mean PSNR between the robots' views from starts that both scenes share, dB.
+        psnr_corrected: the same after fitting the colours of the other scene's views to the original's.
+        blocked: fraction of the original's starts that are not starts in the other scene.
+        opened: fraction of the other scene's starts that are not starts in the original.
     """
 
     psnr: float
@@ -74,19 +74,19 @@ class Agreement:
 
 
 def recapture(folder: Path, scenes: Mapping[str, Sequence[str]], original: str = "backyard") -> Path:
-    """Film a scene, capture the film, and lay the captured scene over the original; done once.
+    """Film a scene, capture the film, and align the captured scene with the original, unless this was done before.
 
     Args:
-        folder: for the film, the capture, the scene ``recaptured`` and what is to be reported of them.
-        scenes: overrides of scenes by name.
+        folder: folder for the film, the capture, the scene ``recaptured``, and the figures and views for the report.
+        scenes: overrides of scenes, by name.
         original: name of the scene to film.
 
     Returns:
         The folder of the captured scene, whose ``scene.yaml`` has the original's bounds, goal, robot height and area.
 
     Raises:
-        CaptureError: where the film cannot be captured.
-        ValueError: where nobody can walk in the original.
+        CaptureError: if the film cannot be captured.
+        ValueError: if the original leaves no room for the walk.
     """
     target = folder / RECAPTURED
     if (target / SCENE_FILE).is_file() and (folder / FIGURES).is_file():
@@ -126,7 +126,7 @@ def recapture(folder: Path, scenes: Mapping[str, Sequence[str]], original: str =
 
 
 def _lay_free_voxels(capture: Path, target: Path, world_from_capture: Tensor, bounds: Bounds, edge: float) -> None:
-    """Write the voxels of the world whose centres a capture knows to be free; nothing where it knows of none."""
+    """Write the world's voxels whose centres a capture knows to be free; write no file if it knows of none."""
     stated = read_description(capture)
     if "free" not in stated:
         return
@@ -141,7 +141,7 @@ def _lay_free_voxels(capture: Path, target: Path, world_from_capture: Tensor, bo
 
 
 def _film(world: World, path: Path) -> Path:
-    """Film a walk around where robots are, unless it is there already."""
+    """Film a walk around the robots' area, unless film and ground truth exist already."""
     motion = world.task.motion
     places = motion.body_to_world(motion.states())[:, :3, 3]
     lower, upper = (places[:, :2].amin(0) - BESIDE).tolist(), (places[:, :2].amax(0) + BESIDE).tolist()
@@ -155,7 +155,7 @@ def _film(world: World, path: Path) -> Path:
 
 
 def compare(original: World, other: World, path: Path) -> Agreement:
-    """Compare what robots see in two scenes, and where they can be; draws some views, one scene a row."""
+    """Compare the robots' views and starts in two scenes, and write a picture of some views, one row per scene."""
     starts = {tuple(state) for state in original.plan.starts.tolist()}
     others = {tuple(state) for state in other.plan.starts.tolist()}
     both = torch.tensor(sorted(starts & others))
@@ -197,7 +197,7 @@ def _figures(missing: float, off: Deviation, quality: Quality, alike: Agreement)
 
 @contextmanager
 def _bar() -> Iterator[Progress]:
-    """A progress bar for one thing after the other."""
+    """Provide one progress bar, shared by activities that run one after another."""
     with tqdm(dynamic_ncols=True, leave=False) as bar:
 
         def progress(what: str, done: int, total: int) -> None:

@@ -1,4 +1,4 @@
-"""The report of an experiment: ``report.md``, ``report.json`` and its figures, from the finished runs."""
+"""Report of an experiment from its finished runs: ``report.md``, ``report.json`` and figures."""
 
 import json
 import os
@@ -26,7 +26,7 @@ from splatrl.files import replacing
 
 SCORES, MACHINE, FIGURES, VIEWS = "scores.json", "machine.json", "capture.json", "views.png"
 MAPS = {"starts.png": "start poses by success", "success_map.png": "success by start position"}
-"""Pictures of a run that are shown side by side."""
+"""Pictures of a run that are shown side by side, with their captions."""
 EXPLANATION = (
     "Success is measured over the start set (if it has more than `evaluation.starts` poses, over that many, evenly "
     "spaced) with actions sampled from the policy; argmax takes the most likely action instead. "
@@ -37,11 +37,11 @@ EXPLANATION = (
 
 @dataclass(frozen=True)
 class Curve:
-    """A figure of a comparison.
+    """A figure with the learning curves of one comparison.
 
     Attributes:
-        title: what it compares.
-        path: the picture's file.
+        title: scene and number of frames of the comparison.
+        path: file of the figure.
     """
 
     title: str
@@ -52,11 +52,11 @@ def write_report(experiment: Experiment, machine: str) -> Path:
     """Write the report of one experiment into its folder.
 
     Args:
-        experiment: what was run.
+        experiment: the experiment to report.
         machine: description of the machine, used if none was recorded when the experiment ran.
 
     Returns:
-        ``report.md``.
+        Path of ``report.md``.
     """
     experiment.folder.mkdir(parents=True, exist_ok=True)
     found = entries(experiment)
@@ -68,15 +68,15 @@ def write_report(experiment: Experiment, machine: str) -> Path:
 
 
 def write_joint_report(experiments: Sequence[Experiment], folder: Path, machine: str) -> Path:
-    """Write one report of several experiments, whose own reports and figures exist already.
+    """Write a joint report of several experiments, whose own reports and figures exist already.
 
     Args:
-        experiments: what was run.
-        folder: folder of all experiments.
+        experiments: the experiments to report.
+        folder: parent folder of all experiments.
         machine: as in ``write_report``.
 
     Returns:
-        ``report.md``.
+        Path of ``report.md``.
     """
     lines = ["# Experiments", "", EXPLANATION, ""]
     for experiment in experiments:
@@ -126,7 +126,7 @@ def _section(
 
 
 def _capture(experiment: Experiment, base: Path, heading: str) -> list[str]:
-    """The figures of a scene that was captured for the experiment, and what robots see there; nothing without one."""
+    """Write the section on the scene captured for the experiment: figures and views; empty if there is none."""
     path, views = experiment.folder / FIGURES, experiment.folder / VIEWS
     if not path.exists():
         return []
@@ -139,7 +139,7 @@ def _capture(experiment: Experiment, base: Path, heading: str) -> list[str]:
 
 
 def _pictures(entry: Entry, base: Path) -> list[str]:
-    """Links to those pictures of the median seed that exist."""
+    """Link the pictures of the median seed that exist."""
     if not entry.runs:
         return []
     run = entry.median()

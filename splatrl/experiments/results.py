@@ -1,4 +1,4 @@
-"""Results of an arm over its seeds."""
+"""Results of an arm, aggregated over its seeds."""
 
 import math
 import statistics
@@ -13,10 +13,10 @@ from splatrl.experiments.folders import evaluation, history, status
 
 @dataclass(frozen=True)
 class Spread:
-    """Values of several seeds.
+    """One value per seed, with mean and deviation.
 
     Attributes:
-        values: one per seed.
+        values: the values, one per seed.
     """
 
     values: tuple[float, ...]
@@ -32,14 +32,14 @@ class Spread:
         return statistics.stdev(self.values) if len(self.values) > 1 else math.nan
 
     def text(self, digits: int = 0, factor: float = 1.0) -> str:
-        """Mean ± standard deviation, times a factor."""
+        """Format mean ± standard deviation, multiplied by a factor."""
         if not self.values:
             return "–"
         mean = f"{factor * self.mean:,.{digits}f}"
         return mean if len(self.values) == 1 else f"{mean} ± {factor * self.deviation:,.{digits}f}"
 
     def percent(self) -> str:
-        """Mean ± standard deviation in percent."""
+        """Format mean ± standard deviation in percent."""
         return f"{self.text(1, 100.0)} %" if self.values else "–"
 
 
@@ -50,7 +50,7 @@ class Entry:
     Attributes:
         label: label of the arm.
         scene: name of the scene.
-        budget: frames that each run was given.
+        budget: frames allotted to each run.
         runs: the finished runs.
     """
 
@@ -71,51 +71,51 @@ class Entry:
 
     @property
     def has_curriculum(self) -> bool:
-        """Whether its runs begin with only part of the start set."""
+        """Whether any of its runs begins with only a part of the start set."""
         return any(run.has_curriculum for run in self.runs)
 
     def spread(self, key: str) -> Spread:
-        """A value of ``evaluation.json`` over the seeds."""
+        """Return a value of ``evaluation.json`` for each seed that has it."""
         return Spread(tuple(float(values[key]) for values in self.evaluations if key in values))
 
     def spl(self) -> Spread:
-        """SPL by distance where tasks measure it, otherwise by steps."""
+        """Return SPL by distance if the task measures it, otherwise by steps."""
         by_distance = self.spread("spl")
         return by_distance if by_distance.values else self.spread("step_spl")
 
     def speed(self) -> Spread:
-        """Frames per second of training."""
+        """Return the training speed, frames per second."""
         return Spread(
             tuple(values["frames"] / values["wall_seconds"] for values in self.evaluations if values["wall_seconds"])
         )
 
     def tested_at(self, frames: int) -> Spread:
-        """Success in the test at a number of frames, to within one batch."""
+        """Return the test success at a number of frames, to within one batch."""
         return Spread(tuple(value for rows in self.histories if (value := success_near(rows, frames)) is not None))
 
     def frames_to(self, success: float) -> Spread:
-        """Frames until the first test with at least this success, for the seeds that reached it."""
+        """Return the frames until the first test with at least this success, for the seeds that reached it."""
         return self._at_first(success, "frames")
 
     def minutes_to(self, success: float) -> Spread:
-        """Minutes of training, tests included, until the first test with at least this success; as ``frames_to``."""
+        """Return the minutes of training, tests included, until the test that ``frames_to`` finds."""
         return Spread(tuple(seconds / 60 for seconds in self._at_first(success, "seconds").values))
 
     def _at_first(self, success: float, key: str) -> Spread:
-        """A value of the row of the first test with at least this success, for the seeds that reached it."""
+        """Return a column at the first test with at least this success, for the seeds that reached it."""
         rows = (
             next((row for row in history if row.get("test_success", 0.0) >= success), {}) for history in self.histories
         )
         return Spread(tuple(row[key] for row in rows if key in row))
 
     def median(self) -> Run:
-        """The run with the median success; of two in the middle, the lower one."""
+        """Return the run with the median success; of two in the middle, the one with the lower success."""
         order = sorted(range(len(self.runs)), key=lambda number: self.evaluations[number]["success_rate"])
         return self.runs[order[(len(order) - 1) // 2]]
 
 
 def entries(experiment: Experiment) -> list[Entry]:
-    """Every arm in every scene of an experiment with its finished runs, ordered by scene."""
+    """Collect the finished runs of every arm in every scene of an experiment, ordered by scene."""
     groups: dict[tuple[str, str], list[Run]] = {}
     for run in experiment.runs:
         groups.setdefault((run.scene, run.arm), []).append(run)
@@ -128,7 +128,7 @@ def entries(experiment: Experiment) -> list[Entry]:
 
 
 def comparable(found: Iterable[Entry]) -> list[list[Entry]]:
-    """Entries with finished runs, grouped by scene and number of frames."""
+    """Group the entries that have finished runs by scene and number of frames."""
     groups: dict[tuple[str, int], list[Entry]] = {}
     for entry in found:
         if entry.runs:
@@ -137,17 +137,17 @@ def comparable(found: Iterable[Entry]) -> list[list[Entry]]:
 
 
 def success_in_tests(rows: Sequence[Mapping[str, float]]) -> list[tuple[int, float]]:
-    """Frames and success of each test of a training."""
+    """Return the frame count and success of each test in a training's history."""
     return [
         (int(row["frames"]), row["test_success"]) for row in rows if not math.isnan(row.get("test_success", math.nan))
     ]
 
 
 def success_near(rows: Sequence[Mapping[str, float]], frames: int) -> float | None:
-    """Success in the test nearest to a number of frames; None if no test is within one batch of it."""
+    """Return the success in the test nearest to a number of frames; None if no test is within one batch of it."""
     taken = success_in_tests(rows)
     if not taken:
         return None
     at, success = min(taken, key=lambda test: abs(test[0] - frames))
-    before, after = [0.0, *(row["frames"] for row in rows)][-2:]  # the first row may be of frames that were shown
+    before, after = [0.0, *(row["frames"] for row in rows)][-2:]  # the first row may count demonstrations
     return success if abs(at - frames) < after - before else None

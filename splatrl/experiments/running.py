@@ -1,4 +1,4 @@
-"""Runs trainings as processes, a few at a time."""
+"""Runs trainings as subprocesses, a few at a time."""
 
 import fcntl
 import os
@@ -18,9 +18,9 @@ from splatrl.native.threads import CORES
 
 LOG = "log.txt"
 POLL = 0.5
-"""Interval at which the trainings are polled, seconds."""
+"""Interval between polls of the trainings, seconds."""
 PATIENCE = 15.0
-"""Time that an interrupted training has to end, seconds."""
+"""Time within which an interrupted training must end before it is killed, seconds."""
 
 
 class BusyError(RuntimeError):
@@ -28,11 +28,11 @@ class BusyError(RuntimeError):
 
 
 def command(run: Run, program: Sequence[str]) -> list[str]:
-    """The command that starts or resumes a training.
+    """Return the command line that starts or resumes a training.
 
     Args:
         run: the training.
-        program: the command that trains and takes Hydra's overrides as arguments, such as ``splatrl-train``.
+        program: the training command, which takes Hydra overrides as arguments, such as ``splatrl-train``.
     """
     if status(run) == "new":
         return [*program, *run.overrides, f"hydra.run.dir={quoted(run.folder)}"]
@@ -40,15 +40,15 @@ def command(run: Run, program: Sequence[str]) -> list[str]:
 
 
 def start(run: Run, cores: int, program: Sequence[str]) -> subprocess.Popen[bytes]:
-    """Start a training that writes its output to a log and locks its folder until it ends.
+    """Start a training as a subprocess that writes its output to a log and locks its folder until it ends.
 
     Args:
         run: the training.
-        cores: that it may use, at most.
-        program: the command that trains.
+        cores: maximum number of cores that it may use.
+        program: the training command.
 
     Raises:
-        BusyError: if another process is training in the folder, such as one that outlived its command.
+        BusyError: if another process is training in the folder, such as one that outlived the command that began it.
     """
     run.folder.mkdir(parents=True, exist_ok=True)
     settings = os.environ | {"OMP_NUM_THREADS": "1", "TQDM_DISABLE": "1", CORES: str(cores)}
@@ -60,12 +60,12 @@ def start(run: Run, cores: int, program: Sequence[str]) -> subprocess.Popen[byte
             stdout=log,
             stderr=subprocess.STDOUT,
             env=settings,
-            start_new_session=True,  # a terminal's interrupt reaches only the command, which then ends its trainings
+            start_new_session=True,  # Ctrl-C in a terminal reaches only this process, which then ends its trainings
         )
 
 
 def _hold(run: Run, log: BinaryIO) -> None:
-    """Lock an open log: the process that inherits it holds the lock until it ends."""
+    """Lock an open log; the subprocess that inherits it holds the lock until it ends."""
     try:
         fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
@@ -80,21 +80,21 @@ def train(
     begin: Callable[[Run, int, Sequence[str]], subprocess.Popen[bytes]] = start,
     poll: float = POLL,
 ) -> list[Run]:
-    """Train everything that is not finished, with one progress bar; a run that fails does not stop the others.
+    """Train all unfinished runs under one progress bar; a run that fails does not stop the others.
 
     Args:
         runs: the trainings.
-        jobs: number of trainings at a time.
-        cores: of each training.
-        program: the command that trains.
-        begin: starts a training.
+        jobs: number of trainings that run at a time.
+        cores: number of cores per training.
+        program: the training command.
+        begin: starts a training, given the run, its cores and the command.
         poll: seconds between polls.
 
     Returns:
         The runs that failed.
 
     Raises:
-        KeyboardInterrupt: on an interrupt, after the trainings have ended.
+        KeyboardInterrupt: on Ctrl-C, once all trainings have ended.
     """
     waiting = deque(run for run in runs if status(run) != "finished")
     running: dict[Run, subprocess.Popen[bytes]] = {}
@@ -132,7 +132,7 @@ def train(
 
 
 def stop(processes: Iterable[subprocess.Popen[bytes]]) -> None:
-    """End trainings: interrupt them, so that they leave no partial files, and kill those that take too long."""
+    """End trainings: interrupt them, so that they leave no partial files, and kill any that take too long to end."""
     alive = [process for process in processes if process.poll() is None]
     for process in alive:
         process.send_signal(signal.SIGINT)

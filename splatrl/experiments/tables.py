@@ -1,4 +1,4 @@
-"""Tables and sentences of a report, in Markdown."""
+"""Markdown tables and sentences for a report."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,27 +8,27 @@ from splatrl.experiments.experiment import Experiment
 from splatrl.experiments.results import Entry, Spread, comparable
 
 RATES = ("success_rate", "success_rate_argmax", "collision_rate", "step_spl", "spl")
-"""What is said of a policy that was tested in several scenes."""
+"""Rates that are reported for a policy tested in several scenes."""
 NOWHERE = "–"
-"""Where those were trained who never learned."""
+"""Training scene shown for baselines that never learned."""
 TOTAL = "**all**"
-"""Stands for all clips of a scene."""
+"""Name of the row that combines all clips of a scene."""
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> list[str]:
-    """A Markdown table: the first columns hold words, the others numbers.
+    """Format a Markdown table whose first columns hold words and whose others hold numbers.
 
     Args:
-        header: titles of the columns.
+        header: column titles.
         rows: rows, each as long as the header.
-        words: number of columns of words, which are aligned to the left.
+        words: number of columns that hold words, which are left-aligned; numbers are right-aligned.
     """
     rule = ["---"] * words + ["---:"] * (len(header) - words)
     return [f"| {' | '.join(cells)} |" for cells in (header, rule, *rows)]
 
 
 def main_table(found: Sequence[Entry]) -> list[str]:
-    """The table of what the policies reach from the start set, and what that took."""
+    """Build the table of what the policies reach from the start set, and of the training that it took."""
     header = ["scene", "arm", "seeds", "success", "argmax", "SPL", "level", "frames", "training, s", "frames/s"]
     rows = [
         [
@@ -49,7 +49,7 @@ def main_table(found: Sequence[Entry]) -> list[str]:
 
 
 def marks_table(found: Sequence[Entry], experiment: Experiment) -> list[str]:
-    """The table of success in tests during training, and of when a test first reached the threshold."""
+    """Build the table of test success during training, and of when a test first reached the threshold."""
     marks = [f"at {mark:,}" for mark in experiment.marks]
     goal = f"{experiment.threshold:.0%}"
     header = ["scene", "arm", *marks, f"frames to {goal}", f"minutes to {goal}", "seeds that got there"]
@@ -63,7 +63,7 @@ def marks_table(found: Sequence[Entry], experiment: Experiment) -> list[str]:
 
 
 def verdicts(found: Sequence[Entry]) -> list[str]:
-    """One sentence per scene and number of frames: which arm won, and whether the seeds support it."""
+    """Write one sentence per scene and number of frames: which arm won, and whether the seeds support that."""
     return [f"- {_verdict(group)}" for group in comparable(found)]
 
 
@@ -94,7 +94,7 @@ def _deviation(spread: Spread) -> float:
 
 
 def scores_table(scores: Sequence[Mapping[str, Any]], experiment: Experiment) -> list[str]:
-    """The share of frames of labelled clips in which the policy's action is among the right ones, one column per arm.
+    """Build the table of match rates: fractions of labelled frames with a correct action, one column per arm.
 
     Args:
         scores: one row per run and clip: ``run`` (name of its folder), ``clip``, ``frames`` and ``matches``.
@@ -110,7 +110,7 @@ def scores_table(scores: Sequence[Mapping[str, Any]], experiment: Experiment) ->
 
 
 def scores_sentences(scores: Sequence[Mapping[str, Any]], experiment: Experiment) -> list[str]:
-    """One sentence per scene: the match rate of each arm over all clips.
+    """Write one sentence per scene with the match rate of each arm over all clips.
 
     Args:
         scores: as for ``scores_table``.
@@ -125,10 +125,11 @@ def scores_sentences(scores: Sequence[Mapping[str, Any]], experiment: Experiment
 
 
 def transfer_table(tests: Sequence[Mapping[str, Any]], experiment: Experiment) -> list[str]:
-    """The table of policies that were tested in several scenes, one row per place, scene of training and arm.
+    """Build the table of policies tested in several scenes, one row per test place, training scene and arm.
 
     Args:
-        tests: one row per run and place: ``run`` (name of its folder), ``place``, ``starts`` and rates.
+        tests: one row per run and place: ``run`` (name of its folder) or a baseline's ``label``, ``place``, ``starts``
+            and rates.
         experiment: the experiment to which the runs belong.
     """
     header = ["tested in", "trained in", "arm", "seeds", "starts", "success", "argmax", "collisions", "SPL"]
@@ -154,7 +155,7 @@ def transfer_table(tests: Sequence[Mapping[str, Any]], experiment: Experiment) -
 
 
 def transfer_sentences(tests: Sequence[Mapping[str, Any]], experiment: Experiment) -> list[str]:
-    """One sentence per place: what the policies of each scene and arm reach there.
+    """Write one sentence per place with the success there of the policies of each training scene and arm.
 
     Args:
         tests: as for ``transfer_table``.
@@ -172,10 +173,10 @@ def transfer_sentences(tests: Sequence[Mapping[str, Any]], experiment: Experimen
 def _transfers(
     tests: Sequence[Mapping[str, Any]], experiment: Experiment
 ) -> dict[tuple[str, str, str], list[Mapping[str, Any]]]:
-    """The tests by place, scene of training and label, in the order of the experiment's scenes.
+    """Group tests by place, training scene and label, in the order of the experiment's scenes.
 
-    A place is one of these scenes or another, and may say more behind a comma, such as the weather. Who never learned
-    comes last, with a label of their own.
+    A place is one of these scenes or another, with an optional detail such as the weather after a comma. Baselines
+    that never learned come last in each place, under labels of their own.
     """
     runs = {run.folder.name: run for run in experiment.runs}
     places = (row["place"].partition(",")[0] for row in tests)
@@ -194,7 +195,7 @@ def _transfers(
 def _match_rates(
     scores: Sequence[Mapping[str, Any]], experiment: Experiment
 ) -> dict[tuple[str, str], tuple[int, dict[str, Spread]]]:
-    """Frames and the seeds' match rates of each arm, by scene and clip; the total of a scene comes last."""
+    """Compute, by scene and clip, the number of frames and each arm's match rates; a scene's total comes last."""
     runs = {run.folder.name: run for run in experiment.runs}
     counts: dict[tuple[str, str], dict[str, tuple[int, int]]] = {}
     for score in scores:

@@ -1,4 +1,4 @@
-"""Policies tested in scenes other than the one in which they were trained."""
+"""Tests of policies in scenes other than the one in which they were trained."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,11 +20,13 @@ KEPT = ("success_rate", "success_rate_argmax", "collision_rate", "timeout_rate",
 
 
 def score_everywhere(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
-    """Test finished runs in every scene in which any of them was trained, from its whole start set, without pose noise.
+    """Test finished runs in every scene in which any of them was trained, without pose noise.
+
+    Starts are spread over the whole start set of the test scene.
 
     Args:
-        runs: with the same task and motion.
-        folder: of the experiment; nothing is written to it.
+        runs: finished runs with the same task and motion.
+        folder: folder of the experiment; nothing is written to it.
 
     Returns:
         One row per run and scene: ``run`` (name of its folder), ``place`` (name of the scene), ``starts`` and rates.
@@ -33,11 +35,11 @@ def score_everywhere(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
 
 
 def score_in(runs: Sequence[Run], places: Mapping[str, DictConfig]) -> list[dict[str, Any]]:
-    """Test finished runs in each of some places; see ``score_everywhere``.
+    """Test finished runs in each of the given places; see ``score_everywhere``.
 
     Args:
-        runs: with the same task and motion.
-        places: a config of each, by name, whose scene, robot and task the policies are given.
+        runs: finished runs with the same task and motion.
+        places: config of each place, by name; its scene, robot and task replace a run's own.
     """
     worlds: dict[tuple[str, str], World | Worlds] = {}
     rows = []
@@ -45,7 +47,7 @@ def score_in(runs: Sequence[Run], places: Mapping[str, DictConfig]) -> list[dict
         own = run_config(run.folder)
         for name, place in places.items():
             cfg = placed(own, place)
-            key = name, OmegaConf.to_yaml({"of": [cfg.sensors, cfg.transforms, cfg.network]})  # what its env must give
+            key = name, OmegaConf.to_yaml({"of": [cfg.sensors, cfg.transforms, cfg.network]})  # what envs depend on
             if key not in worlds:
                 worlds[key] = build_world(cfg)
             rows.append({"run": run.folder.name, "place": name, **tested(run.folder, cfg, worlds[key])})
@@ -53,12 +55,12 @@ def score_in(runs: Sequence[Run], places: Mapping[str, DictConfig]) -> list[dict
 
 
 def tested(folder: Path, cfg: DictConfig, world: World | Worlds) -> dict[str, Any]:
-    """Rates of a run's policy in a world, over its start set.
+    """Test a run's policy in a world, from starts spread over its start set, and return the rates.
 
     Args:
         folder: the run folder.
         cfg: config with which the policy is tested.
-        world: built from it.
+        world: world built from ``cfg``.
     """
     torch.set_num_threads(cfg.threads)
     policy, starts = load_policy(folder, cfg=cfg, world=world).policy, spread_starts(world, cfg.evaluation.starts)
@@ -72,5 +74,5 @@ def tested(folder: Path, cfg: DictConfig, world: World | Worlds) -> dict[str, An
 
 
 def kept(summary: Mapping[str, float]) -> dict[str, float]:
-    """The rates that are told of a test, from what ``summarise`` gives."""
+    """Select the rates that are reported of a test from the output of ``summarise``."""
     return {key: summary[key] for key in KEPT if key in summary}

@@ -1,4 +1,4 @@
-"""Policies tested in clear weather and in each kind of weather alone, whether they have met it or not."""
+"""Tests of policies in clear weather and in each kind of weather alone, whether or not training included it."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,15 +14,15 @@ from splatrl.experiments.transfer import tested
 
 KINDS = ("fog", "dusk", "sun", "rain", "snow", "wet")
 WEATHERS: dict[str, tuple[str, ...]] = {"clear": (), **{kind: (kind,) for kind in KINDS}}
-"""What each test has of the weather that ``conf/transforms/appearance/weather.yaml`` describes, in every episode."""
+"""Kinds of weather, from ``conf/transforms/appearance/weather.yaml``, that every episode of a test has, by name."""
 
 
 def score_weathers(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
-    """Test finished runs in each of ``WEATHERS``, in the scene in which they were trained, from their start set.
+    """Test finished runs in each of ``WEATHERS``, in the scene in which they were trained, over its start set.
 
     Args:
-        runs: those of one scene have the same task and motion.
-        folder: of the experiment; nothing is written to it.
+        runs: finished runs; those in the same scene share task and motion.
+        folder: folder of the experiment; nothing is written to it.
 
     Returns:
         One row per run and weather: ``run`` (name of its folder), ``place`` (scene and weather), ``starts`` and rates.
@@ -39,7 +39,7 @@ def score_weathers(runs: Sequence[Run], folder: Path) -> list[dict[str, Any]]:
 
 
 def in_weather(cfg: DictConfig, kinds: Sequence[str]) -> DictConfig:
-    """The config of a run, with some kinds of weather in every episode and no others; without any, it is clear."""
+    """Change the weather in a run's config: every episode has exactly these kinds; with none, it is clear."""
     cfg = cfg.copy()
     off = [f"transforms.appearance.{kind}=0" for kind in KINDS if kind not in kinds]
     weather = load_config(["transforms/appearance=weather", "transforms.appearance.often=1", *off])
